@@ -51,7 +51,7 @@ NO_PROMISES: Mapping[str, Mapping[str, Sequence[str]]] = {
         "ros2_topic_subscribe": ("For rates use",),
         "ros2_policy": ("Plan within it",),
         "ros2_topic_stats": ("For the values of fields use",),
-        "ros2_topic_statistics": ("For bytes and ages of messages use",),
+        "ros2_topic_statistics": ("For sizes and ages of messages use",),
     },
     "says what this is not, or what nobody here decides": {
         "README": (

@@ -25,7 +25,7 @@ from ros2_mcp.ops.text import MOST_CHARACTERS, as_text
 from ros2_mcp.programs.declare import Function
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools import ToolDeclaration
-from ros2_mcp.tools.arguments import TimeArgument
+from ros2_mcp.tools.arguments import WHOLE_SENTENCE, TimeArgument
 from ros2_mcp.tools.declare import ForPage
 from ros2_mcp.tools.injection import Call
 from ros2_mcp.tools.leniency import as_meant
@@ -202,7 +202,9 @@ class BoundTool:
                 unknown.append(name)
                 continue
             if (other := spelled.setdefault(own_name, name)) != name:
-                raise CallFailed(f"BadInput: {other!r} and {name!r} are two names of one argument: give one of them.")
+                raise CallFailed(
+                    f"BadInput: {other!r} and {name!r} are two names of one argument: give only one of them."
+                )
             field = self.arguments.model_fields.get(own_name)
             if isinstance(value, str) and field and field.annotation is not str:
                 value = _parsed(value, acts=self.acts)  # noqa: PLW2901
@@ -388,6 +390,8 @@ def _explain_one(tool: str, problem: Mapping[str, Any], schema: Mapping[str, Any
         return f"{tool} has no argument {path!r}. {hint}"
     if problem["type"] == "missing":
         return f"{tool} needs the argument {path!r}."
+    if problem["type"] == WHOLE_SENTENCE:
+        return f"BadInput: {path}: {problem['msg']}"
     message = _PLAIN_WORDS.get(problem["type"], str(problem["msg"]).removeprefix("Value error, "))
     path = path or "the name of an argument"  # that is no text, such as half a character
     return f"BadInput: {path}: {message}, not {json.dumps(problem['input'], default=str)[:100]}."

@@ -88,7 +88,7 @@ def _refusals(data: bytes, why: str) -> list[Refusal]:
         return [Refusal(own_id, PARSE_ERROR if own_id is None else INVALID_REQUEST, why or "Invalid JSON")]
     if isinstance(whole, list) and whole:
         return [
-            Refusal(_id_of(one), INVALID_REQUEST, "A list of messages is not taken: send each by itself")
+            Refusal(_id_of(one), INVALID_REQUEST, "A list of messages is not accepted: send each message by itself")
             for one in cast("list[Any]", whole)
             if not _asks_nothing(one)
         ]
@@ -109,18 +109,18 @@ def _is_response(members: dict[str, Any]) -> bool:
 def _refusal(message: Any, why: str = "") -> Refusal:
     """What is wrong with JSON that is no message; `why` it cannot be read, where its parser said."""
     if not isinstance(message, dict):
-        return Refusal(None, INVALID_REQUEST, "A message is an object")
+        return Refusal(None, INVALID_REQUEST, "A message must be an object")
     members = cast("dict[str, Any]", message)
     own_id = _id_of(members)
     if why:
         return Refusal(own_id, INVALID_REQUEST, why)
     if members.get("jsonrpc") != "2.0":
-        return Refusal(own_id, INVALID_REQUEST, 'A message says "jsonrpc": "2.0"')
+        return Refusal(own_id, INVALID_REQUEST, 'A message must have "jsonrpc": "2.0"')
     if not isinstance(members.get("method"), str):
-        return Refusal(own_id, INVALID_REQUEST, "A request has a method, which is text")
+        return Refusal(own_id, INVALID_REQUEST, "The method of a request must be a string")
     if not isinstance(members.get("params", {}), dict):
-        return Refusal(own_id, INVALID_PARAMS, "params is an object")
-    return Refusal(own_id, INVALID_REQUEST, "The id of a request is text or a whole number")
+        return Refusal(own_id, INVALID_PARAMS, "params must be an object")
+    return Refusal(own_id, INVALID_REQUEST, "The id of a request must be a string or an integer")
 
 
 def _id_of(message: Any) -> RequestId:

@@ -34,7 +34,7 @@ class Scopes:
 
     def refuse(self, lacking: str, login: Login | None, params: Mapping[str, Any] | None) -> str:
         """The words with which a request is refused that lacks a scope; of a tool that acts the audit has a line."""
-        words = f"The token of this client lacks the scope {lacking!r}: it may not do this. Another token may have it."
+        words = f"The token of this client lacks the scope {lacking!r}: not done. Use a token that has this scope."
         if login and isinstance(name := (params or {}).get("name"), str):
             principal = Principal(name=login.name, transport="http", login=login.name)
             self._toolset.note_refusal(name, words, principal)

@@ -132,9 +132,9 @@ class Toolset:
         """Why this server does not offer these tools, in words that continue a sentence."""
         tools = [tool for tool in TOOLS if tool.name in names]
         if any(tool.runs_programs for tool in tools) and not is_installed():
-            return "the extra `programs` is not installed (ros2-mcp doctor tells the command)"
+            return "the extra `programs` is not installed (ros2-mcp doctor shows the command)"
         if self._policy.recorded:
-            return "the robot of this server is a recording (ros2_bag_info tells what is in it)"
+            return "the robot of this server is a recording (ros2_bag_info shows what is in it)"
         if self._policy.read_only and any(tool.risk != "read" for tool in tools):
             return "this server is read-only"
         groups = dict.fromkeys((*self._groups, *(tool.group for tool in tools)))

@@ -267,7 +267,7 @@ class _Compiler:
         """A range of a laser scan by one angle, or the smallest between two."""
         count, hint = _OF_SCANS[name]
         if self.type_name != scans.LASER_SCAN or self.within:
-            raise ConditionError(f"{name}() is asked of a topic of type {scans.LASER_SCAN} only.", _ALLOWED)
+            raise ConditionError(f"{name}() works only on a topic of type {scans.LASER_SCAN}.", _ALLOWED)
         if len(piece.args) != count:
             raise ConditionError(f"{_excerpt(piece)}: {name}() takes {count} angle(s).", hint)
         angles = [self._of_kind(argument, "number") for argument in piece.args]
@@ -377,7 +377,7 @@ def _comparing(piece: ast.Compare, sign: ast.cmpop, left: _Term, right: _Term) -
     if possible.get(way):
         return compare
     hint = left.hint or right.hint or "Numbers compare with numbers, texts with texts."
-    raise ConditionError(f"{_excerpt(piece)}: {left.words} and {right.words} cannot be compared so.", hint)
+    raise ConditionError(f"{_excerpt(piece)}: {left.words} and {right.words} cannot be compared.", hint)
 
 
 def _extreme(choose: Callable[..., Any], first: Any, *others: Any) -> Any:

@@ -228,7 +228,7 @@ class Drive:
         if self._standing:
             return self._look_where(self._standing, now)
         if now - self._began_at > self._time_limit_s:
-            return self._stand("time_out", f"The time limit of {self._time_limit_s:.0f} s was over.", now)
+            return self._stand("time_out", f"The time limit of {self._time_limit_s:.0f} s was reached.", now)
         if self._is_stuck(now):
             topic = self._beats["odometry"].topic
             return self._stand("stuck", _stuck(topic), now)
@@ -348,9 +348,7 @@ class Drive:
         is_blind = not course.is_turn and not clearance.sees(0.0 if direction > 0 else math.pi)
         if is_blind and not self._corrections:  # a correction is some centimetres
             way = "ahead" if direction > 0 else "back"
-            self._end_at_once(
-                "guard", f"{self._beats['scan'].topic} tells nothing of the way {way}: it may not be free."
-            )
+            self._end_at_once("guard", f"{self._beats['scan'].topic} does not show the way {way}: it may not be free.")
             return None
         if now - self._allowed_at >= min(0.05, period_s):
             gone_m = abs(self._here().along - self._scanned_along) if not course.is_turn else 0.0
@@ -406,7 +404,7 @@ class Drive:
             self.outcome, self.why = "reached", ""
             return None
         if is_last:
-            self.outcome, self.why = "missed", f"It came to stand elsewhere {CORRECTIONS} times."
+            self.outcome, self.why = "missed", f"The robot stopped beside its target {CORRECTIONS} times."
             return None
         self._corrections += 1
         self._squaring = Turn(pose, -heading) if abs(error) <= most else None
@@ -439,7 +437,7 @@ class Drive:
         for role, beat in self._beats.items():
             late_s = beat.late_s(now)
             if late_s > SILENT_S:
-                self._end_at_once("silent", f"{beat.topic} has told nothing for {beat.age_s(now):.2f} s.")
+                self._end_at_once("silent", f"{beat.topic} has sent nothing for {beat.age_s(now):.2f} s.")
             if late_s > 0 and not (role == "scan" and self._standing):
                 self._paused_s += seconds
                 return True
@@ -458,8 +456,8 @@ class Drive:
 
 
 def _stuck(topic: str) -> str:
-    doubts = "Is it free, are its motors on, is the speed enough for it?"
-    return f"It was commanded to move for {STUCK_S:g} s, and {topic} shows no motion. {doubts}"
+    doubts = "Is the robot free, are its motors on, is the speed high enough?"
+    return f"The robot was commanded to move for {STUCK_S:g} s, but {topic} shows no motion. {doubts}"
 
 
 def _pose_of(message: Any) -> Pose:

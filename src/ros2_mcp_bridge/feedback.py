@@ -124,7 +124,7 @@ class Silence:
         if self.length_s(now) <= self.max_age_s or not (self.was_heard or now - began > FIRST_S):
             return ""
         why = self.why or ("" if self.was_heard else f" yet as {self.type}")
-        return f"{self.topic} has told nothing{why} for {self.length_s(now):.2f} s while the robot is driven"
+        return f"{self.topic} has sent nothing{why} for {self.length_s(now):.2f} s while the robot is driven"
 
 
 class Watchdog:
@@ -209,15 +209,15 @@ class Watchdog:
         if rule is None or silence is None:
             return ""
         if self._too_fast >= TOO_FAST_MESSAGES:
-            return f"{rule.topic} tells that the robot moves faster than the policy allows: {self._faster}"
+            return f"{rule.topic} reports that the robot moves faster than the policy allows: {self._faster}"
         if self._driven_since is not None:
             return silence.too_long(self._began, now)
         assert self._stand_since is not None
         if now - self._stand_since <= rule.within_s:
             return ""
         if self._speed.at <= max(self._stand_since, now - rule.max_age_s):
-            return f"{rule.topic} tells nothing of the robot's speed {rule.within_s:g} s after its zero"
-        return f"{rule.topic} tells that the robot still moves {rule.within_s:g} s after its zero: {self._shown()}"
+            return f"{rule.topic} does not report the robot's speed {rule.within_s:g} s after its zero"
+        return f"{rule.topic} reports that the robot still moves {rule.within_s:g} s after its zero: {self._shown()}"
 
     def _of_place(self, now: float) -> str:
         rule, silence = self.pose_rule, self._no_place

@@ -175,7 +175,7 @@ def find(search: Search, env: Mapping[str, str]) -> Found:
     if found.distro in TOO_OLD:
         raise NotFound(
             f"ROS 2 {found.distro} is too old: it ended in {found.prefix} with less than the bridge needs.",
-            "Humble is the oldest that will do.",
+            "Humble is the oldest supported version.",
         )
     overlays = [workspace_setup(workspace) for workspace in search.workspaces] or own_workspace(found)
     return replace(found, scripts=(*found.scripts, *overlays))
@@ -185,7 +185,7 @@ def _nothing(search: Search, env: Mapping[str, str]) -> NotFound:
     there = installed_distros(Path(search.ros_root))
     if search.distro and there:
         wrong = f"ROS 2 {search.distro} was asked for and is not there; found: {', '.join(there)}."
-        return NotFound(wrong, "Ask for one of these with --distro NAME, or for none.")
+        return NotFound(wrong, "Choose one of these with --distro NAME, or leave --distro out.")
     containers = ", ".join(containers_with_ros(env))
     distro = f"without --distro {search.distro} any other will do" if search.distro else "--distro NAME chooses one"
     hint = (

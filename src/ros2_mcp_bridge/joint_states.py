@@ -59,7 +59,7 @@ class JointStates:
         Raises `ValueError`, in words, where that is not known.
         """
         if missing := self.missing(joints):
-            raise ValueError(f"no joint states of the last {STALE_S:g} s tell where {', '.join(missing)} is")
+            raise ValueError(f"no joint state of the last {STALE_S:g} s has the position of {', '.join(missing)}")
         return [self._positions[joint][0] for joint in joints]
 
     def clear(self) -> None:

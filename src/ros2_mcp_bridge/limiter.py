@@ -45,7 +45,7 @@ _WAYS: Mapping[str, Sequence[Verb]] = {
 
 def refused(problem: str) -> OperationError:
     """The error for what a policy does not let out; nothing of it was sent."""
-    return OperationError("refused", problem, "ros2_policy tells all that is allowed.")
+    return OperationError("refused", problem, "ros2_policy shows what is allowed.")
 
 
 def check_size(data: bytes) -> None:
@@ -102,7 +102,9 @@ class Limiter:
         if self.is_under_policy and not (self.rules is None and request.op == "failsafe_publish"):
             ruling = self.publishing(*key, _ways(request))
             if request.has("source") and not ruling.allows_source(request.text("source")):
-                raise refused(f"The policy of this robot: {request.text('source')} is no source for {key[0]}.")
+                raise refused(
+                    f"The policy of this robot: {request.text('source')} is not an allowed source for {key[0]}."
+                )
         found = self._topics.get(key)
         if found is None:
             kept = {name: each for name, each in self._topics.items() if not each.is_as_new()}
@@ -159,7 +161,9 @@ class Limiter:
     def check_minute(self, key: tuple[str, str], most: float) -> None:
         """Raise `OperationError` where one more would be too many; `key` is a name and a type."""
         if not self._per_minute.setdefault(key, PerMinute()).take(self.now(), most):
-            raise refused(f"The policy of this robot: {key[0]} may be used {most:g} times in a minute, and has been.")
+            raise refused(
+                f"The policy of this robot: {key[0]} may be used {most:g} times a minute, and this limit is reached."
+            )
 
     def judge(self, ruling: Ruling, value: Any) -> None:
         """Raise `OperationError` of kind `refused` for a value that breaks a limit."""
@@ -170,7 +174,7 @@ class Limiter:
     def _rules_for(self, name: str) -> Rules:
         """The rules; raises `OperationError` of kind `refused` while they have not come, or for an odd name."""
         if self.rules is None:
-            raise refused("This bridge is under a policy that has not come yet: it lets nothing out but zeros.")
+            raise refused("This bridge has not received its policy yet: it sends only zeros.")
         if not _NAME.fullmatch(name):
             raise refused(f"{name!r} is no full name of ROS: under a policy nothing else is judged.")
         return self.rules

@@ -68,7 +68,7 @@ class Motion:
             if not awaited and not any(ear.is_settling for _, ear in self._ears):
                 return True
             if time.monotonic() > deadline:
-                self._end("silent", f"Nothing was heard of {awaited} within {FIRST_HEARD_S:g} s: nothing was sent.")
+                self._end("silent", f"No message from {awaited} within {FIRST_HEARD_S:g} s: nothing was sent.")
                 return False
             yield LOOK_S
 
@@ -88,7 +88,7 @@ class Motion:
                 self._end(self.controller.outcome, self.controller.why)
                 return
             if now - self.started > self._for_s:
-                self._end("time_out", f"The time of {self._for_s:g} s was over.")
+                self._end("time_out", f"The duration of {self._for_s:g} s is over.")
                 return
             if now >= due or moves != any(velocity.values()):
                 self.late += int((now - due) / self._period_s) if now > due else 0
@@ -167,7 +167,7 @@ class Motions:
             with self._use(request) as (publisher, created):
                 velocity = publisher.velocity
                 if velocity is None:
-                    problem = f"{request.text('type')} is no velocity command: it is not known what would stop it."
+                    problem = f"{request.text('type')} is not a velocity command: no command is known that stops it."
                     raise OperationError("bad_request", problem)
                 velocity.check_driven()
                 with self._velocities.hold(velocity, request):

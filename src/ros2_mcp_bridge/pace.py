@@ -12,7 +12,7 @@ ROOM = 8
 # Presumed time in which a server takes one request while it answers none: some take all at once and answer late.
 # With two places left, a server that is not run for twice as long loses nothing. Chosen, not measured.
 TAKEN_EVERY_S = 0.2
-NOT_SENT = "It was not sent in time: too many others wait for their answers."
+NOT_SENT = "The call was not sent in time: too many other calls wait for answers."
 
 
 class Pace:

@@ -366,7 +366,7 @@ class Publishers:
         with self.use(request) as (publisher, _):
             velocity = publisher.velocity
             if velocity is None:
-                problem = f"{request.text('type')} is no velocity command: it is not known what would stop it."
+                problem = f"{request.text('type')} is not a velocity command: no command is known that stops it."
                 raise OperationError("bad_request", problem)
             with self._velocities.hold(velocity, request):
                 if not velocity.commands:

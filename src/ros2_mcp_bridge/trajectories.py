@@ -90,7 +90,7 @@ class TrajectoryTopic(VelocityTopic):
         for index, point in enumerate(message.points):
             numbers = (*point.positions, *point.velocities, *point.accelerations, *point.effort)
             if not all(map(math.isfinite, numbers)):
-                problem = f"points[{index}] has a number that is not finite: nothing can be moved with it."
+                problem = f"points[{index}] has a number that is not finite: a motion needs finite numbers."
                 raise OperationError("bad_request", problem)
         self._awaited = tuple(message.joint_names)
         return Trajectory(self, message)
@@ -106,7 +106,7 @@ class TrajectoryTopic(VelocityTopic):
         """As of a velocity; and in words if nobody could hold the joints."""
         guarded = yield from super().wait_stopper()
         missing = self._joint_states.missing(self._awaited)
-        problem = f"no joint states tell where {', '.join(missing)} is, so that no hold can be sent" if missing else ""
+        problem = f"no joint state has the position of {', '.join(missing)}, so no hold can be sent" if missing else ""
         return Guarded(guarded.waited_s, problem or guarded.problem)
 
     def about_to_follow(self, message: Any) -> None:

@@ -137,7 +137,7 @@ class Until:
         late = [beat for role, beat in self._beats.items() if self._counts(role) and beat.late_s(now) > 0]
         for beat in late:
             if beat.late_s(now) > SILENT_S:
-                return self._end("silent", f"{beat.topic} has told nothing for {beat.age_s(now):.2f} s.")
+                return self._end("silent", f"{beat.topic} has sent nothing for {beat.age_s(now):.2f} s.")
         if late:
             self._paused_s += seconds
             return dict.fromkeys(self._velocity, 0.0)

@@ -419,7 +419,9 @@ class Velocities:
             yield
             return
         if not topic.is_driven and len(self.driven()) >= MAX_FAILSAFES:
-            problem = f"{MAX_FAILSAFES} topics that move the robot are driven already, and no more have a fail-safe."
+            problem = (
+                f"{MAX_FAILSAFES} topics that move the robot are driven already, the most that can have a fail-safe."
+            )
             raise OperationError("bad_request", problem, "Stop what is no longer needed.")
         if topic.is_stamped:
             self._clock.follow()

@@ -88,8 +88,8 @@ def asked(agent: Agent, speed: float) -> str:
     return refusal.partition("needs_approval ")[2][:4]
 
 
-@pytest.mark.promise("ros2_audit_read", "Read what you did to this robot, what was refused and why")
-@pytest.mark.promise("ros2_record_start", "/agent/calls has what you do")
+@pytest.mark.promise("ros2_audit_read", "what you did to this robot, what was refused and why")
+@pytest.mark.promise("ros2_record_start", "Your calls are on /agent/calls")
 def test_what_a_person_has_approved_is_carried_out_once_and_the_audit_and_a_recording_show_it(
     ros_environment: dict[str, str], observer: Observer, options: list[str], state: Path
 ) -> None:

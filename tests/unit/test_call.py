@@ -232,7 +232,7 @@ allow:
 """
 
 
-@pytest.mark.parametrize(("answer", "outcome"), [("approve", "recorded"), ("deny", "The operator has denied this")])
+@pytest.mark.parametrize(("answer", "outcome"), [("approve", "recorded"), ("deny", "The operator denied this call")])
 async def test_a_call_that_a_person_has_to_approve_waits_for_the_answer(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], answer: str, outcome: str
 ) -> None:

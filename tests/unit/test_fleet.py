@@ -61,7 +61,7 @@ async def test_the_instructions_name_the_robots_and_those_under_a_policy(tmp_pat
     file.write_text(json.dumps({"robots": entries}))
     said = assemble(Settings(robots_file=file)).server.instructions or ""
     assert "This server has 2 robots: lab, yard." in said
-    assert "Robots under a policy: yard;" in said and "A policy is in force" in said
+    assert "Robots under a policy: yard." in said and "A policy is in force" in said
 
 
 async def test_robots_that_cannot_be_reached_are_shown_with_the_reason_and_a_stop_does_not_look_for_them() -> None:
@@ -86,7 +86,7 @@ async def test_prompts_ask_which_robot_and_name_it_in_every_step() -> None:
         assert (first.name, first.required) == ("robot", True)
         got = await client.get_prompt("base.ros2-node-health-check", {"robot": "yard", "check_rates": "false"})
         text = got.messages[0].content.text  # type: ignore[union-attr]
-        assert text.startswith('This is about the robot yard: give "robot": "yard" to each tool.')
+        assert text.startswith('This is about the robot yard: pass "robot": "yard" to each tool.')
         assert '1. Call ros2_health_check with {"robot": "yard", "check_rates": false' in text
         relay = {"robot": "lab", "source_topic": "/a", "destination_topic": "/b"}
         text = (await client.get_prompt("base.ros2-topic-relay", relay)).messages[0].content.text  # type: ignore[union-attr]

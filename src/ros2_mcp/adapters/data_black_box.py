@@ -137,7 +137,7 @@ class DataBlackBox:
         failed = response.error_message and (self.generation == 1 or not response.success)
         if failed or (self.generation == 2 and not response.success and not len(response.messages)):
             words = quoted(response.error_message) if response.error_message else "it failed without a reason"
-            raise RobotError(f"The Data Black Box answered with an error: {words}")
+            raise RobotError(f"The Data Black Box reported an error: {words}")
         return read_second(response) if self.generation == 2 else self._read_first(response)
 
     def _read_first(self, response: Any) -> Answered:
@@ -194,7 +194,7 @@ class DataBlackBoxSource(Source):
         """The type that the topic has in the graph now; the box itself tells it only with the messages."""
         kind = await self._type_now(names.absolute(topic))
         if not kind:
-            raise NotFound(f"{names.absolute(topic)} is not there now, so that its type is not known.")
+            raise NotFound(f"{names.absolute(topic)} is not published now, so its type is unknown.")
         await self._box.robot.values.learn(kind)
         return kind
 
@@ -228,7 +228,7 @@ class DataBlackBoxSource(Source):
             )
         if kind:
             await self._box.robot.values.learn(kind)
-        unconfirmed = "" if answered.type else f"This box does not keep types: right only if they are {kind}."
+        unconfirmed = "" if answered.type else f"The Data Black Box stores no types; the messages were read as {kind}."
         stream = Stream(
             topic=topic,
             type=kind,
@@ -351,7 +351,7 @@ def split_payload(data: bytes) -> tuple[list[bytes], str]:
     while at < len(data):
         end = at + 4 + int.from_bytes(data[at : at + 4], "big")
         if at + 4 > len(data) or end > len(data):
-            return bodies, f"The box's answer breaks off in message {len(bodies) + 1}."
+            return bodies, f"The answer of the Data Black Box is truncated in message {len(bodies) + 1}."
         bodies.append(data[at + 4 : end])
         at = end
     return bodies, ""
@@ -375,7 +375,7 @@ def _timed(kind: str, bodies: Sequence[bytes], dates: Sequence[Any]) -> Answered
     times = [unix_ns(date) for date in dates[: len(bodies)]]
     problem = ""
     if len(dates) != len(bodies):
-        problem = f"The box gave {len(dates)} times for {len(bodies)} messages."
+        problem = f"The Data Black Box returned {len(dates)} times for {len(bodies)} messages."
         times += [0] * (len(bodies) - len(times))
     samples = [Sample(at_ns, 0, None, body) for at_ns, body in zip(times, bodies, strict=True)]
     return Answered(kind, samples if problem else sorted(samples, key=lambda sample: sample.received_ns), problem)

@@ -165,7 +165,7 @@ class Bag:
             counts = [file.count for file in opened]
             count = sum(count or 0 for count in counts)
             if None not in counts and count < facts.count:
-                self._problems.append(f"{METADATA} counts {facts.count} messages, {count} are there.")
+                self._problems.append(f"{METADATA} lists {facts.count} messages, but the bag has {count}.")
         return opened
 
     def _merged_topics(self) -> Mapping[str, StoredTopic]:
@@ -231,7 +231,7 @@ def _files_of(path: Path) -> list[Path]:
     except OSError as error:
         raise BadData(f"{path.name} cannot be read: {error.strerror}.") from error
     if not found:
-        raise NotFound(f"{path.name} holds no bag: there is no .mcap or .db3 file in it.")
+        raise NotFound(f"{path.name} is not a bag: it has no .mcap or .db3 file.")
     return found
 
 

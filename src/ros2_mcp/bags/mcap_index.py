@@ -58,7 +58,7 @@ def read_index(file: BinaryIO, size: int) -> Index:
     except Damaged as damage:
         found = _Search(file, size, f"No index: {damage}.", is_cut=isinstance(damage, _Cut)).index
     if not (found.channels or found.chunks) and _at(file, 0, len(MAGIC)) != MAGIC:
-        raise Damaged("it does not begin like an MCAP file, and nothing in it is one")
+        raise Damaged("it is not an MCAP file")
     return found
 
 
@@ -90,7 +90,7 @@ def _from_summary(file: BinaryIO, size: int) -> Index:
     if found.counts is None or (sum(found.counts.values()) and not found.chunks):
         raise Damaged("it does not say where the messages are")
     if any(place.offset + place.length > start for place in found.chunks):
-        raise Damaged("it speaks of places beyond the messages")
+        raise Damaged("it refers to places beyond the messages")
     if any(channel.schema_id not in (0, *found.schemas) for channel in found.channels.values()):
         raise Damaged("it has no definitions")
     if not found.counts.keys() <= found.channels.keys():

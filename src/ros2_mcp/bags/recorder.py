@@ -101,14 +101,14 @@ class Recorder:
     # ── in the thread ──────────────────────────────────────────────────────────────────────────────────────────
 
     def _run(self) -> None:
-        reason = "It ended by a fault of this program; see its log."
+        reason = "A fault of this server ended it; see the server's log."
         try:
             reason = self._write_until_the_end()
             self._settle_sync()
             self.sink.close()
         except OSError as error:
             self.failed = True
-            reason = f"The disk took no more: {error.strerror or error}."
+            reason = f"Writing to the disk failed: {error.strerror or error}."
             with suppress(OSError):
                 self._settle_sync()
             with suppress(OSError):

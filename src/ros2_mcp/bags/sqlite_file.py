@@ -333,7 +333,7 @@ def _connect(path: Path) -> sqlite3.Connection:
 def _raise_if_locked(path: Path, error: sqlite3.Error) -> None:
     """Raises `Locked` if that is what the error says: it is no damage."""
     if "locked" in str(error):
-        hint = "It is not damaged: ask again when the other one has finished, or has paused."
+        hint = "Ask again when the other program has finished or paused; the file is not damaged."
         raise Locked(f"{path.name} is locked: another program writes to it.", hint) from error
 
 

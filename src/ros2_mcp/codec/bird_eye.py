@@ -14,6 +14,7 @@ from ros2_mcp.codec.ground import ROOM_PX, Framed, Ground, has_axes, marks_in_wo
 from ros2_mcp.codec.raster import encoded, magnified
 from ros2_mcp.model.errors import BadData
 from ros2_mcp.model.pictures import BirdEyeOptions, Picture, Place
+from ros2_mcp.model.text import counted
 
 _COARSER = 1.1
 """The least factor by which the resolution grows when a picture has too many bytes. The square root of the excess
@@ -153,8 +154,12 @@ def _kept(cloud: Cloud, options: BirdEyeOptions) -> tuple[NDArray[np.bool_], str
     for axis in (0, 1):
         if limits[axis] == (None, None) and extent is not None:
             within &= (cloud.xyz[:, axis] >= extent[0][axis]) & (cloud.xyz[:, axis] <= extent[1][axis])
-    far = np.count_nonzero(kept & ~within)
-    note = f"{far} point(s) far from the others are left out: xmin, xmax, ymin, ymax show them." if far else ""
+    far = int(np.count_nonzero(kept & ~within))
+    note = (
+        f"Left out: {counted(far, 'point')} far from the others; give xmin, xmax, ymin, ymax to show them."
+        if far
+        else ""
+    )
     return within, note
 
 

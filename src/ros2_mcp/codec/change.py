@@ -75,7 +75,7 @@ def _checked(codec: Codec, type_name: str, tolerances: Mapping[str, float]) -> d
     chosen = {path: tolerance for path, tolerance in tolerances.items() if path != EVERY}
     for path, tolerance in tolerances.items():
         if not tolerance >= 0:
-            raise BadValue(path, f"{tolerance} is no tolerance.", "Give a number that is not negative.")
+            raise BadValue(path, f"{tolerance} is not a tolerance.", "Give a number that is not negative.")
     for path in chosen:
         steps = parse_fields(codec.definitions, type_name, [path])[0].steps
         last = steps[-1].field

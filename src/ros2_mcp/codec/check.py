@@ -69,7 +69,7 @@ class _Check:
 
     def _missing(self, field: Field, path: str) -> Any:
         if not self._partial:
-            raise BadValue(_below(path, field.name), f"is missing, {field.type} expected.")
+            raise BadValue(_below(path, field.name), f"is missing; {field.type} is expected.")
         if field.default is not None:
             return self._value(field.type, field.default, _below(path, field.name))
         return self._zero(field.type)
@@ -137,9 +137,9 @@ def _list(field_type: FieldType, value: object, path: str) -> Sequence[object]:
 
 def _check_length(field_type: FieldType, length: int, path: str) -> None:
     if field_type.arity == "array" and length != field_type.size:
-        raise BadValue(path, f"{length} elements given, {field_type} takes exactly {field_type.size}.")
+        raise BadValue(path, f"{length} elements given; {field_type} takes exactly {field_type.size}.")
     if field_type.size and length > field_type.size:
-        raise BadValue(path, f"{length} elements given, {field_type} takes at most {field_type.size}.")
+        raise BadValue(path, f"{length} elements given; {field_type} takes at most {field_type.size}.")
 
 
 def _below(path: str, name: str) -> str:
@@ -208,10 +208,12 @@ def _matrix(field_type: FieldType, diagonal: object, path: str) -> NDArray[Any]:
     is_matrix = is_covariance(path) and field_type.arity == "array" and field_type.is_number
     rows = math.isqrt(field_type.size) if is_matrix else 0
     if rows < 2 or rows * rows != field_type.size:
-        raise BadValue(path, f"{DIAGONAL} is of a square matrix of covariances, {field_type} expected.", "Give a list.")
+        raise BadValue(
+            path, f"{DIAGONAL} stands for a square covariance matrix; {field_type} is expected.", "Give a list."
+        )
     values = _list(FieldType(field_type.base, "array", rows), diagonal, path)
     if len(values) != rows:
-        raise BadValue(path, f"{len(values)} elements in {DIAGONAL} given, {field_type} has {rows} there.")
+        raise BadValue(path, f"{len(values)} elements given in {DIAGONAL}; {field_type} has {rows}.")
     matrix = _zeros(field_type.base, field_type.size)
     matrix[:: rows + 1] = _numbers(field_type, values, path)
     return matrix
@@ -238,9 +240,9 @@ def _integer(base: str, value: object, path: str) -> int:
         number = value
     elif isinstance(value, float):
         if not value.is_integer():
-            hint = "It would lose its fraction: round it."
+            hint = "Round it to an integer."
         elif abs(value) > EXACT_INTEGER:
-            hint = "Integers beyond 2^53 are exact only as strings: write the digits in quotes."
+            hint = "Write integers beyond 2^53 in quotes; as numbers they are not exact."
         else:
             number = int(value)
     elif isinstance(value, str) and base.endswith("64") and _DECIMAL.fullmatch(value):
@@ -264,7 +266,7 @@ def _float(base: str, value: object, path: str) -> float:
     except OverflowError:
         number = math.inf
     if isinstance(value, int) and number != value:
-        hint = "This integer is not exactly a floating-point number: write it as one, such as 1e17."
+        hint = "Write it as a floating-point number, such as 1e17; this integer has no exact one."
         raise _wrong(path, value, base, hint)
     if base == "float32":
         try:
@@ -280,9 +282,11 @@ def _text(field_type: FieldType, value: object, path: str) -> str:
     if not is_unicode(value):
         raise BadValue(path, f"{excerpt(value)} has half a character (a lone surrogate), which cannot be encoded.")
     if field_type.base == "string" and "\0" in value:  # of a wstring the length counts
-        raise BadValue(path, f"{excerpt(value)} has a NUL character, at which ROS would cut it.", "Leave it out.")
+        raise BadValue(
+            path, f"{excerpt(value)} contains a NUL character, where ROS would cut the text.", "Leave it out."
+        )
     length = len(value.encode()) if field_type.base == "string" else len(value.encode("utf-16-le")) // 2
     if field_type.text_bound and length > field_type.text_bound:
         unit = "bytes" if field_type.base == "string" else "characters"
-        raise BadValue(path, f"a text of {length} {unit} given, {field_type} expected.", "Shorten it.")
+        raise BadValue(path, f"the text has {length} {unit}; {field_type} is expected.", "Shorten it.")
     return value

@@ -118,7 +118,7 @@ def _rows(message: Any) -> NDArray[Any]:
     if outside:
         raise BadData(f"The field {quoted(outside[0])} of the cloud ends beyond point_step, which is {point}.")
     if row < width * point:
-        raise BadData(f"A row of {width} points of {point} bytes takes {width * point} bytes, but row_step is {row}.")
+        raise BadData(f"A row of {width} points of {point} bytes needs {width * point} bytes, but row_step is {row}.")
     needed = row * (height - 1) + width * point if height and width else 0
     if len(message.data) < needed:
         raise BadData(f"data has {len(message.data)} bytes, but {height} × {width} points take {needed}.")

@@ -51,7 +51,7 @@ def as_grid(type_name: str, message: Any) -> Grid:
         info = message.info
     cells = _cells(type_name == COSTMAP, message.data)
     if len(cells) != info.width * info.height:
-        raise BadData(f"The costmap has {len(cells)} cells, and not {info.width} × {info.height}.")
+        raise BadData(f"The costmap has {len(cells)} cells instead of {info.width} × {info.height}.")
     return Grid(message.header, info, cells)
 
 
@@ -61,10 +61,10 @@ def updated(grid: Grid, type_name: str, update: Any) -> Grid:
     width, height = (update.size_x, update.size_y) if is_raw else (update.width, update.height)
     x, y = update.x, update.y
     if x < 0 or y < 0 or x + width > grid.info.width or y + height > grid.info.height:
-        raise BadData(f"An update of {width} × {height} cells at ({x}, {y}) does not lie in the costmap.")
+        raise BadData(f"An update of {width} × {height} cells at ({x}, {y}) is outside the costmap.")
     part = _cells(is_raw, update.data)
     if len(part) != width * height:
-        raise BadData(f"An update has {len(part)} cells, and not {width} × {height}.")
+        raise BadData(f"An update has {len(part)} cells instead of {width} × {height}.")
     data: NDArray[np.int8] = np.array(grid.data)  # others may be drawing the former one
     rows: NDArray[np.int8] = np.reshape(data, (grid.info.height, grid.info.width))
     rows[y : y + height, x : x + width] = np.reshape(part, (height, width))

@@ -31,9 +31,9 @@ class CostGrid:
         """Raises `BadData` if its data does not fit its size."""
         info = message.info
         if not info.width or not info.height or len(message.data) != info.width * info.height:
-            raise BadData(f"The costmap has {len(message.data)} cells, and not {info.width} × {info.height}.")
+            raise BadData(f"The costmap has {len(message.data)} cells instead of {info.width} × {info.height}.")
         if not info.resolution > 0:
-            raise BadData(f"The costmap says that a cell has {info.resolution} m.")
+            raise BadData(f"The resolution of the costmap is {info.resolution} m.")
         self.message = message
         self.frame_id: str = message.header.frame_id.lstrip("/")
         self.resolution_m = float(info.resolution)

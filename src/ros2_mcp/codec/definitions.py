@@ -172,7 +172,7 @@ class _DefinitionSet:
             self.store.add(structures)
             self.store.get_msgdef(type_name)
         except (TypesysError, SyntaxError) as error:
-            raise UnknownInterface(f"The definition of {type_name} cannot be used: {quoted(str(error))}") from error
+            raise UnknownInterface(f"The definition of {type_name} is not valid: {quoted(str(error))}") from error
         self.compiled.add(type_name)
 
     def reachable(self, type_name: str) -> dict[str, Structure]:

@@ -67,8 +67,7 @@ def depth_meaning(
             _third(name, part) for name, part in zip(_THIRDS, np.array_split(depths, 3, axis=1), strict=True)
         )
         note = (
-            f"By thirds of the picture: {thirds}. Without a camera info the floor is among it, and nothing can be said "
-            "of places."
+            f"By thirds of the picture: {thirds}. Without camera info, the floor is included and positions are unknown."
         )
         frame, metres = message.header.frame_id, None if nearest is None else round(nearest, 3)
         return DepthMeaning(
@@ -144,12 +143,12 @@ def _meaning(
     if mount is not None:
         seen = moved(xyz, mount)
     else:
-        notes.append("Seen from the sensor, as its mount on the base is not known.")
+        notes.append("Measured from the sensor, because its mount on the base is unknown.")
         if optical or frame.endswith(_OPTICAL):
             seen = np.stack((xyz[:, 2], -xyz[:, 0], -xyz[:, 1]), axis=1)
     points, invalid = counts
     if not len(seen):
-        notes = ["No point has a place."]
+        notes = ["No point has a valid position."]
         return DepthMeaning(
             seen_from=base or frame, is_base=mount is not None, points=points, invalid=invalid, note=notes[0]
         )

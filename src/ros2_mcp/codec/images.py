@@ -90,7 +90,7 @@ def _depth_raster(metres: NDArray[Any], encoding: str) -> Raster:
     share = 1 - float(np.count_nonzero(valid)) / metres.size
     pixels = np.zeros(metres.shape, np.uint8)
     if share == 1:
-        return Raster(pixels, f"Depth ({named(encoding)}): no valid distance at all.", kind="exact")
+        return Raster(pixels, f"Depth ({named(encoding)}): no valid distance.", kind="exact")
     distances = metres[valid]
     near, far = (float(bound) for bound in np.percentile(distances, (2, 98)))
     scaled = (np.minimum(np.maximum(distances, near), far) - near) / max(far - near, 1e-9)
@@ -128,7 +128,7 @@ def _rows(message: Any, dtype: str, channels: int, rows: int = 0) -> NDArray[Any
     if not row or not height:
         raise BadData(f"The image is empty: {width} × {message.height} pixels.")
     if step < row:
-        raise BadData(f"A row of {width} pixels ({message.encoding}) takes {row} bytes, but step is {step}.")
+        raise BadData(f"A row of {width} pixels ({message.encoding}) needs {row} bytes, but step is {step}.")
     if len(message.data) < step * (height - 1) + row:
         raise BadData(
             f"data has {len(message.data)} bytes, but step × height is {step} × {height} = {step * height} "
@@ -236,7 +236,7 @@ def _opened(data: bytes, described: str) -> Image.Image:
     try:
         image = Image.open(io.BytesIO(data), formats=_READ)
         if image.width * image.height > _MAX_PIXELS:
-            raise BadData(f"The picture has {image.width} × {image.height} pixels, too many to show.")
+            raise BadData(f"The picture is too large to show: {image.width} × {image.height} pixels.")
         image.load()
     except (UnidentifiedImageError, OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         raise BadData(
@@ -256,7 +256,7 @@ def _compressed_metres(described: str, data: bytes) -> NDArray[np.float64]:
     if "rvl" in described.lower():
         raise BadData("Depth pictures compressed with RVL cannot be shown.", "Set the publisher's format to png.")
     if len(data) <= _DEPTH_HEADER.size:
-        raise BadData(f"{len(data)} bytes are too few for a compressed depth picture.")
+        raise BadData(f"A compressed depth picture of {len(data)} bytes is incomplete.")
     _, scale, offset = _DEPTH_HEADER.unpack_from(data)
     values = np.asarray(_opened(data[_DEPTH_HEADER.size :], described)).astype(np.float64)
     if described.partition(";")[0].strip() != "32FC1":

@@ -33,7 +33,9 @@ class FieldMapping:
             raise BadInput("The mapping is empty.", 'Give {"field of the destination": "field of the source"}.')
         for path in self._mapping:
             if any(other.startswith(f"{path}.") for other in self._mapping):
-                raise BadInput(f"The mapping gives {path} as a whole and a part of it.", "Give one of both.")
+                raise BadInput(
+                    f"The mapping gives {path} as a whole and a part of it.", "Map either the whole field or its parts."
+                )
         self._map(check(codec.definitions, source_type, {}))  # with a message of defaults, wrong kinds show at once
 
     def apply(self, data: bytes) -> bytes:

@@ -138,7 +138,7 @@ def _checked(part: Part) -> Part:
     """Only the triangles whose corners are there, and are places."""
     vertices, triangles = part.vertices, part.triangles
     if len(triangles) and not (triangles.min() >= 0 and triangles.max() < len(vertices)):
-        raise BadData("A triangle has a corner that there is not.")
+        raise BadData("A triangle refers to a missing corner.")
     is_place: Any = (np.abs(vertices) < _FARTHEST).all(axis=1)
     return Part(np.where(is_place[:, None], vertices, 0.0), triangles[is_place[triangles].all(axis=1)], part.rgb)
 
@@ -154,7 +154,7 @@ def _stl(data: bytes) -> list[Part]:
         words = re.findall(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)", data)
         corners = _rows(np.array(words, dtype="S32").astype(np.float64), 3)
     else:
-        raise ValueError("it is no STL, or is cut off")
+        raise ValueError("it is not an STL file, or is truncated")
     whole = len(corners) // 3 * 3
     return [Part(corners[:whole], _rows(np.arange(whole), 3))]
 
@@ -183,7 +183,7 @@ def _dae(data: bytes) -> list[Part]:
     try:
         root = ElementTree.fromstring(data)
     except ElementTree.ParseError as error:
-        raise ValueError(f"it is no XML: {error}") from error
+        raise ValueError(f"it is not valid XML: {error}") from error
     return _Collada(root).parts()
 
 
@@ -206,7 +206,7 @@ class _Collada:
 
     def _of_node(self, node: ElementTree.Element, outer: NDArray[np.float64], depth: int) -> Iterator[Part]:
         if depth > _DEEPEST:
-            raise ValueError("its nodes lie too deep within each other")
+            raise ValueError("its nodes are nested too deep")
         pose = outer
         for step in node:
             if (matrix := _matrix(step)) is not None:

@@ -8,7 +8,7 @@ from ros2_mcp.codec.frame_edges import Edge
 from ros2_mcp.codec.transforms import BASES, FrameTree, Located
 from ros2_mcp.model.errors import NoTransform
 from ros2_mcp.model.names import may_be_one, nearest
-from ros2_mcp.model.text import listed, named
+from ros2_mcp.model.text import counted, listed, named
 from ros2_mcp.model.times import recorded_time
 
 _MOST_NAMED = 8
@@ -81,20 +81,22 @@ def why_none(tree: FrameTree, target: str, frame: str, at_ns: int | None) -> NoT
 def _unknown(tree: FrameTree, name: str) -> NoTransform:
     if not tree.frames:
         heard = sum(tree.messages.values())
-        said = f"{heard} message(s) came, with no transform in them." if heard else "Nothing came on /tf or /tf_static."
-        return NoTransform("never published", f"No transform is known at all. {said}")
+        said = (
+            f"{counted(heard, 'message')} came without a transform." if heard else "Nothing came on /tf or /tf_static."
+        )
+        return NoTransform("never published", f"No transform has been received. {said}")
     near = nearest(name, list(tree.frames))
-    blank = " (published with a blank before or behind its name)" if near != near.strip() else ""
+    blank = " (published with a space before or after its name)" if near != near.strip() else ""
     hint = f"Did you mean {named(near)}{blank}? " if near else ""
     known = listed(sorted(tree.frames), _MOST_NAMED)
-    message = f"No transform names the frame {named(name)}."
-    return NoTransform("unknown frame", message, f"{hint}Known are {known}.")
+    message = f"There is no frame {named(name)} in TF."
+    return NoTransform("unknown frame", message, f"{hint}Known frames: {known}.")
 
 
 def _two_parents(edge: Edge) -> NoTransform:
     parts = [f"{named(parent)} ({_how_told(edge, parent)})" for parent in edge.parents]
     message = f"{named(edge.child)} has {len(parts)} parents at the same time: {' and '.join(parts)}."
-    hint = "A frame has one parent: tf2 jumps between them. Look one edge up, or end one of the publishers."
+    hint = "End one of the publishers: a frame has one parent, and tf2 jumps between two."
     return NoTransform("two parents", message, hint)
 
 
@@ -103,17 +105,17 @@ def _how_told(edge: Edge, parent: str) -> str:
     if not of_it:
         return "static"
     span_ns = of_it[-1].stamp_ns - of_it[0].stamp_ns
-    return f"{(len(of_it) - 1) / span_ns * 1e9:.3g} Hz" if len(of_it) > 1 and span_ns > 0 else "told once"
+    return f"{(len(of_it) - 1) / span_ns * 1e9:.3g} Hz" if len(of_it) > 1 and span_ns > 0 else "published once"
 
 
 def _circle(tree: FrameTree, frames: Sequence[str]) -> NoTransform:
     reverse = ", each edge the reverse of the other" if len(frames) == 2 else ""
-    message = f"The frames go in a circle: {circle_in_words(frames)}{reverse}."
+    message = f"The frames form a loop: {circle_in_words(frames)}{reverse}."
     for child, parent in zip(frames, [*frames[1:], frames[0]], strict=True):
         edge = tree.edges[child]
         if others := [f"{named(one)} ({_how_told(edge, one)})" for one in edge.parents if one != parent]:
-            message += f" {named(child)} is in {' and '.join(others)}, too, which is no part of the circle."
-    hint = "One of these edges is too much, or the wrong way round: static_transform_publisher takes the parent first."
+            message += f" {named(child)} is in {' and '.join(others)}, too, which is not part of the loop."
+    hint = "Remove or reverse one of these edges; static_transform_publisher takes the parent first."
     return NoTransform("circle", message, hint)
 
 
@@ -141,7 +143,7 @@ def _two_trees(tree: FrameTree, target: str, frame: str) -> NoTransform:
         for edge in refused
         if edge.refused
     )
-    message = f"Two trees, and no transform between them: {'; '.join(parts)}."
+    message = f"Two trees with no transform between them: {'; '.join(parts)}."
     hint = "" if why else _misspelt(tree, target, frame) or _missing_edge(tree, target, frame)
     return NoTransform("not valid" if why else "two trees", f"{message} {why}".rstrip(), hint)
 
@@ -174,13 +176,13 @@ def _missing_edge(tree: FrameTree, target: str, frame: str) -> str:
     below = {tree.root_of(name) for name in tree.frames if name.rpartition("/")[2] in BASES}
     if base and odom and tree.root_of(odom) in roots - below:  # else odom has a base, and another edge is missing
         edge = f"{named(odom)} → {named(base)}"
-        return f"The base's controller or a state estimation publishes {edge}: none does now."
+        return f"Start the base's controller or the state estimation: nobody publishes {edge}."
     last = {root.rpartition("/")[2]: root for root in roots}
     if "map" in last and "odom" in last:
         edge = f"{named(last['map'])} → {named(last['odom'])}"
-        return f"A localisation (amcl, slam_toolbox) publishes {edge}: none does now."
+        return f"Start localisation (amcl, slam_toolbox): nobody publishes {edge}."
     one, other = sorted(roots)
-    return f"Nobody publishes where {named(one)} is in {named(other)}, or the other way round."
+    return f"Publish a transform between {named(one)} and {named(other)}."
 
 
 def _no_common_time(tree: FrameTree, edges: Iterable[Edge], lacking: Sequence[Edge], common_ns: int) -> NoTransform:
@@ -197,15 +199,19 @@ def _no_common_time(tree: FrameTree, edges: Iterable[Edge], lacking: Sequence[Ed
         told = [_clock_of(edge, tree) for edge in (oldest, newest)]
         clocks = f"they are stamped by different clocks: {', '.join(told)}"
         message = f"No time in common: by its stamps {ends}, although both came within {seconds_in_words(silent_ns)}"
-        hint = "Set use_sim_time alike everywhere, and mind the clocks of all computers."
+        hint = "Set use_sim_time alike on all nodes, and synchronise the clocks of all computers."
         if not jumped and is_since_boot(tree, oldest):
-            hint = "Synchronise the clock of the machine that stamps since its start (NTP; micro-ROS: its session's)."
+            hint = (
+                "Synchronise the clock of the machine whose stamps count from its start (NTP; micro-ROS: session time)."
+            )
         if not jumped and all(edge.stamps[-1] >= UNIX_FROM_NS for edge in (oldest, newest)):
-            hint = "Set the clocks of all computers alike (chrony, NTP), or mend the stamps of whoever tells it."
+            hint = "Synchronise the clocks of all computers (chrony, NTP), or correct the publisher's stamps."
         return NoTransform(reason, f"{message}: {' and '.join(jumped) or clocks}.", hint)
     if silent_ns > _STALE_NS:
-        message = f"Stale: {ends} ({stamp_in_words(common_ns)}), and nothing of it has come since."
-        return NoTransform("stale", message, "Its publisher has ended or hangs; ros2_topic_stats measures /tf.")
+        message = f"Stale: {ends} ({stamp_in_words(common_ns)}), and was not published since."
+        return NoTransform(
+            "stale", message, "Restart its publisher, which has ended or hangs; ros2_topic_stats measures /tf."
+        )
     begins = lacking[0]
     message = (
         f"{edge_in_words(begins)} begins {seconds_in_words(begins.stamps[0] - common_ns)} after that: nothing yet."
@@ -264,20 +270,18 @@ def _not_then(tree: FrameTree, lacking: Sequence[Edge], sought_ns: int) -> NoTra
         side = "ahead of" if ahead_ns > 0 else "behind"
         message += f" Its stamps are {seconds_in_words(ahead_ns)} {side} the time when it came."
     if len(edge.stamps) > 1:
-        message += f" What is kept reaches from {stamp_in_words(first_ns)} to {stamp_in_words(last_ns)}."
+        message += f" Stored transforms cover {stamp_in_words(first_ns)} to {stamp_in_words(last_ns)}."
         period_ns = (last_ns - first_ns) // (len(edge.stamps) - 1)
         if period_ns > _SLOW_NS:
-            message += f" It is published every {seconds_in_words(period_ns)} only."
+            message += f" It is published only every {seconds_in_words(period_ns)}."
     if edge.jumps:
         jump = edge.jumps[-1]
         back = "back" if jump.to_ns < jump.from_ns else "forward"
-        told = (
-            f" Its stamps jumped {back} by {seconds_in_words(jump.to_ns - jump.from_ns)}; before that nothing counts."
-        )
-        return NoTransform("clock jump", message + told, "A bag or a simulation began again, or a clock was set.")
-    older = "Ask a recording (bag) for what is older; a server with --black-box always keeps one."
+        told = f" Its stamps jumped {back} by {seconds_in_words(jump.to_ns - jump.from_ns)}; earlier ones are not used."
+        return NoTransform("clock jump", message + told, "A bag or simulation restarted, or a clock was set.")
+    older = "Read older transforms from a recording (bag); a server with --black-box always keeps one."
     if tree.is_recorded:
-        older = "That is before the recording began, or in a part of it that was not asked for."
+        older = "Give a later time: this one is before the part of the recording that was read."
     hint = "Leave time out for the latest." if is_later else older
     return NoTransform("not at that time", message, hint)
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ros2_mcp.model.errors import BadData
 from ros2_mcp.model.meanings import SECTOR_RAD, SECTORS, ScanMeaning
 from ros2_mcp.model.poses import Pose, rotated
+from ros2_mcp.model.text import counted
 
 _COVERED = 0.5
 """A sector is told as free only where the valid beams cover this share of it: of less, too little is known."""
@@ -128,9 +129,9 @@ def _sector(bearings: NDArray[np.float64]) -> NDArray[np.int64]:
 def _note(points: ScanPoints, pose: Pose, is_base: bool) -> str:
     notes: list[str] = []
     if not is_base:
-        notes.append("Seen from the scanner in its own frame, as its mount on the base is not known.")
+        notes.append("Measured from the scanner in its own frame, because its mount on the base is unknown.")
     if points.too_close:
-        notes.append(f"{points.too_close} beam(s) end at something nearer than the scanner can measure.")
+        notes.append(f"{counted(points.too_close, 'beam')} hit something nearer than the scanner can measure.")
     if points.invalid * 10 > points.beams:
         notes.append(f"{points.invalid} of {points.beams} beams are invalid.")
     tilt = math.degrees(math.acos(min(1.0, abs(rotated(pose.rotation, (0, 0, 1))[2]))))

@@ -60,7 +60,7 @@ class MessageStore(Typestore):
             ValueError, struct.error, SerdeError: if they do not fit.
         """
         if len(data) < _HEADER_SIZE or data[0] or data[1] > 1:
-            raise ValueError(f"it starts with {data[:4].hex(' ') or 'nothing'}, which is no plain CDR header")
+            raise ValueError(f"it starts with {data[:4].hex(' ') or 'nothing'}, which is not a plain CDR header")
         definition = self.get_msgdef(type_name)
         read = definition.deserialize_cdr_le if data[1] else definition.deserialize_cdr_be
         body = memoryview(data)[_HEADER_SIZE:]

@@ -354,12 +354,12 @@ def _pose_of(
     if not parent:
         return None, "its parent has no name (header.frame_id is empty)"
     if parent == child:
-        return None, "it is said to be its own parent"
+        return None, "it is published as its own parent"
     if not all(map(math.isfinite, (*at, *turned))):
-        return None, "it has numbers that are not finite (NaN)"
+        return None, "it has values that are not finite (NaN)"
     squared = sum(part * part for part in turned)
     if abs(squared - 1) > _UNIT:
-        return None, f"its rotation is no unit quaternion: {', '.join(f'{part:.4g}' for part in turned)}"
+        return None, f"its rotation is not a unit quaternion: {', '.join(f'{part:.4g}' for part in turned)}"
     return Pose(at, normalised(turned)), ""
 
 

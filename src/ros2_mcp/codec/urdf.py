@@ -204,13 +204,13 @@ def parse(text: str) -> Urdf:
             without a single link.
     """
     if len(text) > MOST_BYTES:
-        raise BadData(f"The robot description has {len(text)} characters, more than {MOST_BYTES} are not read.")
+        raise BadData(f"The robot description has {len(text)} characters; at most {MOST_BYTES} are read.")
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
-        raise BadData("The robot description declares a document type, which no URDF needs: it is not read.")
+        raise BadData("The robot description declares a document type and was rejected; a URDF needs none.")
     try:
         root = ElementTree.fromstring(text.encode(errors="replace"))
     except ElementTree.ParseError as error:
-        raise BadData(f"The robot description is no XML: {error}.") from error
+        raise BadData(f"The robot description is not valid XML: {error}.") from error
     if root.tag != "robot":
         raise BadData(f"The robot description begins with {quoted(root.tag)}, a URDF begins with robot.")
     problems: list[str] = []
@@ -279,7 +279,7 @@ def _geometry(part: ElementTree.Element, link: str, problems: list[str]) -> Geom
         if shape.tag == "mesh":
             scale = _triple(shape, "scale", (1.0, 1.0, 1.0), link, problems)
             return Geometry("mesh", scale, mount, shape.get("filename", ""))
-    problems.append(f"a shape of {quoted(link)} is of no known kind")
+    problems.append(f"a shape of {quoted(link)} is of an unknown kind")
     return None
 
 
@@ -289,10 +289,10 @@ def _joint(element: ElementTree.Element, links: Mapping[str, Link], problems: li
         "" if end is None else end.get("link", "") for end in (element.find("parent"), element.find("child"))
     )
     if not name or kind not in KINDS:
-        problems.append(f"the joint {quoted(name)} has the type {quoted(kind)}, which there is not")
+        problems.append(f"the joint {quoted(name)} has the unknown type {quoted(kind)}")
         return None
     if missing := [end for end in (parent, child) if end not in links]:
-        problems.append(f"the joint {quoted(name)} leads to {quoted(missing[0])}, which is no link")
+        problems.append(f"the joint {quoted(name)} refers to {quoted(missing[0])}, which is not a link")
         return None
     follows = element.find("mimic")
     mimic = None
@@ -362,7 +362,7 @@ def _number(element: ElementTree.Element, key: str, name: str, problems: list[st
         return None
     number = _float(word)
     if number is None:
-        problems.append(f"{key} of {quoted(name)} is {quoted(word)}, no number")
+        problems.append(f"{key} of {quoted(name)} is {quoted(word)}, not a number")
     return number
 
 

@@ -23,7 +23,7 @@ ROBOTS = "ros2_robots"
 STOP = "ros2_stop"
 _CONNECT_S = 2.5
 """How long `ros2_robots` waits: a bridge over ssh says hello within 2 s at a round trip of 0.1 s (measured)."""
-_NEVER_REACHED = "This server has never reached it: it has nothing in motion there."
+_NEVER_REACHED = "This server has never reached it, and moves nothing there."
 _SILENT_S = 1.0
 """Longer than between two pings: who was not heard of for so long is silent, and may be so for long. Chosen."""
 _LOOK_S = 0.05
@@ -103,9 +103,9 @@ async def states(members: Sequence[Member]) -> RobotStates:
 
 
 async def _state(member: Member) -> RobotState:
-    before = f" The last time: {member.robot.graph.failure}" if member.robot.graph.failure else ""
+    before = f" Last failure: {member.robot.graph.failure}" if member.robot.graph.failure else ""
     state: Literal["connected", "connecting", "away"] = "connecting"
-    note = f"It has not answered within {_CONNECT_S:g} s: ask again.{before}"
+    note = f"It has not answered within {_CONNECT_S:g} s: call ros2_robots again.{before}"
     found: Contact | None = None
     try:
         with anyio.move_on_after(_CONNECT_S):
@@ -163,4 +163,4 @@ async def _stop(member: Member, robot: Robot) -> StoppedRobot:
         return StoppedRobot(member.name, await stopping.stop(robot))
     except Exception as error:  # a fault of ours with one robot must not keep the others from being told of
         _logger.exception("stopping %s failed", member.name)
-        return StoppedRobot(member.name, stopping.not_stopped(f"A fault of this server: {quoted(repr(error))}"))
+        return StoppedRobot(member.name, stopping.not_stopped(f"A fault in this server: {quoted(repr(error))}"))

@@ -15,7 +15,7 @@ from ros2_mcp.tools import PAGE_TOOLS, TOOLS, ToolDeclaration
 ROBOT = "robot"
 _MOST_IN_ENUM = 15
 """Each name costs the model a token or two in every tool; beyond this ros2_robots lists them."""
-_STOP_ALL = "Without robot it stops all robots of this server, at the same time."
+_STOP_ALL = "Without robot it stops all robots of this server at the same time."
 
 
 def listed_tools(members: Sequence[Member]) -> list[Tool]:
@@ -46,7 +46,7 @@ def _merged(declarations: Sequence[ToolDeclaration], offered: Mapping[str, Mappi
 
 def _with_robot(tool: Tool, names: Sequence[str], *, is_stop: bool) -> Tool:
     taken: Mapping[str, Any] = tool.input_schema
-    told = [] if len(names) <= _MOST_IN_ENUM else [f"As {ROBOTS} shows them."]
+    told = [] if len(names) <= _MOST_IN_ENUM else [f"Name of a robot, from {ROBOTS}."]
     told += ["Default: all."] if is_stop else []
     # No more than this: it stands in every tool, and the instructions say the rest once.
     argument: dict[str, Any] = {"type": "string"}
@@ -73,8 +73,8 @@ def _robots_tool() -> Tool:
     return Tool(
         name=ROBOTS,
         title=title,
-        description="Show the robots of this server: where each is, whether it can be reached, what may be done to it. "
-        "Connects to those that nobody has asked anything of yet, and waits for them for a moment.",
+        description="Show the robots of this server: the address of each, whether it can be reached, and its policy. "
+        "Connects to robots that were not used yet, and waits for them briefly.",
         input_schema={"type": "object", "properties": {}, "additionalProperties": False},
         output_schema=answer_schema(RobotStates),
         _meta={"anthropic/searchHint": "which robots are there, connected, reachable"},

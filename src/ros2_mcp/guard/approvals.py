@@ -131,14 +131,14 @@ class Approvals:
             return request.id
         if request and request.state == "denied":
             raise Refused(
-                "The operator has denied this: nothing was sent.",
-                "Do something else, or ask them why.",
+                "The operator denied this call: nothing was sent.",
+                "Ask the operator why, or do something else.",
             )
         request = request or self._ask(exact, bounds)
         raise ApprovalNeeded(
             f"needs_approval {request.id}: this waits for a person; nothing was sent.",
-            "Tell the operator, who runs `ros2-mcp operate`. Make exactly the same call again once it is approved, but "
-            f"for what of it is done already: it is then carried out once, within {self._valid_s:g} s.",
+            "Tell the operator, who runs `ros2-mcp operate`. Once approved, repeat the same call within "
+            f"{self._valid_s:g} s, without what was already done; it is carried out once.",
             request_id=request.id,
         )
 

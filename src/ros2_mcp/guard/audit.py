@@ -137,8 +137,9 @@ class Audit:
         except (OSError, RobotError) as error:
             if self.required:
                 raise Refused(
-                    f"Nothing is done: the audit cannot be written ({self.failed or error}), and the policy wants it.",
-                    "Tell the operator. ros2_stop still stops.",
+                    f"Nothing was sent: the audit cannot be written ({self.failed or error}), and the policy requires "
+                    "it.",
+                    "Tell the operator. ros2_stop still works.",
                 ) from error
         return line
 

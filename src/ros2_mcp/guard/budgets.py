@@ -55,6 +55,6 @@ class Budgets:
         for used, limit, whose in ((own, most[0], "of yours"), (total, most[1], "of all clients")):
             if used + more > limit:
                 raise Refused(
-                    f"{used:g} {what} {whose} are under way already, and {limit:g} is the most. Nothing was sent.",
+                    f"{used:g} {what} {whose} are under way already; at most {limit:g} are allowed. Nothing was sent.",
                     "Wait for some of them to end, or call ros2_stop, which is never refused.",
                 )

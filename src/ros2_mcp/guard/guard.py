@@ -170,10 +170,10 @@ class Guard:
         """
         if self.mode != "observe":
             return
-        reason = f"Keeping {what} is refused by the policy: the mode is observe: only reading and stopping is allowed."
+        reason = f"Keeping {what} is refused by the policy: the mode is observe: only reading and stopping are allowed."
         if self.audit:
             self.audit.note("refused", reason=reason)
-        raise Refused(reason, "ros2_policy tells all that is allowed.")
+        raise Refused(reason, "ros2_policy shows what is allowed.")
 
     @property
     def mode(self) -> Mode:

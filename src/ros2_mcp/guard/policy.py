@@ -24,7 +24,7 @@ _ALL_TOPICS = "/…" * 9
 _MOST_NAMED = 5
 """Names in one sentence; the tool that tells of the policy has all."""
 _MILDEST = ("never", "", "each")
-_TOLD_BY_POLICY = "ros2_policy tells all that is allowed."
+_TOLD_BY_POLICY = "ros2_policy shows what is allowed."
 _DOING: Mapping[Verb, str] = {
     "publish": "publishing",
     "relay": "relaying",
@@ -164,7 +164,7 @@ class Policy:
         if ruling is None or verb_of(command) == "read":
             return ALLOWED
         if mode == "observe":
-            return _refused(command, "the mode is observe: only reading and stopping is allowed", "mode")
+            return _refused(command, "the mode is observe: only reading and stopping are allowed", "mode")
         if ruling.problem:
             return _refused(command, ruling.problem, ruling.rule, self._allowed_instead(verb_of(command)))
         chosen: list[Allowance] = []

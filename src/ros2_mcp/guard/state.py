@@ -29,7 +29,7 @@ from ros2_mcp_bridge import latch
 from ros2_mcp_bridge.files import PLAIN, is_of_others, others_can_write, read_at, take_lock, write_at
 from ros2_mcp_bridge.latch import Latch, LatchState
 
-RESET_HINT = "Only an operator resets it, with ros2-mcp operate; reading and stopping go on."
+RESET_HINT = "Only an operator can reset it, with ros2-mcp operate; reading and stopping still work."
 _LOCK = "server.lock"
 _MODE = 0o700
 _MAX_NAME = 100
@@ -169,7 +169,7 @@ class ServerLock:
             problem = f"Whether another server acts on this robot is not known: {str(error).rstrip('.')}."
         if problem and self._is_strict:
             raise Refused(
-                f"{problem} Nothing was sent.", "Under a policy one server acts on a robot: end the other one."
+                f"{problem} Nothing was sent.", "Under a policy only one server may act on a robot: end the other one."
             )
         return problem
 

@@ -106,7 +106,7 @@ class Arrival:
                 return b""
             if not ended:
                 if len(line) > _MOST_REPORT_BYTES:
-                    self._fail("What answers does not end its first line.")
+                    self._fail("The first line of the reply does not end.")
                 return b""
             self._hear(noise)
             self._waiting = behind
@@ -117,12 +117,14 @@ class Arrival:
     def _hear(self, noise: bytes) -> None:
         self.noise = (self.noise + noise)[: _MOST_NOISE_BYTES + 1]
         if len(self.noise) > _MOST_NOISE_BYTES:
-            self._fail(f"What answers there writes more than {_MOST_NOISE_BYTES // 1024} kB and never begins.")
+            self._fail(
+                f"What answers there writes more than {_MOST_NOISE_BYTES // 1024} kB, and the bridge never begins."
+            )
 
     def _fail(self, message: str) -> None:
         self.failure = LinkError(
             message,
-            "A start-up file of that login (.bashrc, .zshenv, …) goes on for ever, or starts a program that does.",
+            "A start-up file of that login (.bashrc, .zshenv, …) runs forever, or starts a program that does.",
         )
 
     def _take_in(self, line: bytes) -> None:
@@ -153,7 +155,7 @@ class Arrival:
             return None  # the bridge itself, or the setup file before it: its own last words say more
         if exit_code == _IS_TERMINAL:
             return LinkError(
-                "The way in gives a terminal, which is no place for a stream of bytes.",
+                "The connection is a terminal, which cannot carry a stream of bytes.",
                 "Leave out what asks for one: -t of ssh, docker or kubectl.",
             )
         if exit_code == _NO_PYTHON:
@@ -164,13 +166,14 @@ class Arrival:
             return known
         if exit_code in _NO_SHELL:
             return LinkError(
-                f"What is there cannot execute a shell: {quoted(said)}",
-                "The way in must end in one, as ssh and docker exec do.",
+                f"The far side cannot execute a shell: {quoted(said)}",
+                "The connection must end in a shell, as ssh and docker exec do.",
             )
         if exit_code == 0:
             return LinkError(
-                "The way in ended without a word of ours.",
-                "A start-up file of that login (.bashrc, .zshenv, …) may end it, or only certain commands be allowed.",
+                "The connection ended before the bridge started.",
+                "A start-up file of that login (.bashrc, .zshenv, …) may end it, or the login allows only certain "
+                "commands.",
             )
         return None
 
@@ -184,16 +187,17 @@ def _of_an_engine(said: str) -> LinkError | None:
     """What the sentence of a container engine's client means."""
     lower = said.lower()
     if "no such container" in lower or "no such exec" in lower:
-        return LinkError(f"There is no such container: {quoted(said)}", "docker ps lists those that run.")
+        return LinkError(f"There is no such container: {quoted(said)}", "docker ps lists the running containers.")
     if "is not running" in lower or "container state improper" in lower:
         return LinkError(f"The container does not run: {quoted(said)}", "Start it: docker start NAME.")
     if "cannot connect to the docker daemon" in lower:
         return LinkError(
-            f"The container engine is not reached: {quoted(said)}", "Start it, or say with DOCKER_HOST where it is."
+            f"The container engine cannot be reached: {quoted(said)}", "Start it, or say with DOCKER_HOST where it is."
         )
     if "permission denied" in lower and ("docker" in lower or "podman" in lower):
         return LinkError(
-            f"The container engine denies it: {quoted(said)}", "Add this user to the group docker, and log in again."
+            f"The container engine denies access: {quoted(said)}",
+            "Add this user to the group docker, and log in again.",
         )
     return None
 

@@ -317,7 +317,7 @@ class Bridge:
         """The robot is reached again."""
         outage = Outage(self._heard_at, time.monotonic() - self._heard_at)
         self.outages = [*self.outages, outage][-_KEPT_REASONS:]
-        back = f"It was reached again {outage.lasted_s:.1f} s after it was last heard of."
+        back = f"The robot was reached again {outage.lasted_s:.1f} s after its last message."
         self.restarts[-1] += f" {back}"
         _logger.warning("%s", self.restarts[-1])
 

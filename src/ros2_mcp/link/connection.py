@@ -176,10 +176,13 @@ class Connection:
         last_words = self._last_words() if has_ended else ""
         stop = "what this server drove is being stopped"
         if self.carrier.is_remote:  # nobody here knows when it heard the last word
-            stop = f"the bridge stops what this server drove {self.carrier.lease_s:g} s after the last word it heard"
+            stop = (
+                f"the bridge stops what this server drove {self.carrier.lease_s:g} s after the last message it received"
+            )
         return BridgeLost(
             f"{self._name} {what} and is started again.{last_words}",
-            f"What was under way may or may not have happened, and {stop}: look at the robot's state, then call again.",
+            f"Calls under way may or may not have been carried out, and {stop}: check the robot's state, then call "
+            "again.",
         )
 
     @property
@@ -367,7 +370,7 @@ class Connection:
             return
         if number == _POLICY:
             if error := packet.header.get("error"):
-                self._end(LinkError(f"The bridge does not take the policy: {error['message']}", "Run: ros2-mcp doctor"))
+                self._end(LinkError(f"The bridge rejected the policy: {error['message']}", "Run: ros2-mcp doctor"))
             return
         request = self._open.pop(number, None)
         if not request:

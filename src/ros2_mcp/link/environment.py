@@ -159,7 +159,7 @@ def _not_found(settings: Settings) -> RosNotFound:
     if incomplete and settings.distro in (None, incomplete):
         return RosNotFound(
             f"The ROS 2 wheels for {incomplete} in {sys.prefix} are incomplete: rclpy is gone. Running 'uv sync' twice "
-            "does that: it takes what these wheels bring for strangers.",
+            "does that: it removes files of these wheels.",
             f"Run: {own_provenance().reinstalling(incomplete)}. From then on 'uv run', or 'uv sync --inexact'.",
         )
     found = ", ".join(available(settings)) or "none"

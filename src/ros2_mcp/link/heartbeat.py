@@ -96,7 +96,7 @@ class Heartbeat:
 
     def _verdict(self, silent_s: float) -> str:
         if self._ros_idle_s > ROS_IDLE_S:
-            return f"no longer gets round in ROS (its ROS thread hangs since {self._ros_idle_s:.1f} s)"
+            return f"no longer responds (its ROS thread has hung for {self._ros_idle_s:.1f} s)"
         if silent_s < STOPPED_S + (PING_AT_REST_S if self._rest and not self._rest.done() else 0.0):
             return ""
         vitality = self._carrier.alive()

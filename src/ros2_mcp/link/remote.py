@@ -195,7 +195,7 @@ class RemoteBridge(Child):
         heard = self._arrival.heard
         said = f"the login there printed {quoted(heard)} and" if heard else "the login there"
         self._unreached = Unreachable(
-            f"{self.address.place} did not come to the point within {REACH_S:.0f} s: {said} does not go on.",
+            f"{self.address.place} did not start the bridge within {REACH_S:.0f} s: {said} hangs.",
             "A start-up file (.bashrc, .zshenv, …) may wait for input: try it by hand, with a command that ends "
             "at once.",
         )

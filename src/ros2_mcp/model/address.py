@@ -110,7 +110,7 @@ def parse_address(text: str) -> RobotAddress:
     parts = _PARTS.fullmatch(address)
     if not parts:
         near = f"Did you mean ssh://{address}?" if _is_login(address) else _FORMS
-        raise BadInput(f"{quoted(address)} is no address of a robot.", near)
+        raise BadInput(f"{quoted(address)} is not the address of a robot.", near)
     scheme, rest = parts["scheme"].lower(), parts["rest"]
     if scheme == "ssh":
         found = _ssh(address, rest)
@@ -118,18 +118,18 @@ def parse_address(text: str) -> RobotAddress:
         container = _checked("container", unquote(rest.rstrip("/")), _CONTAINER, address)
         found = RobotAddress(kind="docker", text=address, container=container)
     else:
-        raise BadInput(f"{quoted(address)} begins with {scheme}://, which is no way to a robot.", _FORMS)
+        raise BadInput(f"{quoted(address)} begins with {scheme}://, which is not supported.", _FORMS)
     return replace(found, name=name, **_options(scheme, parts["query"], address))
 
 
 def _ssh(address: str, rest: str) -> RobotAddress:
     place = _PLACE.fullmatch(rest)
     if not place:
-        raise BadInput(f"{quoted(address)} is no address for ssh.", _FORMS)
+        raise BadInput(f"{quoted(address)} is not an ssh address.", _FORMS)
     user = unquote(place["user"] or "")
     if ":" in user:
         raise BadInput(
-            "A password does not belong into the address of a robot.",
+            "The address of a robot must not contain a password.",
             "Use a key (ssh-copy-id user@host), kept by ssh-agent if it has a passphrase.",
         )
     if place["user"] is not None:
@@ -137,7 +137,7 @@ def _ssh(address: str, rest: str) -> RobotAddress:
     host = _checked("host", unquote(place["host"].strip("[]")), _HOST, address)
     port = int(place["port"] or 0)
     if port > _MAX_PORT or (place["port"] and not port):
-        raise BadInput(f"The port of {quoted(address)} is {place['port']}.", f"Ports are from 1 to {_MAX_PORT}.")
+        raise BadInput(f"The port of {quoted(address)} is {place['port']}.", f"Give a port from 1 to {_MAX_PORT}.")
     return RobotAddress(kind="ssh", text=address, user=user, host=host, port=port)
 
 
@@ -156,7 +156,7 @@ def _options(kind: str, query: str | None, address: str) -> dict[str, str | int]
     found: dict[str, str | int] = {}
     for key, value in parse_qsl(query or "", keep_blank_values=True):
         if key in found:
-            raise BadInput(f"{quoted(key)} stands twice in {quoted(address)}.", "Leave one of them out.")
+            raise BadInput(f"{quoted(key)} stands twice in {quoted(address)}.", "Give it once.")
         if key not in _KEYS[kind]:
             raise BadInput(
                 f"Behind the question mark of {quoted(address)} stands {quoted(key)}.",

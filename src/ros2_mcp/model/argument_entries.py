@@ -37,7 +37,7 @@ def argument_of(entry: Entry) -> Argument:
         raise FrontMatterError(entry.line_of("name"), f"{name!r} is no name for an argument: letters, digits, _ only.")
     if kind not in KINDS:
         hint = did_you_mean(kind, list(KINDS), f"Choose from: {', '.join(KINDS)}.")
-        raise FrontMatterError(entry.line_of("type"), f"{kind!r} is no type. {hint}")
+        raise FrontMatterError(entry.line_of("type"), f"{kind!r} is not a type. {hint}")
     argument = Argument(
         name,
         entry.text("description"),

@@ -45,7 +45,7 @@ class Narrowest:
 def cost_in_words(cost: int | None) -> str:
     """What a cost means, such as `free` or `occupied (cost 100)`; None is outside."""
     if cost is None:
-        return "outside of the costmap"
+        return "outside the costmap"
     if cost < 0:
         return "unknown"
     if cost == 0:

@@ -51,7 +51,7 @@ def goal_id_bytes(goal_id: str) -> list[int]:
     except ValueError as error:
         raise BadValue("goal_id_hex", f"{goal_id!r} is not a goal id.", "Give its 32 hexadecimal digits.") from error
     if not raw.int:
-        raise BadValue("goal_id_hex", "all zeros is no goal, it stands for every goal.", "Give the id of one goal.")
+        raise BadValue("goal_id_hex", "an id of zeros stands for every goal.", "Give the id of one goal.")
     return list(raw.bytes)
 
 

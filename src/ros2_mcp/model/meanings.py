@@ -43,7 +43,7 @@ class ScanMeaning:
 
     def _nearest(self) -> str:
         if self.nearest_m is None or self.nearest_bearing_deg is None:
-            return f"Nothing within {self.reach_m:.2f} m where it sees." if self.beams > self.invalid else ""
+            return f"No obstacle within {self.reach_m:.2f} m in its field of view." if self.beams > self.invalid else ""
         side = sector_of(self.nearest_bearing_deg)
         return f"Nearest obstacle {self.nearest_m:.2f} m {bearing_in_words(self.nearest_bearing_deg)} ({side})."
 
@@ -94,7 +94,7 @@ class DepthMeaning:
 
     def _nearest(self) -> str:
         if self.nearest_m is None:
-            return "" if self.x_min_m is None else "Nothing stands above the ground in view."
+            return "" if self.x_min_m is None else "Nothing above the ground is in view."
         if self.nearest_bearing_deg is None:
             return f"Nearest distance {self.nearest_m:.2f} m."
         side = f"{bearing_in_words(self.nearest_bearing_deg)} ({sector_of(self.nearest_bearing_deg)})"

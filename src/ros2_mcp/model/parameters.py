@@ -70,7 +70,9 @@ def _kind(path: str, value: Any, declared: str) -> str:
     kinds_by_type = {bool: "bool", int: "integer", float: "double", str: "string"}
     if type(value) not in kinds_by_type:
         raise BadValue(
-            path, f"{excerpt(value)} cannot be a parameter.", "Give a bool, number, text, or an array of one of them."
+            path,
+            f"{excerpt(value)} is not a parameter value.",
+            "Give a bool, number, text, or an array of one of them.",
         )
     return kinds_by_type[type(value)]
 
@@ -88,7 +90,7 @@ def _converted(path: str, value: Any, kind: str) -> Any:
         converted = [_converted(f"{path}[{index}]", item, element) for index, item in enumerate(items)]
         for index, item in enumerate(converted if kind == "byte_array" else ()):
             if not 0 <= item <= 255:
-                raise BadValue(f"{path}[{index}]", f"{excerpt(item)} is no byte.", "Give 0 to 255.")
+                raise BadValue(f"{path}[{index}]", f"{excerpt(item)} is not a byte.", "Give 0 to 255.")
         return converted
     return _scalar(path, value, kind)
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.model.names import full_node_name
+from ros2_mcp.model.text import counted
 
 if TYPE_CHECKING:
     from ros2_mcp_bridge import protocol
@@ -78,7 +79,7 @@ class Choice:
 def for_subscribing(publishers: Sequence[Endpoint], depth: int = 100) -> Choice:
     """What a subscription needs so that it matches every publisher and loses as little as possible."""
     if not publishers:
-        return Choice(QoS("best_effort", "volatile", depth=depth), "no publisher is known; this matches any")
+        return Choice(QoS("best_effort", "volatile", depth=depth), "no publisher is known; this QoS matches any")
     reliable = sum(publisher.qos.reliability == "reliable" for publisher in publishers)
     latched = sum(publisher.qos.durability == "transient_local" for publisher in publishers)
     return Choice(
@@ -87,7 +88,7 @@ def for_subscribing(publishers: Sequence[Endpoint], depth: int = 100) -> Choice:
             "transient_local" if latched == len(publishers) else "volatile",
             depth=depth,
         ),
-        f"of {len(publishers)} publisher(s) {reliable} offer reliable, {latched} transient_local",
+        f"of {counted(len(publishers), 'publisher')} {reliable} offer reliable, {latched} transient_local",
     )
 
 

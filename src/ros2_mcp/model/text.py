@@ -111,6 +111,13 @@ def listed(found: Sequence[str], most: int) -> str:
     return ", ".join(map(named, found[:most])) + more
 
 
+def counted(number: int, noun: str, plural: str | None = None) -> str:
+    """A number beside its noun: `1 topic`, `2 topics`, `3 bodies`; `plural` where no rule here gives it."""
+    if number == 1:
+        return f"1 {noun}"
+    return f"{number} {plural or _plural(noun)}"
+
+
 def is_name(text: str) -> bool:
     """Whether it has only the characters that ROS allows in names, types, paths of fields and names of files."""
     return bool(_NAME.fullmatch(text))
@@ -156,6 +163,12 @@ def _is_hidden(character: str) -> bool:
         or character in (_OPEN, _CLOSE)
         or any(first <= code <= last for first, last in _HIDDEN_RANGES)
     )
+
+
+def _plural(noun: str) -> str:
+    if noun.endswith(("s", "x", "z", "ch", "sh")):
+        return f"{noun}es"
+    return f"{noun[:-1]}ies" if noun.endswith("y") and noun[-2] not in "aeiou" else f"{noun}s"
 
 
 def _escape(character: str) -> str:

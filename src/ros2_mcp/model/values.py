@@ -40,7 +40,9 @@ def summarised(paths: Sequence[str]) -> str:
     if not paths:
         return ""
     named = ", ".join(path or "the whole message" for path in paths[:8])
-    return f'Summarised: {named}. For more: fields, with slices such as "ranges[0:100]", or a larger max_array.'
+    plain = next((path for path in paths if path and "[" not in path), "")
+    sliced = f' (of an array a slice, such as "{plain}[0:100]")' if plain else ""
+    return f"Summarised: {named}. For more, give fields{sliced}, or a larger max_array."
 
 
 def not_finite_number(text: str) -> float | None:

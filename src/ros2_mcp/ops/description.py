@@ -38,7 +38,7 @@ async def description_text(robot: Robot, topic: str = "") -> str:
         rows = [row for row in await robot.graph.topics() if row.publishers and _TYPE in row.types]
         found = sorted(row.name for row in rows if row.name.rpartition("/")[2] == _NAME)
         if len(found) > 1 and f"/{_NAME}" not in found:
-            raise BadInput(f"There are several robot descriptions: {listed(found, 6)}.", "Name the one that is meant.")
+            raise BadInput(f"There are several robot descriptions: {listed(found, 6)}.", "Name one of them.")
         topic = (f"/{_NAME}" if f"/{_NAME}" in found else found[0]) if found else ""
     if topic:
         topic = names.absolute(topic)
@@ -47,10 +47,10 @@ async def description_text(robot: Robot, topic: str = "") -> str:
                 return str((await robot.values.in_full(_TYPE, samples[-1].data))["data"])
     if text := await _parameter(robot):
         return text
-    heard = f"{topic} said nothing" if topic else f"nobody publishes {_NAME}"
+    heard = f"no message came on {topic}" if topic else f"nobody publishes {_NAME}"
     raise NotFound(
-        f"The robot's description (URDF) was not found: {heard}, and no {_PUBLISHER} has it as a parameter.",
-        "robot_state_publisher publishes it where it is started with a URDF.",
+        f"No robot description (URDF): {heard}, and no {_PUBLISHER} has it as a parameter.",
+        "Start robot_state_publisher with the URDF.",
     )
 
 

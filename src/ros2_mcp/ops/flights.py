@@ -109,11 +109,11 @@ async def _outcome_of_mode(
     if not response.get("mode_sent"):
         return f"MAVROS did not send it: this autopilot has no mode {quoted(mode)}. {_state(flight)}".rstrip()
     if flight is None or not mode:
-        return "It was sent; whether the vehicle took it is not known."
+        return "The command was sent; whether the vehicle accepted it is unknown."
     if await flight.until(lambda: flight.mode == mode, _MODE_S):
         return f"The mode is now {named(mode)}."
     reasons = await _reasons(robot, vehicle, flight, since_ns)
-    return f"It was sent, but NOT taken within {_MODE_S:g} s. {reasons}".rstrip()
+    return f"The command was sent, but NOT accepted within {_MODE_S:g} s. {reasons}".rstrip()
 
 
 async def _reasons(robot: Robot, vehicle: str, flight: Flight | None, since_ns: int) -> str:

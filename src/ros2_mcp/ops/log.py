@@ -17,7 +17,7 @@ from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model.errors import BadData, BadInput
 from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.model.text import visible
+from ros2_mcp.model.text import counted, visible
 from ros2_mcp.model.times import seconds_in
 from ros2_mcp.ops.results import IF_ANY, SAID, beside, iso_time
 from ros2_mcp.ops.sources.selection import undecodable
@@ -40,7 +40,7 @@ _FIRST_S = 2.0
 _READY_S = 20.0
 # Of a line beside its texts: time, level, and the names of the fields.
 _LINE_BYTES = 100
-_SINCE_HINT = "It is neither seconds nor a time: give seconds ago, such as 30, or a time like 2030-01-31T12:00:00Z."
+_SINCE_HINT = "Give seconds ago, such as 30, or a time, such as 2030-01-31T12:00:00Z."
 _NAMES = {number: name.upper() for name, number in LEVELS.items()}
 
 
@@ -82,7 +82,7 @@ class Log:
     def summary(self) -> str:
         """One line."""
         of = f"{self.kept} kept" if self.source == "live" else f"{self.kept} in {self.source}"
-        return f"{len(self.lines)} of {self.matched} line(s), {of}. {self.note}".rstrip()
+        return f"{len(self.lines)} of {counted(self.matched, 'line')}, {of}. {self.note}".rstrip()
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,17 +123,20 @@ async def read(robot: Robot, request: LogRequest, max_bytes: int = 32_000) -> Lo
     lines, matched = _fitting(found.messages, max_bytes), found.matched
     notes = [found.skipped] if found.skipped else []
     if len(lines) < matched:
-        notes.append(f"The newest {len(lines)} are shown: narrow it down, or raise limit.")
+        notes.append(f"The newest {len(lines)} are shown: narrow the pattern, or raise limit.")
     if robot.log.dropped and (not matched or not since_ns or since_ns < kept[0].received_ns):
-        notes.append(f"{robot.log.dropped} older line(s) are no longer kept.")
+        notes.append(f"No longer kept: {counted(robot.log.dropped, 'older line')}.")
     if since_ns and since_ns < robot.log.since_ns and kept:
         notes.append(f"This server has listened only since {iso_time(robot.log.since_ns)}.")
     if robot.log.interruptions:
-        notes.append(f"The bridge was lost {robot.log.interruptions} time(s): lines of that time may be missing.")
-    if not kept:
-        began = f"No line has come in the {_listened_s(robot):.0f} s since this server began to listen to /rosout"
         notes.append(
-            f"{began}: what nodes said more than about 10 s earlier is not sent again. "
+            f"The connection to the bridge was lost {counted(robot.log.interruptions, 'time')}: lines from then may be "
+            "missing."
+        )
+    if not kept:
+        began = f"No line was published on /rosout in the {_listened_s(robot):.0f} s since this server subscribed"
+        notes.append(
+            f"{began}: lines logged more than about 10 s before that are not available. "
             "ros2_topic_subscribe of /rosout waits for the next line."
         )
     return Log(

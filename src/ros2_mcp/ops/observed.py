@@ -35,7 +35,7 @@ _MESSAGE_BYTES = 1_000_000
 _JOINTS_S, _LOOK_S, _STANDS = 2.0, 0.1, 0.002
 """For joints: a hold is there within tenths of a second, and an arm then brakes. One that moves by less than the
 last, in rad or m, between two looks stands: encoders' noise is far below."""
-_NO_ODOMETRY = "Not observed: no odometry says whether the robot stands."
+_NO_ODOMETRY = "Not observed: no odometry reports whether the robot has stopped."
 
 Observed = Literal["observed still", "not observed"]
 
@@ -84,13 +84,13 @@ async def _observe_joints(robot: Robot) -> Observation:
                 moved = {name: abs(now[name].position - then.position) for name, then in before.items()}
                 fastest = max(moved, key=lambda name: moved[name])
                 if moved[fastest] < _STANDS:
-                    return Observation("observed still", "Observed still: the joint states say that no joint moves.")
+                    return Observation("observed still", "Observed still: the joint states report that no joint moves.")
                 before = now
     except RobotError as error:
         return Observation("not observed", f"Not observed: {error}")
     if not fastest:
-        return Observation("not observed", "Not observed: not every joint was heard of.")
-    sentence = f"NOT observed still: the joint states say that {named(fastest)} moves, after {_JOINTS_S:g} s."
+        return Observation("not observed", "Not observed: some joints published no state.")
+    sentence = f"NOT observed still: {named(fastest)} still moves after {_JOINTS_S:g} s, by the joint states."
     return Observation("not observed", sentence, is_moving=True)
 
 
@@ -161,12 +161,13 @@ def _stands(feedback: Feedback, speeds: tuple[float, float]) -> bool:
 
 def _judged(feedback: Sequence[Feedback], spoken: Mapping[str, tuple[float, float]], elapsed_s: float) -> Observation:
     said = "; ".join(
-        f"{named(topic)} says {linear:.2f} m/s and {angular:.2f} rad/s" for topic, (linear, angular) in spoken.items()
+        f"{named(topic)} reports {linear:.2f} m/s and {angular:.2f} rad/s"
+        for topic, (linear, angular) in spoken.items()
     )
     silent = [named(one.topic) for one in feedback if one.topic not in spoken]
     moving = [one for one in feedback if one.topic in spoken and not _stands(one, spoken[one.topic])]
     if moving:
         return Observation("not observed", f"NOT observed still: {said}, after {elapsed_s:.1f} s.", is_moving=True)
     if silent:
-        return Observation("not observed", f"Not observed: {', '.join(silent)} told nothing of the robot's speed.")
+        return Observation("not observed", f"Not observed: {', '.join(silent)} did not report the robot's speed.")
     return Observation("observed still", f"Observed still: {said}.")

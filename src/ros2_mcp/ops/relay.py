@@ -23,6 +23,7 @@ from ros2_mcp.model.errors import BadData, BadInput, BadValue, LinkError, NotFou
 from ros2_mcp.model.graph import RelayCounts, TopicEndpoints
 from ros2_mcp.model.qos import QoS, for_subscribing
 from ros2_mcp.model.samples import Counts, Sample
+from ros2_mcp.model.text import counted
 from ros2_mcp.ops.endings import ended_by, guarded, held_back, limited, reason_of
 from ros2_mcp.ops.results import IF_ANY, SAID
 from ros2_mcp.robot import Robot
@@ -120,7 +121,7 @@ class RelayList:
 
     def summary(self) -> list[str]:
         """A line for each."""
-        return [f"{self.running} relay(s) running.", *(relay.summary() for relay in self.relays)]
+        return [f"{counted(self.running, 'relay')} running.", *(relay.summary() for relay in self.relays)]
 
 
 class Relay(Job):
@@ -169,8 +170,8 @@ class Relay(Job):
         topics = way(((other.source, other.destination) for other in others), self.destination, self.source)
         if topics:
             raise BadInput(
-                f"This relay would feed itself: relays lead from {' to '.join(topics)} already.",
-                "Stop one of them first (ros2_relay_stop).",
+                f"This relay would feed itself: relays already lead from {' to '.join(topics)}.",
+                "Stop one of these relays first (ros2_relay_stop).",
             )
         for other in others:
             if (other.source, other.destination) == (self.source, self.destination):
@@ -211,7 +212,7 @@ class Relay(Job):
         is_told = isinstance(self.failure, Stopped) and self.stop_reason  # `ended_by` says it
         notes: list[str] = [str(self.failure)] if self.failure and not is_told else []
         if self._failed:
-            notes.append(f"{self._failed} message(s) could not be passed on, the last because: {self._last_error}")
+            notes.append(f"{counted(self._failed, 'message')} could not be passed on; last error: {self._last_error}")
         notes.append(guarded(counts.stopper_s, counts.unguarded))
         if counts.refused:
             notes.append(held_back(counts.refused))
@@ -220,7 +221,7 @@ class Relay(Job):
         if self.stop_reason and not self.is_running:
             notes.append(ended_by(self.stop_reason))
         if late:
-            notes.append(f"{late} message(s) came faster than they could be compared.")
+            notes.append(f"{counted(late, 'message')} came faster than they could be compared.")
         if self.is_running and not counts.matched:
             notes.append("Nobody subscribes to the destination.")
         if self.is_running and publishers == 0:
@@ -367,7 +368,9 @@ async def start(robot: Robot, request: RelayRequest) -> RelayState:
     if request.transform not in TRANSFORMS:
         raise BadInput(f"There is no transform {request.transform!r}.", f"Choose from {', '.join(TRANSFORMS)}.")
     if TRANSFORMS[request.transform] != "on_change" and request.tolerances:
-        raise BadInput(f"tolerances mean nothing with {request.transform}.", "They belong to transform on_change.")
+        raise BadInput(
+            f"tolerances have no meaning with {request.transform}.", "Leave tolerances out, or use transform on_change."
+        )
     bounded("target_rate_hz", request.target_rate_hz, MIN_RATE_HZ, MAX_RATE_HZ, "Hz")
     bounded("duration_sec", request.duration_s, 0.0, MAX_RELAY_S, "s")
     if source == destination:
@@ -431,9 +434,12 @@ async def _destination_type(robot: Robot, request: RelayRequest, source_type: st
         try:
             return await robot.types.topic(receiving, request.destination_type)
         except NotFound as error:
-            raise NotFound(f"{receiving.topic} has no type yet.", "Give destination_type, too.") from error
+            raise NotFound(f"{receiving.topic} has no type yet.", "Give destination_type.") from error
     if request.destination_type:
-        raise BadInput("destination_type needs a mapping.", "Without one, the messages pass as they are.")
+        raise BadInput(
+            "destination_type needs a mapping.",
+            "Give a mapping, or leave destination_type out to pass messages unchanged.",
+        )
     try:
         return await robot.types.topic(receiving, source_type)
     except TypeConflict as error:

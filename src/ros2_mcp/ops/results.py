@@ -125,9 +125,9 @@ def list_note(matching: int, limit: int, settled: bool = True, absence: str = ""
     """What a shortened or early list says of itself, after the `absence` of a robot; empty if it is complete."""
     notes = [absence] if absence else []
     if matching > limit:
-        notes.append(f"{matching} match, the first {limit} are shown: narrow the pattern or raise the limit.")
+        notes.append(f"{matching} match; the first {limit} are shown. Narrow the pattern, or raise the limit.")
     if not settled:
-        notes.append("Discovery had not settled yet: the list may be incomplete, ask again.")
+        notes.append("Discovery had not settled: the list may be incomplete. Ask again.")
     return " ".join(notes)
 
 

@@ -13,6 +13,7 @@ import anyio
 from ros2_mcp.guard.state import RESET_HINT
 from ros2_mcp.model.errors import BridgeLost, RobotError, TimedOut
 from ros2_mcp.model.goals import STATUS, TERMINAL
+from ros2_mcp.model.text import counted
 from ros2_mcp.ops.actions.result import result_of
 from ros2_mcp.ops.flights import StoppedFlight, brake_flights
 from ros2_mcp.ops.observed import Observed, observe_still
@@ -112,15 +113,19 @@ class Stopped:
             return f"{'NOT confirmed:' if self.is_doubted else 'Nothing was stopped.'} {self.note}"
         cancelled = sum(goal.cancelled for goal in self.goals)
         over = sum(goal.confirmed and not goal.cancelled for goal in self.goals)
-        counted = (
-            (self.repeats_stopped, "{} repeated publication(s) ended"),
-            (self.relays_stopped, "{} relay(s) ended"),
-            (len(self.topics), "zero on {} topic(s)"),
-            (cancelled, "{} goal(s) cancelled"),
-            (over, "{} goal(s) had ended already"),
-            (len(self.flights), "{} flight(s) made to stand"),
+        unheard = sum(not (topic.subscribers or topic.unreached or topic.error) for topic in self.topics)
+        parts = (
+            (self.repeats_stopped, f"{counted(self.repeats_stopped, 'repeated publication')} ended"),
+            (self.relays_stopped, f"{counted(self.relays_stopped, 'relay')} ended"),
+            (len(self.topics) - unheard, f"zero on {counted(len(self.topics) - unheard, 'topic')}"),
+            (unheard, f"no receiver for the zero on {counted(unheard, 'topic')}"),
+            (cancelled, f"{counted(cancelled, 'goal')} cancelled"),
+            (over, f"{counted(over, 'goal')} had ended already"),
+            (len(self.flights), f"{counted(len(self.flights), 'flight')} made to stand"),
         )
-        told = ", ".join(words.format(count) for count, words in counted if count)
+        told = ", ".join(words for count, words in parts if count)
+        if self.confirmed and unheard and not any((*ended[:2], len(self.topics) - unheard, *ended[3:])):
+            return f"Nothing to stop: {told}. {self.note}".rstrip()  # as when the base has left the graph
         if self.is_doubted:  # why comes first: who reads no further knows what may still move
             return f"{verdict}: {self.note} Done: {told}." if told else f"{verdict}: {self.note}"
         return f"{verdict}: {f'{told}. ' if told else ''}{self.note}".rstrip()
@@ -160,8 +165,8 @@ def unreached(robot: Robot) -> str:
     silent_s = robot.graph.unheard_s
     since = f"nothing has come from it for {silent_s:.1f} s" if math.isfinite(silent_s) else "its link is lost"
     return (
-        f"It is not reached ({since}). What this server drives there stops when the link lease lapses. "
-        "The stop goes on behind this answer: call ros2_stop again to see what is confirmed."
+        f"The robot is out of reach ({since}). What this server drives there stops when the link lease lapses. The "
+        "stop continues in the background: call ros2_stop again to see what is confirmed."
     )
 
 
@@ -185,9 +190,9 @@ async def stop_unreached(robot: Robot, note: str) -> Stopped:
     """The same for a robot that this server has never reached: nobody is looked for."""
     _begin(robot, "")
     unwritten = await asyncio.to_thread(robot.guard.latch.write)
-    notes = [f"The latch could not be written ({unwritten}): it ends with this server."] if unwritten else []
+    notes = [f"The latch could not be saved ({unwritten}): it is lost when this server ends."] if unwritten else []
     is_latched = robot.guard.latch.look().is_set
-    notes += [note, *([f"The latch is set: nothing acts any more. {RESET_HINT}"] if is_latched else [])]
+    notes += [note, *([f"The latch is set: commands are refused. {RESET_HINT}"] if is_latched else [])]
     return Stopped(
         repeats_stopped=0,
         relays_stopped=0,
@@ -239,8 +244,8 @@ async def _stop(robot: Robot) -> Stopped:
     observation, topics = await asyncio.gather(observe_still(robot, hovers=hovers), asyncio.gather(*judging))
     services, others = robot.no_known_stop.names("service"), robot.no_known_stop.names("topic")
     notes = [f"{problem}."] if problem else []
-    notes += [f"The latch could not be written ({unwritten}): it ends with this server."] if unwritten else []
-    notes += [f"{job.kind} {job.id} did not end in good order: {error}" for job, error in jobs.items() if error]
+    notes += [f"The latch could not be saved ({unwritten}): it is lost when this server ends."] if unwritten else []
+    notes += [f"{job.kind} {job.id} did not end cleanly: {error}" for job, error in jobs.items() if error]
     doubts, unknown = [*notes, *_doubts(topics, goals)], _unknown(services, others)
     doubts += [flight.sentence for flight in flights if not flight.confirmed]
     if observation.is_moving:
@@ -249,7 +254,7 @@ async def _stop(robot: Robot) -> Stopped:
     facts += _facts(ended, topics, [*goals, *flights], jobs)
     facts += [] if observation.is_moving else [observation.sentence]
     is_latched = robot.guard.latch.look().is_set
-    facts += [f"The latch is set: nothing acts any more. {RESET_HINT}"] if is_latched else []
+    facts += [f"The latch is set: commands are refused. {RESET_HINT}"] if is_latched else []
     dropped = _dropped(ended)
     return Stopped(
         repeats_stopped=ended["repeats"],
@@ -290,7 +295,7 @@ async def _stop_bridge(robot: Robot, has_asked: anyio.Event) -> tuple[StopReply,
         problem = "The bridge was lost meanwhile, and its successor may not have found every subscriber yet: stop again"
     except (RobotError, TimeoutError) as error:
         reason = str(error) or f"it has not answered within {_BRIDGE_S:g} s"
-        return _NOTHING, f"The bridge could not be asked to stop ({reason.rstrip('.')}): what it publishes may go on"
+        return _NOTHING, f"The bridge could not be asked to stop ({reason.rstrip('.')}): its publications may continue"
     finally:
         has_asked.set()
     try:
@@ -314,7 +319,7 @@ async def _judged(robot: Robot, topic: str, zero: Zero | None, missing: str) -> 
     try:
         present = await robot.graph.endpoints(topic, _OTHERS_S)
     except RobotError as error:
-        unseen = f"Who else publishes on {topic} could not be looked up: {error}"
+        unseen = f"Other publishers on {topic} could not be looked up: {error}"
         return StoppedTopic(topic, zero["matched"], zero["acked"], error=unseen)
     others = sorted({publisher.node for publisher in present.publishers} - {*robot.graph.own_nodes})
     unseen = "" if present.settled else f"Discovery is under way: more may listen to {topic}, or publish on it."
@@ -338,7 +343,9 @@ async def _cancel(robot: Robot, goal: Goal) -> StoppedGoal | None:
         if not goal.was_sent:
             return None
         if is_unknown and goal.is_running and not goal.is_accepted:
-            raise TimedOut(f"The server of {goal.action} has not said whether it accepts goal {goal.id}: stop again.")
+            raise TimedOut(
+                f"The server of {goal.action} has not answered whether it accepts goal {goal.id}: stop again."
+            )
         result = await result_of(robot, goal.action, goal.action_type, goal.id, ENDED_S)
     except RobotError as error:
         if not goal.was_sent:
@@ -359,11 +366,13 @@ def _doubts(topics: Sequence[StoppedTopic], goals: Sequence[StoppedGoal]) -> lis
         if topic.others:
             doubts.append(f"{', '.join(topic.others)} also publishes on {topic.topic_name}: the robot may still move.")
         if topic.unreached:
-            doubts.append(f"{topic.unreached} subscriber(s) of {topic.topic_name} did not get the zero: stop again.")
+            doubts.append(
+                f"{counted(topic.unreached, 'subscriber')} of {topic.topic_name} did not get the zero: stop again."
+            )
         if topic.error:
             doubts.append(topic.error)
         elif topic.subscribers and topic.acknowledged is None:
-            unknown = f"Whether the zero on {topic.topic_name} arrived is not known"
+            unknown = f"Arrival of the zero on {topic.topic_name} is unknown"
             doubts.append(f"{unknown}: not every subscriber acknowledges.")
         elif topic.subscribers and not topic.acknowledged:
             doubts.append(f"Not every subscriber of {topic.topic_name} has acknowledged the zero.")
@@ -374,14 +383,14 @@ def _doubts(topics: Sequence[StoppedTopic], goals: Sequence[StoppedGoal]) -> lis
 
 def _unknown(services: Sequence[str], topics: Sequence[str]) -> list[str]:
     """That there is something of which it is not known how it is stopped; nothing if there is none."""
-    sent = [f"called {len(services)} service(s)"] if services else []
-    sent += [f"published on {len(topics)} topic(s) that are no velocities"] if topics else []
+    sent = [f"called {counted(len(services), 'service')}"] if services else []
+    sent += [f"published on {counted(len(topics), 'topic')} without velocities"] if topics else []
     if not sent:
         return []
     named = _first([*services[: _MOST_NAMED // 2], *topics[: _MOST_NAMED // 2]])
     return [
-        f"NOT judged: since its start this server has {' and '.join(sent)}, of which it does not know how they are "
-        f"stopped ({', '.join(named)}): if one of them has set something in motion, it may go on."
+        f"NOT judged: since its start this server has {' and '.join(sent)} ({', '.join(named)}). It does not know how "
+        "to stop what these started, which may continue."
     ]
 
 
@@ -394,7 +403,7 @@ def _facts(
     """What else is to be said."""
     facts: list[str] = []
     if dropped := _dropped(ended):
-        facts.append(f"{len(dropped)} request(s) that had not been sent yet will not be sent.")
+        facts.append(f"{counted(len(dropped), 'request')} had not been sent yet and will not be sent.")
     if ended_jobs := [job for job in jobs if job.kind not in ("repeat", "relay")]:
         facts.append(f"Ended: {', '.join(f'{job.kind} {job.id}' for job in ended_jobs)}.")
     facts += [
@@ -404,7 +413,7 @@ def _facts(
     ]
     if not (ended["repeats"] or ended["relays"] or ended["dropped"] or topics or others or jobs):
         facts.append(
-            "This server had nothing in motion that it knows how to stop; what others have set in motion goes on."
+            "This server had nothing in motion that it knows how to stop; motions that others started continue."
         )
     return facts
 

@@ -112,7 +112,7 @@ def _shorten(head: _Part, parts: Sequence[_Part], room: int, narrowing: Sequence
         if part.left_out and part.lines
     ]
     way = f" To see them, ask for less at once: {', '.join(narrowing)}." if narrowing else ""
-    return f"Left out, as this text has room for no more: {', '.join((*cut, *gone))}.{way}"
+    return f"Left out, because this text is full: {', '.join((*cut, *gone))}.{way}"
 
 
 class _Body:
@@ -228,7 +228,7 @@ def _alike(
     if len(columns) <= _MOST_COLUMNS:
         rows = [{path: Exact(written(values[at])) for path, values in columns} for at in range(len(whole))]
         rows = _with(times, rows)
-        title = f"{title} of each what differs:" if columns else f"{name} ({len(whole)}), all equal:"
+        title = f"{title} the differences of each:" if columns else f"{name} ({len(whole)}), all equal:"
         return _Part([title, whole[0], *table(rows, list(rows[0]))], name, len(rows) if rows[0] else 0)
     texts = [(json.dumps(path, ensure_ascii=False), [written(value) for value in values]) for path, values in columns]
     changes = [
@@ -236,7 +236,7 @@ def _alike(
         for at in range(1, len(whole))
     ]
     later = (times[0], times[1][1:]) if times else None
-    return _Part([f"{title} what differs from it, by path:", whole[0], *_listed(changes, later)], name, len(changes))
+    return _Part([f"{title} the differences from it, by path:", whole[0], *_listed(changes, later)], name, len(changes))
 
 
 def _listed(texts: Sequence[str], times: Beside) -> list[str]:

@@ -190,7 +190,7 @@ async def unpack(
         try:
             content = bytes(cast("list[int]", content))
         except (TypeError, ValueError) as error:
-            raise BadInput("robot.unpack: data is no list of bytes: it has other values than 0 to 255.") from error
+            raise BadInput("robot.unpack: data is not a list of bytes: it has other values than 0 to 255.") from error
     elif not isinstance(content, bytes):
         if not hasattr(content, "nbytes"):
             raise BadInput("robot.unpack: data is bytes, such as those of a field uint8[].", 'As m["data"].')
@@ -200,7 +200,7 @@ async def unpack(
     try:
         record = struct.Struct(format)
     except struct.error as error:
-        raise BadInput(f"robot.unpack: {format!r} is no format: {error}.", 'Such as "<Hf".') from error
+        raise BadInput(f"robot.unpack: {format!r} is not a format: {error}.", 'Such as "<Hf".') from error
     records = 1 if count is None else count
     _whole("count", records, 1, MOST_VALUES)
     if not record.size or records * _values_of(format) > MOST_VALUES:
@@ -264,7 +264,7 @@ def _object(use: Use, name: str, value: Any, type_name: str, needed: Sequence[st
         elif isinstance(data, list):
             data = np.asarray(data, np.int8 if type_name == "OccupancyGrid" else np.uint8)
     except (ValueError, TypeError, OverflowError) as error:
-        raise BadInput(f"robot.{name}: data is no list of bytes: {error}.") from error
+        raise BadInput(f"robot.{name}: data is not a list of bytes: {error}.") from error
     if not isinstance(data, np.ndarray):
         raise BadInput(f"robot.{name}: data is {type(data).__name__}, not bytes or numbers.")
     rest = {key: _attributes(part) for key, part in fields.items() if key != "data"}

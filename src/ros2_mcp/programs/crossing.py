@@ -47,7 +47,7 @@ def crossed(value: Any, what: str, *, for_json: bool = False) -> Any:
         left[1] -= characters
         if min(left) < 0:
             most = f"{MOST_PARTS} parts or {MOST_CHARACTERS} characters"
-            raise BadInput(f"{what} has more than {most}.", "Give less of it, or compute it in the program.")
+            raise BadInput(f"{what} has more than {most}.", "Give less, or compute it in the program.")
 
     def text(found: str) -> str:
         spend(len(found))
@@ -62,7 +62,7 @@ def crossed(value: Any, what: str, *, for_json: bool = False) -> Any:
             return None
         numbers_left -= len(found)
         if numbers_left < 0:
-            raise BadInput(f"{what} has more than {MOST_NUMBERS} numbers.", "Give less of it.")
+            raise BadInput(f"{what} has more than {MOST_NUMBERS} numbers.", "Give less.")
         return list(found)
 
     def plain(found: Any, depth: int) -> Any:
@@ -91,7 +91,7 @@ def crossed(value: Any, what: str, *, for_json: bool = False) -> Any:
             spend(len(found))
             return bytes(found)
         if not for_json:
-            raise BadInput(f"{what}: a {type(found).__name__} is no value that the robot takes.")
+            raise BadInput(f"{what}: a {type(found).__name__} is not a value that the robot accepts.")
         spend(100)
         return f"<{type(found).__name__}>"
 

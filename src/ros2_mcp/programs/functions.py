@@ -66,7 +66,9 @@ async def feedback(use: Use, goal: Any) -> Stream:
     goal_id = given.get("goal_id")
     sent = use.robot.jobs.get(Goal, str(goal_id))
     if sent is None and goal_id and given.get("accepted", True):
-        raise BadInput("This is no goal of this server.", "goal = robot.goal(…), then for m in robot.feedback(goal).")
+        raise BadInput(
+            "This is not a goal of this server.", "Write goal = robot.goal(…), then for m in robot.feedback(goal)."
+        )
     return use.follow_goal(sent)
 
 
@@ -95,7 +97,7 @@ async def scan(use: Use, topic_name: str = "", timeout: float = 5.0, bag: str = 
         topic_name = found[0]
     message = await latest(use=use, topic_name=topic_name, timeout=timeout, bag=bag)
     if "angle_increment" not in message:
-        raise BadInput(f"{named(topic_name)} is no laser scan.", "robot.topics() tells types.")
+        raise BadInput(f"{named(topic_name)} is not a laser scan.", "robot.topics() shows the types.")
     least, most = message["range_min"], message["range_max"]
     beams: list[list[float]] = []
     for index, metres in enumerate(message["ranges"]):
@@ -118,7 +120,7 @@ async def picture(use: Use, topic_name: str, timeout: float = 5.0, bag: str = ""
     source = await use.sources.open(bag, waits=False, report=use.report)
     found = await echo(source.lasting(timeout), topic_name, "", Selection())
     if not found.images:
-        raise BadInput(f"{named(topic_name)}: no picture. {found.note}".rstrip(), "It wants a topic of images.")
+        raise BadInput(f"{named(topic_name)}: no picture. {found.note}".rstrip(), "Give a topic of images.")
     use.keep(found.images[0])
     return {"width": found.images[0].width, "height": found.images[0].height, "note": found.images[0].note}
 

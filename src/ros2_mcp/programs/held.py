@@ -52,7 +52,8 @@ class Held:
         kept = self._kept.get(number) if isinstance(number, int) else None
         if kept is None:
             raise BadInput(
-                "This array is not held any more.",
-                f"The last {MOST_BYTES // 1_000_000} MB that a program reads are: use a message before the next ones.",
+                "This array is no longer held.",
+                f"The last {MOST_BYTES // 1_000_000} MB that a program reads are held: use a message before you read "
+                "the next.",
             )
         return kept[0]

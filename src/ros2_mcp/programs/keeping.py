@@ -82,7 +82,7 @@ class ProgramSaved:
 
     def summary(self) -> str:
         """One line."""
-        before = f" What was there before is in {named(self.former)}." if self.former else ""
+        before = f" The former version is in {named(self.former)}." if self.former else ""
         how = "" if self.done == "removed" else " Run it with its name as program of ros2_program_run."
         return f"{self.done}: {self.program.summary()}.{how}{before}"
 

@@ -147,7 +147,7 @@ class KeptPrograms:
         self._check(program)
         former = self._read(program.name)
         if isinstance(former, Mistake):
-            raise BadData(f"{former}", "It is not overwritten: mend it or move it away by hand.")
+            raise BadData(f"{former}", "The file is not overwritten: repair it or move it away by hand.")
         if former and not overwrite:
             raise BadInput(
                 f"There is a program {program.name} already (version {former.version}): {excerpt(former.description)}",
@@ -182,7 +182,7 @@ class KeptPrograms:
 
     def _check(self, program: KeptProgram) -> None:
         if not _NAME.fullmatch(program.name) or program.name.lower() == "readme":
-            raise BadInput(f"{quoted(program.name)} is no name for a program.", f"Use {_NAMES}.")
+            raise BadInput(f"{quoted(program.name)} is not a valid name for a program.", f"Use {_NAMES}.")
         if not program.code.strip():
             raise BadInput("There is no program to keep.", "Give program.")
         if not program.description.strip() or len(program.description) > _MOST_DESCRIPTION:

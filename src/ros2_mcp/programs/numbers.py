@@ -59,7 +59,7 @@ def slope(values: Sequence[Any], times_s: Sequence[Any]) -> float:
         raise ValueError(f"{len(values)} values and {len(times_s)} times: give as many of each")
     pairs = [(float(t), float(v)) for t, v in zip(times_s, values, strict=True) if _is_finite(t) and _is_finite(v)]
     if len({t for t, _ in pairs}) < 2:
-        raise ValueError("a slope needs values at two times at least")
+        raise ValueError("a slope needs values at two times or more")
     middle_t = math.fsum(t for t, _ in pairs) / len(pairs)
     middle_v = math.fsum(v for _, v in pairs) / len(pairs)
     return math.fsum((t - middle_t) * (v - middle_v) for t, v in pairs) / math.fsum(
@@ -91,7 +91,7 @@ def yaw(orientation: Any) -> float:
     """The heading of a quaternion, or of what has an orientation (a pose, odometry) or a rotation (a transform)."""
     x, y, z, w = (_number(part) for part in _parts(_quaternion(orientation), ("x", "y", "z", "w")))
     if not math.isfinite(length := math.hypot(x, y, z, w)) or length < 1e-6:
-        raise ValueError("this quaternion has no length: nobody has filled it in")
+        raise ValueError("this quaternion has length 0: it was never filled in")
     return math.atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
 
 
@@ -137,7 +137,7 @@ def _is_finite(value: object) -> bool:
 
 def _number(value: object) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise TypeError(f"a number is meant, not {value!r}"[:200])
+        raise TypeError(f"a number is expected, not {value!r}"[:200])
     return float(value)
 
 

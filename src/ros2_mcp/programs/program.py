@@ -190,7 +190,7 @@ class Program(Job):
                 with anyio.move_on_after(self.at_most_s) as time:
                     self.record.value = await self._sandbox.run(program, self._inputs, self._answer, self._print)
                 if time.cancelled_caught:
-                    raise Failure("limit", 0, f"its time is over: timeout was {self.at_most_s:g} s")
+                    raise Failure("limit", 0, f"it ran longer than its timeout of {self.at_most_s:g} s")
         except Failure as failure:
             self.record.failure = self._over_printed() or failure
         finally:
@@ -233,7 +233,7 @@ class Program(Job):
         if record.calls > MOST_CALLS:
             raise Failure("limit", line, f"more than {MOST_CALLS} calls of functions")
         await self._in_turn()
-        what = f"What robot.{name} is given"
+        what = f"The argument of robot.{name}"
         arguments = _bound(function, crossed(list(given), what), crossed(dict(named), what))
         acts = function.risk == "act"
         if acts:

@@ -121,9 +121,9 @@ def tokens_of(text: str) -> list[tokenize.TokenInfo]:
             found.append(token)
     except tokenize.TokenError as error:
         what, at = error.args
-        raise BadInput(f"line {at[0]}: this is no Python: {what}.") from error
+        raise BadInput(f"line {at[0]}: this is not valid Python: {what}.") from error
     except SyntaxError as error:
-        raise BadInput(f"line {error.lineno or 0}: this is no Python: {error.msg}.") from error
+        raise BadInput(f"line {error.lineno or 0}: this is not valid Python: {error.msg}.") from error
     return found
 
 

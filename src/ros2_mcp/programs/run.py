@@ -171,7 +171,7 @@ def _checked_inputs(inputs: Mapping[str, Any]) -> Mapping[str, Any]:
     """Raises `BadInput` for a name that is none, or for too much."""
     for name in inputs:
         if not name.isidentifier() or name.startswith("_"):
-            raise BadInput(f"inputs: {name!r} is no name that a program can have.", "Use letters, such as topic.")
+            raise BadInput(f"inputs: {name!r} is not a valid name in a program.", "Use letters, such as topic.")
     if len(json.dumps(inputs, default=str)) > MOST_VALUE:
         raise BadInput(f"inputs: more than {MOST_VALUE} characters of JSON.")
     return inputs

@@ -35,7 +35,9 @@ def _window(name: str, default: float, what: str, minimum: float = 0.1, maximum:
 
 def _patience(duration_s: float) -> Sequence[str]:
     """A line for a call that may take longer than a client waits."""
-    long = f"Each call takes {shown(duration_s)} s; if it is given up before, take at most {shown(_PATIENCE_S)} s."
+    long = (
+        f"Each call takes {shown(duration_s)} s; if the client times out earlier, use at most {shown(_PATIENCE_S)} s."
+    )
     return [long] if duration_s > _PATIENCE_S else []
 
 
@@ -70,7 +72,9 @@ def _echo_and_analyze(robot: Robot) -> Prompt:
         topics = [values["topic_name"]] if values["topic_name"] else await _robot_topics(robot)
         if not topics:
             return _ask(
-                "Analyze a topic. None of a robot is seen.", step(1, "ros2_status"), "Report what it says is wrong."
+                "Analyze a topic. No topic of a robot was found.",
+                step(1, "ros2_status"),
+                "Report the problems that it shows.",
             )
         if len(topics) > 1:
             return _choose_topic(topics, values["duration_sec"])
@@ -99,7 +103,7 @@ def _analyze(topic: str, duration_s: float, analysis: str) -> Sequence[Message]:
         f"Analyze the topic {named(topic)} ({analysis}).",
         *steps,
         *_patience(duration_s),
-        f"Then report: {_ECHO_REPORTS[analysis]}. If no message came, say so and look at who publishes it with "
+        f"Then report: {_ECHO_REPORTS[analysis]}. If no message came, say so and check its publishers with "
         "ros2_topic_info.",
         _TRUTH,
     )
@@ -109,7 +113,7 @@ def _choose_topic(topics: Sequence[str], duration_s: float) -> Sequence[Message]
     shown_topics = topics[:_MOST_TOPICS]
     more = f" (and {len(topics) - len(shown_topics)} more)" if len(topics) > len(shown_topics) else ""
     return _ask(
-        f"Analyze a topic. None was named, and there are {len(topics)}: {', '.join(map(named, shown_topics))}{more}.",
+        f"Analyze a topic. None was named; there are {len(topics)}: {', '.join(map(named, shown_topics))}{more}.",
         step(1, "ros2_topic_stats", topic_names=shown_topics, duration=duration_s),
         *_patience(duration_s),
         "Then report a table of their rates, say which look unhealthy, and ask which one to analyze with "
@@ -150,8 +154,8 @@ async def _write_relay(values: Mapping[str, Any]) -> Sequence[Message]:
         step(2, "ros2_topic_stats", topic_names=[source, destination], duration=_check_s(duration_s)),
         step(3, "ros2_relay_list"),
         "Then report: both rates, how many messages were passed and dropped, and any error. "
-        f"{sooner} with ros2_relay_stop; stop it only if asked to. If it is refused, say why: ros2_policy has what is "
-        "allowed.",
+        f"{sooner} with ros2_relay_stop; stop it only if asked to. If it is refused, say why: ros2_policy shows what "
+        "is allowed.",
         _TRUTH,
     )
 
@@ -163,7 +167,7 @@ def _check_s(duration_s: float) -> float:
 _RELAY = Prompt(
     "base.ros2-topic-relay",
     "Relay a topic",
-    "Let the messages of one topic appear on another: all, rate limited, or only when they change.",
+    "Republish the messages of one topic on another: all, rate limited, or only changes.",
     (
         Argument("source_topic", "Topic to read", "topic", required=True),
         Argument("destination_topic", "Topic to publish on", "topic", required=True),
@@ -234,8 +238,8 @@ async def _write_compare(values: Mapping[str, Any]) -> Sequence[Message]:
         f"Compare the topics {values['topic1_name']} and {values['topic2_name']}.",
         step(1, "ros2_topic_compare", **values),
         *_patience(values["duration_sec"]),
-        "Then report: the verdict (IDENTICAL, SIMILAR, DIFFERENT or VERY DIFFERENT) first; how many pairs it stands "
-        "on; a table of the differences of each field; the delay between the topics; what the difference means.",
+        "Then report: the verdict (IDENTICAL, SIMILAR, DIFFERENT or VERY DIFFERENT) first; the number of pairs behind "
+        "it; a table of the differences of each field; the delay between the topics; what the difference means.",
         _TRUTH,
     )
 

@@ -109,7 +109,7 @@ class Catalog:
                 Message(f"{prompt.title}: not possible here, because {self._why_missing(named)}. Tell the user so.")
             ]
         absent = ", ".join(f"{tool} ({self._missing[tool]})" for tool in sorted(named))
-        note = f"Not offered by this server: {absent}. Tell the user if it cannot be done without."
+        note = f"Not offered by this server: {absent}. Tell the user if this cannot be done without them."
         return [*messages, Message(note)]
 
     def has_news(self) -> bool:

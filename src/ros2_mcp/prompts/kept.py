@@ -33,7 +33,7 @@ def prompt_of(program: KeptProgram) -> Prompt:
         return [
             Message(
                 f"Run the kept program {program.name}: {program.description}\n\n{call}\n\n"
-                "Then say what came of it: how it ended, what it printed and its value; if it failed, where and why."
+                "Then report how it ended, what it printed and its value; if it failed, where and why."
             )
         ]
 

@@ -44,7 +44,7 @@ class CatalogOfSeveral(Catalog):
         own = self._own[robot]
         rest = given if prompt.argument(ROBOT) else {key: value for key, value in given.items() if key != ROBOT}
         first, *others = await own.messages_of(own.base(name) or prompt, rest)
-        lead = f'This is about the robot {robot}: give "{ROBOT}": "{robot}" to each tool.\n'
+        lead = f'This is about the robot {robot}: pass "{ROBOT}": "{robot}" to each tool.\n'
         return [replace(one, text=_about(robot, one.text)) for one in (replace(first, text=lead + first.text), *others)]
 
     def has_news(self) -> bool:

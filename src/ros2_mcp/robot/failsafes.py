@@ -257,9 +257,9 @@ class Failsafes:
                 await self.zero(ended)
             else:
                 raise Refused(
-                    f"This server drives {MAX_FAILSAFES} velocity topics already; that is the most that it can see "
-                    "stopped if it dies. Nothing was sent.",
-                    "ros2_stop stops them all, and those whose stop is confirmed make room.",
+                    f"This server drives {MAX_FAILSAFES} velocity topics already, the most that are stopped if it "
+                    "dies. Nothing was sent.",
+                    "Call ros2_stop: topics whose stop is confirmed make room.",
                 )
 
     async def _keep_driven(self, driven: Driven, held: _Held) -> None:

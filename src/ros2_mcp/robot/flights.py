@@ -126,10 +126,12 @@ class Flight(Job):
         except RobotError as error:
             return Braked("", False, str(error))
         if not mode:
-            return Braked("", False, f"MAVROS took none of the modes {', '.join(BRAKE_MODES)}: it may go on.")
+            return Braked(
+                "", False, f"MAVROS accepted none of the modes {', '.join(BRAKE_MODES)}: the vehicle may still move."
+            )
         if await self.until(lambda: self.mode == mode or self.armed is False, BRAKED_S):
             return Braked(mode, True)
-        said = f"it still says {self.mode}" if self.mode else "it says nothing of its mode"
+        said = f"the vehicle still reports {self.mode}" if self.mode else "the vehicle does not report its mode"
         return Braked(mode, False, f"The mode {mode} was sent, but {said}.")
 
     async def until(self, holds: Callable[[], bool], within_s: float) -> bool:

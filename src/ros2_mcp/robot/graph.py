@@ -242,7 +242,7 @@ class Graph:
         place = f"Is it on, in the same domain (ROS_DOMAIN_ID is {self.domain_id} here), and reachable from here?"
         if self._bridge.is_remote:
             place = (
-                f"Are its nodes running there, and in {domain}? Another domain is chosen by --domain-id N, or by "
+                f"Are its nodes running there, and in {domain}? Choose another domain with --domain-id N, or with "
                 "?domain_id=N at the end of its address."
             )
         return " ".join(filter(None, (f"No robot is seen in {domain}.", left, place)))

@@ -253,7 +253,7 @@ class Jobs:
         if job := self.get(kind, job_id):
             return job
         ids = [job.id for job in self.all(kind)]
-        hint = f"{kind.listed_by} shows them." if kind.listed_by else f"Known are: {', '.join(ids) or 'none'}."
+        hint = f"{kind.listed_by} shows them." if kind.listed_by else f"Known: {', '.join(ids) or 'none'}."
         raise NotFound(f"There is no {kind.kind} {job_id!r}.", did_you_mean(job_id, ids, hint))
 
     def chosen(self, kind: type[_Job], job_id: str) -> list[_Job]:

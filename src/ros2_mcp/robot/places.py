@@ -72,8 +72,8 @@ class Places:
         alike = [place for place in known.values() if place.name.lower() == name.lower()]
         if found := known.get(name) or (alike[0] if len(alike) == 1 else None):
             return found
-        kept = f"Kept are: {listed(sorted(known), _MOST_NAMED)}." if known else "No place is kept yet."
-        by_numbers = "Say where it is with x and y, which ros2_scene shows; ros2_place_set keeps a place by its name."
+        kept = f"Kept places: {listed(sorted(known), _MOST_NAMED)}." if known else "No place is kept yet."
+        by_numbers = "Give x and y, which ros2_scene shows; ros2_place_set keeps a place by its name."
         hint = did_you_mean(name, list(known), by_numbers)
         raise NotFound(f"There is no place {quoted(name)}. {kept}", hint)
 
@@ -123,7 +123,9 @@ class Places:
         try:
             return {name: _place(name, fields) for name, fields in json.loads(text)["places"].items()}
         except (ValueError, KeyError, TypeError, AttributeError) as error:
-            raise BadData(f"The file of places {file} is damaged: {error!r}.", "Mend it, or move it away.") from error
+            raise BadData(
+                f"The file of places {file} is damaged: {error!r}.", "Repair the file, or move it away."
+            ) from error
 
     def _write(self, places: Mapping[str, NamedPlace]) -> None:
         self._in_memory = dict(places)

@@ -106,8 +106,8 @@ class Types:
             return _one_of(present.types, requested, present.topic)
         raise TypeConflict(
             f"{present.topic} has {len(present.types)} types: {', '.join(map(named, present.types))}.",
-            f"{_who_has_which(present)}End what should not be there, or give the type you mean to a tool that takes "
-            "one: ros2_topic_subscribe takes msg_type.",
+            f"{_who_has_which(present)}End the node that should not be there, or give the type: ros2_topic_subscribe "
+            "takes msg_type.",
         )
 
     async def destination(self, topic: str, requested: str = "") -> Destination:

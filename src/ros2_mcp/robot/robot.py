@@ -95,8 +95,8 @@ def _check_room(core: Core, command: Command[Any]) -> None:
     for job in core.jobs.running(Job):
         if job.has_its_topics_alone and command.name in job.moves:
             raise Refused(
-                f"{job.id} drives by {named(command.name)}, which is its alone until it ends: nothing was sent.",
-                "Wait for its end, or end it with ros2_stop.",
+                f"{job.id} has sole use of {named(command.name)} until it ends: nothing was sent.",
+                "Wait until it ends, or end it with ros2_stop.",
             )
 
 

@@ -19,7 +19,7 @@ _MOST_ENDED = 1000
 """Clients whose ends are remembered: more than can have a call under way that was accepted before their end."""
 _STOPPED = "ros2_stop came after this call was accepted: nothing was sent."
 _DEPARTURE = "the end of its client"
-_CLIENT_GONE = "The client that asked for this has gone: it was ended."
+_CLIENT_GONE = "Ended: the client that asked for it has gone."
 
 
 @dataclass(frozen=True, slots=True)

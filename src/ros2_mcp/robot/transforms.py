@@ -261,7 +261,7 @@ class TransformListener:
             if self.namespace and (await self._graph.endpoints(TF)).publishers:
                 self.namespace = ""
                 self._publishers.clear()
-                raise RobotError(f"{TF} itself is published now: what is asked next is asked of it")
+                raise RobotError(f"{TF} itself is published now: the next call uses it")
             await asyncio.sleep(_SEEN_S)
 
     async def _find_left(self, tree: FrameTree) -> None:

@@ -49,7 +49,7 @@ async def _meaning(core: Core, command: ServiceCall) -> ServiceBorne:
     if meant.verb == "goal":
         goal_id = goal_id_hex(request["goal_id"]["uuid"])
         if not int(goal_id, 16):
-            raise BadValue("goal_id.uuid", "all zeros is no goal, it stands for every goal.", "Give 16 random bytes.")
+            raise BadValue("goal_id.uuid", "all zeros mean every goal, not one.", "Give 16 random bytes.")
         goal = cast("dict[str, Any]", command.value).get("goal", {})
         return commands.SendGoal(**common, type=meant.type, value=goal, goal_id=goal_id)
     goal_id = goal_id_hex(request["goal_info"]["goal_id"]["uuid"])

@@ -124,7 +124,7 @@ class Values:
                 if each.type.is_message:
                     self._require_finite(each.type.base, entry, f"{below}.")
                 elif isinstance(entry, float) and not math.isfinite(entry):
-                    what = f"{entry} is no finite number: nothing can be driven with it."
+                    what = f"{entry} is not a finite number: a motion needs finite numbers."
                     raise BadValue(below, what, "Give a number.")
 
     async def render(self, type_name: str, body: bytes, options: RenderOptions | None = None) -> Rendered:
@@ -177,5 +177,5 @@ class Values:
         if not unknown:
             return fields, ""
         first, *others = unknown
-        also = f" Likewise unknown: {listed(others, _MAX_UNKNOWN)}." if others else ""
+        also = f" Also unknown: {listed(others, _MAX_UNKNOWN)}." if others else ""
         return fields, f"Fields are missing: {unknown[first]}{also}"

@@ -24,11 +24,11 @@ PLACE = 90
 
 ActionName = Annotated[str, Field(description="Such as /navigate_to.")]
 ActionType = Annotated[str, Field(description="Such as nav2_msgs/action/NavigateToPose. Default: the action's own.")]
-GoalId = Annotated[str, Field(description="The goal's id: 32 hexadecimal digits.")]
-Duration = Annotated[Number, Field(gt=0, le=MAX_DURATION_S, description="Listen for so many seconds.")]
+GoalId = Annotated[str, Field(description="ID of the goal: 32 hexadecimal digits.")]
+Duration = Annotated[Number, Field(gt=0, le=MAX_DURATION_S, description="Listening time in seconds.")]
 MaxMessages = Annotated[Whole, Field(ge=1, le=MAX_MESSAGES, description="Stop after this many messages.")]
 ResultTimeout = Annotated[
-    Number | None, Field(ge=0, le=MAX_DURATION_S, description="Wait at most so many seconds for the result.")
+    Number | None, Field(ge=0, le=MAX_DURATION_S, description="Maximum wait for the result, in seconds.")
 ]
 
 
@@ -55,13 +55,15 @@ async def ros2_send_action_goal(
     timeout_sec: ResultTimeout = 60.0,
     cancel_when: Annotated[
         str,
-        Field(description='Cancel it as soon as this holds, of its feedback or as "/scan: nearest(-20, 20) < 0.4".'),
+        Field(
+            description='Cancel the goal when its feedback, or a topic ("/scan: nearest(-20, 20) < 0.4"), meets this.'
+        ),
     ] = "",
 ) -> GoalOutcome:
     """Send a goal to an action server. Can move the robot.
 
-    With wait_for_result the result is waited for, with feedback as progress; if the time ends first the goal goes on
-    (status TIMEOUT). Without it, use ros2_action_request_result with the goal_id later.
+    With wait_for_result, waits for the result and reports feedback as progress; after a time-out the goal continues
+    (status TIMEOUT). Without it, call ros2_action_request_result with the goal_id later.
     """
     return await send_goal(
         robot,
@@ -79,14 +81,14 @@ async def ros2_send_action_goal(
 async def ros2_cancel_action_goal(
     robot: Robot,
     action_name: ActionName,
-    goal_id_hex: Annotated[str, Field(description="The goal's id; needed unless cancel_all is true.")] = "",
+    goal_id_hex: Annotated[str, Field(description="ID of the goal; required unless cancel_all is true.")] = "",
     cancel_all: Annotated[Flag, Field(description="Cancel every goal of the action.")] = False,
     stamp_sec: Annotated[
-        Whole, Field(description="Goals accepted up to this time too; with cancel_all only those.")
+        Whole, Field(description="Also goals accepted up to this time; with cancel_all, only those.")
     ] = 0,
     stamp_nanosec: Annotated[Whole, Field(ge=0, lt=1_000_000_000, description="Nanoseconds of that time.")] = 0,
     wait_timeout_sec: Annotated[
-        Number, Field(gt=0, le=60, description="Wait at most so many seconds for the answer.")
+        Number, Field(gt=0, le=60, description="Maximum wait for the answer, in seconds.")
     ] = 3.0,
 ) -> Cancellation:
     """Ask an action server to cancel a goal, or all goals."""
@@ -115,12 +117,12 @@ async def ros2_action_request_result(
     action_type: ActionType = "",
     timeout_sec: ResultTimeout = 60.0,
     wait_for_service_sec: Annotated[
-        Number, Field(ge=0, le=60, description="Wait so many seconds for the server.")
+        Number, Field(ge=0, le=60, description="Maximum wait for the server, in seconds.")
     ] = 3.0,
     *,
     waits: Waits,
 ) -> GoalResult:
-    """Wait for the result of a goal, whoever sent it. A time-out does not cancel it."""
+    """Wait for the result of a goal, whoever sent the goal. A time-out does not cancel the goal."""
     return await request_result(
         robot,
         action_name,
@@ -139,13 +141,13 @@ async def ros2_action_subscribe_feedback(
     report: Report,
     action_name: ActionName,
     action_type: ActionType = "",
-    goal_id_hex: Annotated[str | None, Field(description="Only this goal; default: every goal.")] = None,
+    goal_id_hex: Annotated[str | None, Field(description="Only this goal. Default: every goal.")] = None,
     duration_sec: Duration = 5.0,
     max_messages: MaxMessages = 100,
     *,
     selection: Selection,
 ) -> FeedbackMessages:
-    """Follow the feedback of an action's goals for a while, whoever sent them."""
+    """Report the feedback of an action's goals for duration_sec, whoever sent the goals."""
     return await follow_feedback(
         robot,
         action_name,
@@ -168,7 +170,7 @@ async def ros2_action_subscribe_status(
     duration_sec: Duration = 5.0,
     max_messages: MaxMessages = 100,
 ) -> StatusFrames:
-    """Follow how the states of an action's goals change for a while; the last known states come first."""
+    """Report state changes of an action's goals for duration_sec; the last known states come first."""
     return await follow_status(robot, action_name, duration_s=duration_sec, max_messages=max_messages, report=report)
 
 
@@ -180,5 +182,5 @@ async def ros2_action_subscribe_status(
     finds="which goals are running, state of all actions",
 )
 async def ros2_action_status(robot: Robot) -> KnownGoals:
-    """Show every goal of every action with its state and age, in one look."""
+    """List every goal of every action with its state and age."""
     return await all_goals(robot)

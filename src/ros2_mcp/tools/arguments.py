@@ -11,18 +11,21 @@ from ros2_mcp.ops.sources.selection import MAX_MESSAGES
 from ros2_mcp.ops.sources.times import is_seconds_ago, taken_as
 from ros2_mcp_bridge.limits import MAX_DURATION_S
 
+WHOLE_SENTENCE = "whole_sentence"
+"""The type of a validation error whose message also says what was given."""
+
 
 def _no_bool(value: Any) -> Any:
     """Python's `True` is the integer 1: as a number it can only be a mistake."""
     if isinstance(value, bool):
-        raise ValueError("a number is meant")
+        raise ValueError("a number is expected")
     return value
 
 
 def _strictly_bool(value: Any) -> Any:
     """Pydantic would take 1 and "yes" as well, and a flag may decide whether something is sent to the robot."""
     if not isinstance(value, bool):
-        raise ValueError("give true or false")
+        raise ValueError("true or false is expected")
     return value
 
 
@@ -52,42 +55,42 @@ MessageType = Annotated[
     str,
     Field(description="Such as sensor_msgs/msg/LaserScan. Default: the topic's own."),
 ]
-Pattern = Annotated[str, Field(description="Only names (or types) with this part; or a glob: */map*.")]
+Pattern = Annotated[str, Field(description="Part of a name (or type), or a glob: */map*.")]
 # At most: a result as long as that is cut by its size in characters (`binding.py`) before it is by this number.
-Limit = Annotated[Whole, Field(ge=1, le=2000, description="List at most so many.")]
+Limit = Annotated[Whole, Field(ge=1, le=2000, description="Maximum rows.")]
 Hidden = Annotated[Flag, Field(description="Also hidden names (a part starts with _).")]
 Fields = Annotated[
     list[str] | None,
     Field(
-        description='Only these parts: ["pose.pose.position", "ranges[0:10]", '
+        description='Only these fields: ["pose.pose.position", "ranges[0:10]", '
         "\"transforms[child_frame_id == 'base_link']\"]."
     ),
 ]
 # At most 10,000 elements: with three digits and a comma each that is 40 kB, and a result has 12 kB.
 MaxArray = Annotated[
     Whole,
-    Field(ge=0, le=10_000, description="Longer arrays are summarised."),
+    Field(ge=0, le=10_000, description="Summarise longer arrays."),
 ]
-EveryN = Annotated[Whole, Field(ge=1, le=1_000_000, description="Keep only every n-th message.")]
-FromBag = Annotated[str, Field(description='Ask this recording, not the robot now; "black box": our own.')]
+EveryN = Annotated[Whole, Field(ge=1, le=1_000_000, description="Keep every n-th message.")]
+FromBag = Annotated[str, Field(description='Read this bag, not live data; "black box": this server\'s.')]
 FromStart = Annotated[
     str,
     BeforeValidator(_as_text),
     TimeArgument(),
-    Field(description='Of it: ISO 8601, UNIX time, "last 30 s" or "12 s in".'),
+    Field(description='Start: ISO 8601, UNIX time, "last 30 s", "12 s in".'),
 ]
 UpToEnd = Annotated[str, BeforeValidator(_as_text), TimeArgument(), Field(description="Like start.")]
 RecordedTime = Annotated[
     str,
     BeforeValidator(_as_text),
     TimeArgument(),
-    Field(description='Of the recording: ISO 8601, UNIX time or "12 s in". Default: its end.'),
+    Field(description='Time in the bag: ISO 8601, UNIX time or "12 s in". Default: its end.'),
 ]
 Seconds = Annotated[Number, Field(ge=0, le=MAX_DURATION_S)]
-Duration = Annotated[Number | None, Field(gt=0, le=MAX_DURATION_S, description="Collect for so many seconds.")]
+Duration = Annotated[Number | None, Field(gt=0, le=MAX_DURATION_S, description="Seconds to collect.")]
 MessageLimit = Annotated[
     Whole | None,
-    Field(ge=1, le=MAX_MESSAGES, description="Stop after this many messages (alone: waiting at most 20 s)."),
+    Field(ge=1, le=MAX_MESSAGES, description="Stop after this many messages; without duration, in 20 s at most."),
 ]
 NumericFields = Annotated[
     list[str] | None,
@@ -99,15 +102,14 @@ BagStart = Annotated[
     BeforeValidator(_as_text),
     TimeArgument(),
     Field(
-        description='From this moment on: ISO 8601, UNIX time; "last 30 s" is that long before the end, "2 min in" '
-        "that long after its beginning."
+        description='ISO 8601, UNIX time, "last 30 s" (before the end of the bag) or "2 min in" (after its beginning).'
     ),
 ]
 BagEnd = Annotated[
     str,
     BeforeValidator(_as_text),
     TimeArgument(),
-    Field(description="Up to this moment (a time is included), written like start. Default: the end of the bag."),
+    Field(description="Like start; inclusive. Default: the end of the bag."),
 ]
 PastTime = Annotated[
     str,
@@ -120,17 +122,17 @@ AtTime = Annotated[
     str,
     BeforeValidator(_as_text),
     TimeArgument(),
-    Field(description='"2 s ago", ISO 8601, stamp.'),
+    Field(description='ISO 8601, a stamp or "2 s ago".'),
 ]
 Since = Annotated[
     str,
     BeforeValidator(_as_text),
     TimeArgument(ago=True),
-    Field(description='Seconds ago, such as "30", or a time (ISO 8601). Default: all that is kept.'),
+    Field(description='Seconds ago, such as "30", or an ISO 8601 time. Default: all kept lines.'),
 ]
 UpToLogEnd = Annotated[
     str,
     BeforeValidator(_as_text),
     TimeArgument(ago=True),
-    Field(description='Like since; of a recording also "12 s in". Default: now, or its end.'),
+    Field(description='Like since; in a bag also "12 s in". Default: now, or the end of the bag.'),
 ]

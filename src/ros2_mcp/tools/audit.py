@@ -24,7 +24,7 @@ PLACE = 135
 )
 async def ros2_audit_read(
     robot: Robot,
-    limit: Annotated[Whole, Field(ge=1, le=audit.MOST, description="The newest so many.")] = 50,
+    limit: Annotated[Whole, Field(ge=1, le=audit.MOST, description="Number of newest entries to return.")] = 50,
 ) -> audit.AuditExcerpt:
-    """Read what you did to this robot, what was refused and why, as the audit has it."""
+    """Read the audit log: what you did to this robot, what was refused and why."""
     return await audit.read(robot, limit)

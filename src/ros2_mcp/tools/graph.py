@@ -23,7 +23,7 @@ PLACE = 12
     finds="connection, is ROS running, bridge, distribution, domain, middleware",
 )
 async def ros2_status(robot: Robot, limitations: Limitations) -> status.Status:
-    """Show which ROS 2 this server uses (distribution, middleware, domain), its health, and what is not possible."""
+    """Show which ROS 2 this server uses (distribution, middleware, domain), its health, and what it cannot do."""
     return await status.status(robot, limitations)
 
 
@@ -41,7 +41,7 @@ async def ros2_get_message_fields(
         Field(description="A message, service or action type, such as geometry_msgs/msg/Twist or std_srvs/SetBool."),
     ],
 ) -> interfaces.Definition:
-    """Show the whole definition of a type, all sides and nested types, with an example value ready to fill in."""
+    """Show the full definition of a type, with all parts and nested types, with an example value ready to fill in."""
     return await interfaces.define(robot, message_type)
 
 
@@ -52,8 +52,8 @@ async def ros2_interface_list(
     robot: Robot,
     pattern: Pattern = "",
     kind: Annotated[str, Field(description="Only this kind: msg, srv or action.")] = "",
-    package: Annotated[str, Field(description="Only of this package, such as std_msgs.")] = "",
+    package: Annotated[str, Field(description="Only this package, such as std_msgs.")] = "",
     limit: Limit = 200,
 ) -> interfaces.InterfaceList:
-    """List the message, service and action types installed on the robot, or that a recording has."""
+    """List the message, service and action types installed on the robot, or stored in the recording."""
     return await interfaces.list_interfaces(robot, pattern, kind, package, limit)

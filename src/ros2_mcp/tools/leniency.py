@@ -52,7 +52,7 @@ def _bounded(node: Schema, value: object, path: str, told: list[str]) -> object:
     if number is None:
         return value
     if number > node.get("maximum", number):
-        told.append(f"{path}: {number:g} is above the maximum, {node['maximum']:g} was taken.")
+        told.append(f"{path}: {number:g} is above the maximum; {node['maximum']:g} was used.")
         return node["maximum"]
     return number
 

@@ -26,19 +26,21 @@ PLACE = 50
 async def ros2_log_read(
     robot: Robot,
     since: Since = "",
-    node: Annotated[str, Field(description="Only of this node, such as /planner; also a part or a glob.")] = "",
-    level: Annotated[str, Field(description="From this level on: debug, info, warn, error or fatal.")] = "",
+    node: Annotated[
+        str, Field(description="Only lines of this node, such as /planner; or a part of its name, or a glob.")
+    ] = "",
+    level: Annotated[str, Field(description="Minimum level: debug, info, warn, error or fatal.")] = "",
     pattern: Annotated[str, Field(description="Only lines with this text, or a glob for the whole line.")] = "",
-    limit: Annotated[Whole, Field(ge=1, le=5000, description="The newest so many.")] = 100,
+    limit: Annotated[Whole, Field(ge=1, le=5000, description="Number of newest lines to return.")] = 100,
     end: UpToLogEnd = "",
     *,
     selection: Selection,
     source: LogSource,
 ) -> log.Log:
-    """Read what the robot's nodes have logged on /rosout: problems show here first.
+    """Read what the robot's nodes logged on /rosout. Problems appear here first.
 
-    Lines are kept from the start of this server on (the newest 5000), and from a few seconds before. In a
-    recording, seconds ago count back from its end.
+    The server keeps the newest 5000 lines since it started, and those of a few seconds before. In a recording, seconds
+    ago are counted from its end.
     """
     request = log.LogRequest(since=since, until=end, node=node, level=level, pattern=pattern, limit=limit)
     if source.is_live:

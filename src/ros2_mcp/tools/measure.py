@@ -20,8 +20,8 @@ from ros2_mcp_bridge.limits import MAX_DURATION_S, MAX_RATE_HZ
 
 PLACE = 30
 
-MeasuredFor = Annotated[Number, Field(ge=0.1, le=600, description="Measure for so many seconds.")]
-Names = Annotated[list[str] | None, Field(max_length=100, description="Names that must be there.")]
+MeasuredFor = Annotated[Number, Field(ge=0.1, le=600, description="Measuring time in seconds.")]
+Names = Annotated[list[str] | None, Field(max_length=100, description="Names that must exist.")]
 
 
 @tool(
@@ -38,22 +38,22 @@ async def ros2_wait_until(
     condition: Annotated[
         str,
         Field(
-            description="Over the message's fields, such as: pose.pose.position.x > 1.0 and twist.twist.linear.x == 0. "
+            description="On the message's fields, such as: pose.pose.position.x > 1.0 and twist.twist.linear.x == 0. "
             "With and, or, not, + - * /, comparisons, in, abs(), min(), max(), len(), hypot(), sqrt(), atan2(), "
-            "yaw(pose.pose.orientation) (rad), [index] (not met where the list is shorter). Of laser scans: "
-            "nearest(-20, 20) < 0.6 (deg, m), range_at(90). Of all elements: "
-            "max(status[*].level) == 2; with the fields of one: "
+            "yaw(pose.pose.orientation) (rad), [index] (not met where the list is shorter). For laser scans: "
+            "nearest(-20, 20) < 0.6 (deg, m), range_at(90). For all elements: "
+            "max(status[*].level) == 2; for the fields of one element: "
             'any(status, name == "imu" and level > 1), all().'
         ),
     ],
-    timeout: Annotated[Number, Field(gt=0, le=MAX_DURATION_S, description="Wait at most so many seconds.")] = 30.0,
+    timeout: Annotated[Number, Field(gt=0, le=MAX_DURATION_S, description="Maximum wait in seconds.")] = 30.0,
     *,
     selection: Selection,
     source: Source,
 ) -> waiting.Wait:
-    """Wait until a message of a topic meets a condition. Every message is looked at; returns the one that met it.
+    """Wait until a message of a topic meets a condition. Every message is checked; returns the one that met it.
 
-    Hidden topics too, such as /navigate_to_pose/_action/status. In a recording: the first one that met it.
+    Hidden topics work too, such as /navigate_to_pose/_action/status. In a recording, returns the first that met it.
     """
     lasting = source.lasting(timeout)
     return await waiting.wait_until(lasting, topic_name, condition, report, max_bytes=selection.max_bytes)
@@ -71,12 +71,10 @@ async def ros2_health_check(
     expected_topics: Names = None,
     expected_services: Names = None,
     expected_nodes: Names = None,
-    check_rates: Annotated[
-        Flag, Field(description="Listen to topics; else look at the graph and diagnostics only.")
-    ] = True,
-    rate_check_duration_sec: Annotated[Number, Field(ge=0.5, le=60, description="Listen for so many seconds.")] = 3.0,
+    check_rates: Annotated[Flag, Field(description="Listen to topics too; false: graph and diagnostics only.")] = True,
+    rate_check_duration_sec: Annotated[Number, Field(ge=0.5, le=60, description="Listening time in seconds.")] = 3.0,
     min_expected_rate_hz: Annotated[
-        Number, Field(ge=0, le=MAX_RATE_HZ, description="Of sensors and expected topics.")
+        Number, Field(ge=0, le=MAX_RATE_HZ, description="Minimum rate of sensors and expected topics.")
     ] = 1.0,
     *,
     source: Source,
@@ -109,7 +107,7 @@ async def ros2_topic_statistics(
 ) -> statistics.Statistics:
     """Measure numeric fields of topics at the same time: min, max, mean, std, slope, gaps, jumps, stuck values, NaN.
 
-    Trends too, and when extremes were reached. For bytes and ages of messages use ros2_topic_stats.
+    Also trends, and when extremes were reached. For sizes and ages of messages use ros2_topic_stats.
     """
     return await statistics.measure(source.lasting(duration), topic_names, selection, report)
 
@@ -128,14 +126,16 @@ async def ros2_topic_compare(
     topic2_name: TopicName,
     duration_sec: MeasuredFor = 5.0,
     diff_fields: NumericFields = None,
-    tolerance_percent: Annotated[Number, Field(ge=0, le=100, description="Of a field's range (max - min).")] = 0.1,
-    sync_by_timestamp: Annotated[Flag, Field(description="Pair by header stamp; else by time of receipt.")] = True,
+    tolerance_percent: Annotated[
+        Number, Field(ge=0, le=100, description="Tolerance in percent of a field's range (max - min).")
+    ] = 0.1,
+    sync_by_timestamp: Annotated[Flag, Field(description="Pair by header stamp; false: by time of receipt.")] = True,
     *,
     source: Source,
 ) -> comparison.Comparison:
     """Compare two topics over the same time, field by field: differences, correlation, delay.
 
-    Quaternions as rotations, angles (by name: yaw, heading, ...) modulo a turn.
+    Quaternions are compared as rotations, angles (by name: yaw, heading, ...) modulo one turn.
     The verdict is IDENTICAL, SIMILAR, DIFFERENT or VERY DIFFERENT.
     """
     return await comparison.compare(

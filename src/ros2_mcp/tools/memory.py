@@ -37,8 +37,8 @@ HISTORY_PLACE = 120
 
 Bytes = Annotated[Whole, Field(ge=0, le=record.MAX_BYTES)]
 Topics = Annotated[list[str] | None, Field(min_length=1, description="Only these topics.")]
-RecordingId = Annotated[str, Field(description="As ros2_record_start gave it. Default: the only one that runs.")]
-PlaybackId = Annotated[str, Field(description="As ros2_bag_play gave it.")]
+RecordingId = Annotated[str, Field(description="ID from ros2_record_start. Default: the only running recording.")]
+PlaybackId = Annotated[str, Field(description="ID from ros2_bag_play.")]
 
 
 @tool(
@@ -59,15 +59,15 @@ async def ros2_record_start(
         Field(min_length=1, description="Globs such as /camera/*, or parts of names. Default without topics: all."),
     ] = None,
     max_duration_sec: Annotated[
-        Number, Field(ge=0, le=604_800, description="End after so many seconds; 0: never.")
+        Number, Field(ge=0, le=604_800, description="Maximum duration in seconds; 0: no limit.")
     ] = 0.0,
-    max_bytes: Annotated[Bytes, Field(description="End at this size; 0: never.")] = 0,
-    split_bytes: Annotated[Bytes, Field(description="Begin a new file at this size; 0: never.")] = 0,
+    max_bytes: Annotated[Bytes, Field(description="Maximum size in bytes; 0: no limit.")] = 0,
+    split_bytes: Annotated[Bytes, Field(description="Start a new file at this size in bytes; 0: never.")] = 0,
     name: Annotated[str, Field(max_length=200, description="Name of the recording. Default: the time.")] = "",
 ) -> record.RecordingState:
-    """Begin to record topics to disk (MCAP in a rosbag2 folder). It goes on until a limit or ros2_record_stop.
+    """Start recording topics to disk (MCAP in a rosbag2 folder). The recording runs until a limit or ros2_record_stop.
 
-    Latched messages are included; topics that appear later join within a second. /agent/calls has what you do.
+    Latched messages are included; topics that appear later join within a second. Your calls are on /agent/calls.
     """
     request = record.RecordRequest(
         topics=topics or (),
@@ -82,9 +82,9 @@ async def ros2_record_start(
 
 @tool(title="Recordings", risk="read", group="memory", by_default=False, finds="is it recording, how large is the bag")
 async def ros2_record_status(
-    robot: Robot, recording_id: Annotated[str, Field(description="Only this one; default: all.")] = ""
+    robot: Robot, recording_id: Annotated[str, Field(description="Only this recording. Default: all.")] = ""
 ) -> record.RecordingStates:
-    """Show how recordings stand: messages, bytes and losses of each topic, and why one ended."""
+    """Show the state of recordings: messages, bytes and losses of each topic, and why a recording ended."""
     return await record.status(robot, recording_id)
 
 
@@ -116,7 +116,7 @@ async def ros2_bag_list(store: BagStore, pattern: Pattern = "", limit: Limit = 2
     finds="what is in a bag: topics, duration, size",
 )
 async def ros2_bag_info(store: BagStore, bag: BagName) -> bags.BagInfo:
-    """Show the topics, types, counts and times of a bag, and what of it is damaged or missing."""
+    """Show the topics, types, counts and times of a bag, and which parts are damaged or missing."""
     return await bags.info(store, bag)
 
 
@@ -135,11 +135,11 @@ async def ros2_bag_read(
     topic_name: TopicName,
     start: BagStart = "",
     end: BagEnd = "",
-    limit: Annotated[Whole, Field(ge=1, le=10_000, description="How many messages at most.")] = 20,
+    limit: Annotated[Whole, Field(ge=1, le=10_000, description="Maximum number of messages.")] = 20,
     *,
     selection: Messages,
 ) -> bags.BagMessages:
-    """Read messages of one topic of a bag: the first ones from start on, or without start the last ones."""
+    """Read messages of one topic in a bag: the first ones from start on, or without start the last ones."""
     chosen = replace(selection, message_limit=limit)
     return await bags.read(robot, store, bag, topic_name, chosen, start=start, end=end)
 
@@ -150,24 +150,26 @@ async def ros2_bag_play(
     store: BagStore,
     report: Report,
     bag: BagName,
-    rate: Annotated[Number, Field(ge=0.01, le=100, description="Speed; 2 is twice as fast.")] = 1.0,
+    rate: Annotated[Number, Field(ge=0.01, le=100, description="Speed factor; 2: twice as fast.")] = 1.0,
     start: BagStart = "",
     end: BagEnd = "",
     topics: Topics = None,
     remaps: Annotated[dict[str, str] | None, Field(description='New names, such as {"/scan": "/old/scan"}.')] = None,
-    loop: Annotated[Flag, Field(description="Begin again at the end, until stopped.")] = False,
+    loop: Annotated[Flag, Field(description="Start again at the end, until stopped.")] = False,
     force: Annotated[
         Flag,
-        Field(description="Also onto topics that have a live publisher, and velocity commands that move the robot."),
+        Field(description="Also publish on topics with a live publisher, and velocity commands that move the robot."),
     ] = False,
     wait_sec: Annotated[
         Number,
         Field(
-            ge=0, le=MAX_DURATION_S, description="Wait this long for its end, in seconds; then it goes on by itself."
+            ge=0,
+            le=MAX_DURATION_S,
+            description="Maximum wait for the end, in seconds; the playback continues afterwards.",
         ),
     ] = 40.0,
 ) -> play.PlaybackState:
-    """Publish a bag's messages again in their rhythm. Can move the robot if it holds commands: choose topics."""
+    """Publish a bag's messages again with their timing. Can move the robot if the bag holds commands: choose topics."""
     request = play.PlayRequest(
         bag=bag, rate=rate, start=start, end=end, topics=topics or (), remaps=remaps or {}, loop=loop, force=force
     )
@@ -176,9 +178,9 @@ async def ros2_bag_play(
 
 @tool(title="Playbacks", risk="read", group="memory", by_default=False, finds="how far is the playback")
 async def ros2_bag_play_status(
-    robot: Robot, playback_id: Annotated[str, Field(description="Only this one; default: all.")] = ""
+    robot: Robot, playback_id: Annotated[str, Field(description="Only this playback. Default: all.")] = ""
 ) -> play.PlaybackStates:
-    """Show how far playbacks of bags have come, what was published, and why one ended."""
+    """Show the progress of bag playbacks, what was published, and why a playback ended."""
     return await play.status(robot, playback_id)
 
 
@@ -208,9 +210,9 @@ async def ros2_get_messages(
     time_end: UpToPastTime = "",
     *,
     selection: Messages,
-    bucket_name: Annotated[str, Field(description="Bucket of a Data Black Box that has several.")] = "",
+    bucket_name: Annotated[str, Field(description="Bucket, if the Data Black Box has several.")] = "",
 ) -> messages.StoredMessages:
-    """Get messages that were sent earlier, and say from where: a WiseVision Data Black Box, recordings, opened bags."""
+    """Get messages published earlier, from a WiseVision Data Black Box, recordings or opened bags; names the source."""
     names = ("time_start", "time_end")
     request = SourceRequest(start=time_start.strip(), end=time_end.strip(), bucket=bucket_name, names=names)
     chosen = replace(selection, message_limit=number_of_messages or None)

@@ -17,7 +17,9 @@ from ros2_mcp_bridge.limits import MAX_DURATION_S
 PLACE = 62
 """Beside publishing: what only reads comes before, `ros2_stop` after."""
 
-Found = Annotated[str, Field(description="Default: found.")]
+VelocityTopic = Annotated[str, Field(description="Velocity topic. Default: from the graph.")]
+OdometryTopic = Annotated[str, Field(description="Odometry topic. Default: from the graph.")]
+ScanTopic = Annotated[str, Field(description="Laser scan topic. Default: from the graph.")]
 MetresPerSecond = Annotated[Number, Field(ge=-10, le=10, description="In m/s.")]
 
 
@@ -31,20 +33,22 @@ MetresPerSecond = Annotated[Number, Field(ge=-10, le=10, description="In m/s.")]
 async def ros2_drive(
     robot: Robot,
     report: Report,
-    distance_m: Annotated[Number | None, Field(description="Ahead; negative: back.")] = None,
-    angle_deg: Annotated[Number | None, Field(description="Turn on the spot; positive: left.")] = None,
-    radius_m: Annotated[Number | None, Field(description="With angle_deg: an arc ahead.")] = None,
+    distance_m: Annotated[Number | None, Field(description="Metres ahead; negative: back.")] = None,
+    angle_deg: Annotated[Number | None, Field(description="Degrees to turn on the spot; positive: left.")] = None,
+    radius_m: Annotated[Number | None, Field(description="With angle_deg: radius in metres of an arc ahead.")] = None,
     speed: Annotated[Number | None, Field(description="m/s; on the spot °/s.")] = None,
     guard_m: Annotated[
-        Number | None, Field(description="Stop when something in the way is so near to its outline, by a laser scan.")
+        Number | None,
+        Field(description="Stop when an obstacle in the way is this near (m) to the outline, by a laser scan."),
     ] = None,
-    topic_name: Found = "",
-    odometry: Found = "",
-    scan: Found = "",
+    topic_name: VelocityTopic = "",
+    odometry: OdometryTopic = "",
+    scan: ScanTopic = "",
 ) -> drive.Driven:
-    """Drive a distance or turn an angle, closed by odometry; returns when the robot stands. Moves the robot.
+    """Drive a distance or turn an angle by odometry feedback; returns when the robot stands still. Moves the robot.
 
-    Says how far it came, what is missing, and what ended it. It stops when odometry or scan falls silent.
+    Reports how far the robot came, what is missing, and what ended the motion. Stops when odometry or scan
+    falls silent.
     """
     request = drive.DriveRequest(
         distance_m=distance_m,
@@ -71,25 +75,25 @@ async def ros2_move_until(
     robot: Robot,
     report: Report,
     topic_name: TopicName,
-    condition: Annotated[str, Field(description='As of ros2_wait_until, such as "nearest(-20, 20) < 0.6" of a scan.')],
+    condition: Annotated[str, Field(description='As in ros2_wait_until, such as "nearest(-20, 20) < 0.6" of a scan.')],
     linear_x: MetresPerSecond = 0.0,
     linear_y: MetresPerSecond = 0.0,
     linear_z: MetresPerSecond = 0.0,
     angular_z: Annotated[Number, Field(ge=-10, le=10, description="In rad/s; positive: left.")] = 0.0,
-    timeout: Annotated[Number, Field(gt=0, le=MAX_DURATION_S, description="Ends after so many seconds.")] = 10.0,
+    timeout: Annotated[Number, Field(gt=0, le=MAX_DURATION_S, description="Maximum duration in seconds.")] = 10.0,
     max_distance_m: Annotated[
-        Number | None, Field(gt=0, le=1000, description="Ends after this distance, by odometry.")
+        Number | None, Field(gt=0, le=1000, description="Maximum distance in metres, by odometry.")
     ] = None,
     is_event: Annotated[
-        Flag, Field(description="The topic only tells of events, such as a bumper: it may be silent.")
+        Flag, Field(description="The topic publishes only on events, as a bumper does: it may be silent.")
     ] = False,
-    command_topic: Found = "",
-    odometry: Found = "",
+    command_topic: VelocityTopic = "",
+    odometry: OdometryTopic = "",
 ) -> until.MovedUntil:
-    """Move at a velocity until a message of a topic meets a condition, asked beside the robot; then it is stopped.
+    """Move at a velocity until a message of a topic meets a condition, checked beside the robot; then stop.
 
-    It stands while the topic or odometry is late, and ends when one falls silent. A condition that is met already moves
-    nothing.
+    The robot pauses while the topic or odometry is late; the motion ends when one falls silent. If the condition is
+    already met, nothing moves.
     """
     request = until.UntilRequest(
         topic_name=topic_name,
@@ -115,20 +119,22 @@ async def ros2_move_until(
 async def ros2_joint_move(
     robot: Robot,
     report: Report,
-    joints: Annotated[dict[str, Number], Field(description='In rad, or m: {"elbow_joint": 0.5}.')],
-    relative: Annotated[Flag, Field(description="From where they are now.")] = False,
+    joints: Annotated[dict[str, Number], Field(description='Targets in rad, or m: {"elbow_joint": 0.5}.')],
+    relative: Annotated[Flag, Field(description="Targets are relative to the current positions.")] = False,
     speed: Annotated[
         Number | None, Field(description="Share of each joint's velocity limit, up to 1; default 0.3.")
     ] = None,
-    duration_s: Annotated[Number | None, Field(description="Take so long instead.")] = None,
-    tolerance: Annotated[Number, Field(description="Arrived when so near.")] = joint_move.DEFAULT_TOLERANCE,
+    duration_s: Annotated[Number | None, Field(description="Duration in seconds, instead of a speed.")] = None,
+    tolerance: Annotated[
+        Number, Field(description="Tolerance: a joint has arrived when it is this near (rad or m).")
+    ] = joint_move.DEFAULT_TOLERANCE,
     controller: Annotated[
-        str, Field(description="Name of the controller, its action or its topic. Default: found.")
+        str, Field(description="Name of the controller, its action or its topic. Default: from the graph.")
     ] = "",
 ) -> joint_move.JointsMoved:
     """Move joints by name through a joint trajectory controller; returns when they have arrived. Moves the robot.
 
-    Checked against the URDF's limits of position and speed. Nothing is planned around obstacles.
+    Targets are checked against the URDF's limits of position and speed. No path is planned around obstacles.
     """
     request = joint_move.JointRequest(
         joints=joints,

@@ -5,13 +5,15 @@ from __future__ import annotations
 from typing import Annotated, Any, cast
 
 from pydantic import BeforeValidator, Field
+from pydantic_core import PydanticCustomError
 
+from ros2_mcp.model.text import excerpt
 from ros2_mcp.ops.navigation.navigate import Navigated, navigate
 from ros2_mcp.ops.navigation.places import PlaceKept, PlaceList, PlaceRequest, list_places, set_place
 from ros2_mcp.ops.navigation.preview import Preview, preview
 from ros2_mcp.ops.results import Report
 from ros2_mcp.robot import Robot
-from ros2_mcp.tools.arguments import Flag, Number, Pattern
+from ros2_mcp.tools.arguments import WHOLE_SENTENCE, Flag, Number, Pattern
 from ros2_mcp.tools.declare import tool
 from ros2_mcp_bridge.limits import MAX_DURATION_S
 
@@ -20,12 +22,24 @@ PLACE = 95
 
 def _as_object(to: Any) -> Any:
     """A name alone is that of a place."""
-    return {"place": to} if isinstance(to, str) else to
+    if isinstance(to, (dict, type(None))):
+        return cast("Any", to)
+    if isinstance(to, str):
+        return {"place": to}
+    raise _no_place(to)
+
+
+def _no_place(to: object) -> PydanticCustomError:
+    return PydanticCustomError(
+        WHOLE_SENTENCE, '{given} is not a place: write {"x": 1, "y": 0} or its name.', {"given": excerpt(to)}
+    )
 
 
 def _as_list(to: Any) -> Any:
     """One place is a list of one."""
     if isinstance(to, list):
+        if to and not any(isinstance(one, (str, dict, list)) for one in cast("list[Any]", to)):
+            raise _no_place(cast("object", to))  # numbers alone are the coordinates of one place
         return [_as_object(one) for one in cast("list[Any]", to)]
     return to if to is None else [_as_object(to)]
 
@@ -33,10 +47,10 @@ def _as_list(to: Any) -> Any:
 Pose = Annotated[
     dict[str, Any],
     BeforeValidator(_as_object),
-    Field(description='{"place": its name} or {"x", "y", "yaw_deg", "frame"} (m, degrees; frame: map).'),
+    Field(description='{"place": name} or {"x", "y", "yaw_deg", "frame"} (m, degrees; frame: map).'),
 ]
-Action = Annotated[str, Field(description="If there are several.")]
-Metres = Annotated[Number | None, Field(description="Metres. Without x and y: where the robot is.")]
+Action = Annotated[str, Field(description="Name of the action, if there are several.")]
+Metres = Annotated[Number | None, Field(description="Metres. Without x and y: the robot's pose.")]
 
 
 @tool(
@@ -52,22 +66,22 @@ async def ros2_navigate(
     to: Annotated[
         list[dict[str, Any]] | None,
         BeforeValidator(_as_list),
-        Field(description='Each {"place": its name} or {"x", "y", "yaw_deg", "frame"} (m, degrees; frame: map).'),
+        Field(description='In order, each {"place": name} or {"x", "y", "yaw_deg", "frame"} (m, degrees; frame: map).'),
     ] = None,
-    job_id: Annotated[str, Field(description="Wait for this job instead.")] = "",
-    timeout_sec: Annotated[Number, Field(ge=0, le=MAX_DURATION_S, description="Wait at most so many seconds.")] = 45.0,
+    job_id: Annotated[str, Field(description="Wait for this running job instead.")] = "",
+    timeout_sec: Annotated[Number, Field(ge=0, le=MAX_DURATION_S, description="Maximum wait in seconds.")] = 45.0,
     action_name: Action = "",
 ) -> Navigated:
     """Drive to places with Nav2, around obstacles. Can move the robot.
 
-    Says how long it took and how near it came; of a goal that failed the cause, and what would help. After a time-out,
-    call again with its job_id; ros2_stop ends it.
+    Reports the time taken and how near the robot came; for a failed goal, the cause and what would help. After a
+    time-out, call again with the job_id; ros2_stop ends the job.
     """
     return await navigate(robot, to, action=action_name, job_id=job_id, timeout_s=timeout_sec, report=report)
 
 
 @tool(
-    title="Preview a way",
+    title="Preview a path",
     risk="write",
     group="motion",
     by_default=False,
@@ -80,13 +94,13 @@ async def ros2_nav_preview(
     start: Annotated[
         dict[str, Any] | None,
         BeforeValidator(_as_object),
-        Field(description="Where it begins, written likewise. Default: the robot."),
+        Field(description="Start of the path, in the same form. Default: the robot's pose."),
     ] = None,
     planner_id: Annotated[str, Field(description="Default: Nav2's own.")] = "",
     action_name: Action = "",
 ) -> Preview:
-    """Ask Nav2's planner for the way to a place: a picture, length, points, the narrowest spot. Nothing moves. Where
-    there is no way, it says why."""
+    """Ask Nav2's planner for the path to a place: picture, length, points, narrowest spot. Nothing moves. If there is
+    no path, the result says why."""
     return await preview(robot, to, start, planner_id=planner_id, action=action_name, report=report)
 
 
@@ -94,12 +108,12 @@ async def ros2_nav_preview(
     title="List places", risk="read", group="space", by_default=False, finds="named places, rooms, where is the kitchen"
 )
 async def ros2_place_list(robot: Robot, pattern: Pattern = "") -> PlaceList:
-    """List the places that are known by name, with their poses and how far away they are."""
+    """List the named places with their poses and their distances from the robot."""
     return await list_places(robot, pattern)
 
 
 @tool(
-    title="Keep a place",
+    title="Save a place",
     risk="write",
     group="space",
     by_default=False,
@@ -107,13 +121,13 @@ async def ros2_place_list(robot: Robot, pattern: Pattern = "") -> PlaceList:
 )
 async def ros2_place_set(
     robot: Robot,
-    name: Annotated[str, Field(description="Its name, such as door.")],
+    name: Annotated[str, Field(description="Name of the place, such as door.")],
     x: Metres = None,
     y: Metres = None,
     yaw_deg: Annotated[Number | None, Field(description="Heading in degrees. Default: any, or the robot's.")] = None,
-    frame: Annotated[str, Field(description="The coordinate frame.")] = "map",
-    remove: Annotated[Flag, Field(description="Forget it.")] = False,
+    frame: Annotated[str, Field(description="Coordinate frame.")] = "map",
+    remove: Annotated[Flag, Field(description="Delete the place instead.")] = False,
 ) -> PlaceKept:
-    """Keep a pose under a name, for ros2_navigate, beyond the life of this server; or forget one."""
+    """Save a pose under a name for ros2_navigate, or delete one. Places outlive this server."""
     request = PlaceRequest(name=name, x_m=x, y_m=y, yaw_deg=yaw_deg, frame=frame, remove=remove)
     return await set_place(robot, request)

@@ -16,7 +16,7 @@ PLACE = 100
 """Of parameters and lifecycle; the list of nodes stands near the top."""
 
 NodeName = Annotated[str, Field(description="Full name, such as /base_controller.")]
-NodeNames = Annotated[list[str] | None, Field(description="Full names of nodes; default: every node.")]
+NodeNames = Annotated[list[str] | None, Field(description="Full names of nodes. Default: every node.")]
 
 
 @tool(
@@ -37,7 +37,7 @@ async def ros2_node_list(
     finds="what does a node do, its topics, services, lifecycle",
 )
 async def ros2_node_info(robot: Robot, node_name: NodeName) -> info.NodeInfo:
-    """Show what a node publishes, subscribes to, offers and calls, its lifecycle state and how many parameters."""
+    """Show what a node publishes, subscribes to, serves and calls, its lifecycle state and number of parameters."""
     return await info.node_info(robot, node_name)
 
 
@@ -61,7 +61,7 @@ async def ros2_parameter_get(
     robot: Robot,
     node_name: NodeName,
     names: Annotated[list[str] | None, Field(description="Names of parameters; default: all, to be set back.")] = None,
-    whole: Annotated[Flag, Field(description="Also values that are too long to be read here, in full.")] = False,
+    whole: Annotated[Flag, Field(description="Also return long values, in full.")] = False,
 ) -> parameters.Dump:
     """Read parameters of a node as name → value, in the form that ros2_parameter_set takes."""
     return await parameters.dump(robot, node_name, names, whole=whole)
@@ -106,7 +106,7 @@ async def ros2_lifecycle_state(robot: Robot, node_names: NodeNames = None) -> li
 async def ros2_lifecycle_change(
     robot: Robot,
     node_name: NodeName,
-    transition: Annotated[str, Field(description="A transition possible now, such as configure or activate.")],
+    transition: Annotated[str, Field(description="Transition that is possible now, such as configure or activate.")],
 ) -> lifecycle.Transition:
-    """Make a transition of a lifecycle node by name."""
+    """Trigger a transition of a lifecycle node by name."""
     return await lifecycle.change(robot, node_name, transition)

@@ -18,10 +18,10 @@ from ros2_mcp.tools.declare import tool
 
 PLACE = 40
 
-Timeout = Annotated[Number, Field(gt=0, le=600, description="Live: wait at most so many seconds.")]
+Timeout = Annotated[Number, Field(gt=0, le=600, description="Live: maximum wait in seconds.")]
 Pixels = Annotated[Whole, Field(ge=300, le=MAX_SIDE, description="Size of the picture in pixels.")]
 Limit = Annotated[
-    Number | None, Field(description="Only points within, in metres. Default: all but single ones far away.")
+    Number | None, Field(description="Only points within this bound, in metres. Default: all but far outliers.")
 ]
 Height = Annotated[Number | None, Field(description="Only points within these heights, in metres. Default: all.")]
 
@@ -42,10 +42,10 @@ async def ros2_plot(
         Field(
             min_length=1,
             max_length=24,
-            description='Topic:field, such as ["/odom:twist.twist.linear.x"]. A topic or message: all numbers in it.',
+            description='Topic:field, such as ["/odom:twist.twist.linear.x"]. A topic or message alone: all numbers.',
         ),
     ],
-    duration: Annotated[Number, Field(ge=0.1, le=600, description="Live: listen for so many seconds.")] = 5.0,
+    duration: Annotated[Number, Field(ge=0.1, le=600, description="Live: listening time in seconds.")] = 5.0,
     kind: Annotated[
         Literal["time", "xy"],
         Field(description='"time", or "xy": pairs of series against each other; a position alone is a trajectory.'),
@@ -101,11 +101,9 @@ async def ros2_get_pointcloud_as_bev(
     max_pixels: Annotated[Whole, Field(ge=64, le=16_384, description="Longest side; at most 1568 is drawn.")] = 2048,
     color_mode: Annotated[
         Literal["intensity", "height", "rgb"],
-        Field(description="What colours show; the height where the cloud lacks it."),
+        Field(description="What the colours show; height if the cloud lacks it."),
     ] = "intensity",
-    colormap: Annotated[
-        Literal["jet", "gray"], Field(description="Scale of colours, for intensity and height.")
-    ] = "jet",
+    colormap: Annotated[Literal["jet", "gray"], Field(description="Colour scale for intensity and height.")] = "jet",
     *,
     source: Source,
 ) -> CloudPicture:

@@ -13,6 +13,6 @@ PLACE = 11
 @tool(title="What is allowed", risk="read", finds="what is allowed, permissions, speed limits, forbidden, rules")
 async def ros2_policy(robot: Robot) -> in_force.InForce:
     """Show what this server's policy allows, in words and numbers: topics, speeds, rates, durations, approvals. Plan
-    within it; nothing here changes it.
+    within it; no tool changes it.
     """
     return await in_force.in_force(robot)

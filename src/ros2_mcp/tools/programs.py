@@ -26,9 +26,9 @@ MAX_RUN_S = 600.0
 Inputs = Annotated[
     list[dict[str, Any]] | None,
     Field(
-        description='What it takes: [{"name": "distance_m", "type": "number", "description": "How far", "default": 1, '
-        '"minimum": 0.1, "maximum": 5}]; also "required", "choices". Types: string, number, integer, boolean, list, '
-        "topic, topics, service, node, action, json.",
+        description='Inputs of the program: [{"name": "distance_m", "type": "number", "description": "How far", '
+        '"default": 1, "minimum": 0.1, "maximum": 5}]; also "required", "choices". Types: string, number, '
+        "integer, boolean, list, topic, topics, service, node, action, json.",
     ),
 ]
 
@@ -46,14 +46,14 @@ async def ros2_program_run(
     robot: Robot,
     report: Report,
     programs: ProgramsHere,
-    program: Annotated[str, Field(description="Python; import robot. Or the name of a kept one.")],
-    inputs: Annotated[dict[str, Any] | None, Field(description="Names that the program has, with values.")] = None,
-    timeout: Annotated[Number, Field(gt=0, le=MAX_RUN_S, description="In seconds: default 60, at most 600.")] = 60.0,
-    dry_run: Annotated[Flag, Field(description="Only read, and say what would be done.")] = False,
+    program: Annotated[str, Field(description="Python code (import robot), or the name of a kept program.")],
+    inputs: Annotated[dict[str, Any] | None, Field(description="Variables for the program: name → value.")] = None,
+    timeout: Annotated[Number, Field(gt=0, le=MAX_RUN_S, description="Maximum duration in seconds.")] = 60.0,
+    dry_run: Annotated[Flag, Field(description="Only read, and report what would be done.")] = False,
 ) -> Ran:
-    """Run a Python program in a sandbox in which the robot is the module `robot`. Can move the robot.
+    """Run a Python program in a sandbox, with the robot as the module `robot`. Can move the robot.
 
-    For whatever needs every message: loops, sums, reactions. For one look or one act, call the tool. What it prints is
+    For work on every message: loops, sums, reactions. For one reading or action, call its tool. The printed text is
     the answer. It can import robot, math, time, json, re and datetime; it has no files, network, NumPy, await or yield.
     Messages are dicts: m["pose"]["pose"]["position"]["x"]; with fields, m["ranges[0]"]; also _topic, _time, _age_s,
     _dropped. Limits: timeout, 5 s of computing between two calls, 60 s in all, 64 MB of values. Whatever ends it stops
@@ -75,14 +75,14 @@ async def ros2_program_run(
 async def ros2_program_list(
     robot: Robot,
     pattern: Pattern = "",
-    code: Annotated[Flag, Field(description="Also their code.")] = False,
+    code: Annotated[Flag, Field(description="Also return their code.")] = False,
 ) -> ProgramList:
-    """List the programs that are kept: what each is for, and its inputs. ros2_program_run runs one by its name."""
+    """List the kept programs with their purposes and inputs. ros2_program_run runs one by its name."""
     return await list_programs(robot, pattern, with_code=code)
 
 
 @tool(
-    title="Keep a program",
+    title="Save a program",
     risk="write",
     place=_KEPT,
     group="programs",
@@ -93,14 +93,16 @@ async def ros2_program_save(
     robot: Robot,
     programs: ProgramsHere,
     name: Annotated[str, Field(description="Such as follow-wall.")],
-    program: Annotated[str, Field(description="As it ran with ros2_program_run; it uses its inputs by name.")] = "",
-    description: Annotated[str, Field(description="What it is for, for who finds it in a list.")] = "",
+    program: Annotated[
+        str, Field(description="The code as run with ros2_program_run; it uses its inputs by name.")
+    ] = "",
+    description: Annotated[str, Field(description="Purpose of the program, as lists show it.")] = "",
     inputs: Inputs = None,
-    replace: Annotated[Flag, Field(description="A new version of one that is kept.")] = False,
-    remove: Annotated[Flag, Field(description="Forget it instead.")] = False,
+    replace: Annotated[Flag, Field(description="Replace the kept program of this name.")] = False,
+    remove: Annotated[Flag, Field(description="Delete the program instead.")] = False,
 ) -> ProgramSaved:
-    """Keep a program that has worked, for next time: one short call then, and a prompt for the user. It is checked
-    as for a run; nothing runs."""
+    """Save a program that worked: next time one short call runs it, and the user gets a prompt for it. The code is
+    checked, but not run."""
     request = ProgramRequest(
         name=name, code=program, description=description, inputs=inputs or (), overwrite=replace, remove=remove
     )

@@ -17,13 +17,13 @@ PLACE = 110
 Tolerances = Annotated[
     dict[str, Number],
     Field(
-        description='With on_change: how much a field may differ before it counts: {"pose.position.x": 0.05}; "*": '
-        "every number. Others count when they differ at all; stamps of headers never."
+        description='With on_change: differences up to this are no change: {"pose.position.x": 0.05}; "*": every '
+        "number. In other fields any difference counts; header stamps never do."
     ),
 ]
 Mapping = Annotated[
     dict[str, str],
-    Field(description='Another type at the destination: {"its field": "field of the source"}; others get defaults.'),
+    Field(description='For another type at the destination: {"its field": "source field"}; other fields get defaults.'),
 ]
 
 
@@ -32,26 +32,24 @@ Mapping = Annotated[
 )
 async def ros2_relay_start(
     robot: Robot,
-    source_topic: Annotated[str, Field(description="Where the messages come from.")],
-    destination_topic: Annotated[str, Field(description="Where they shall appear.")],
+    source_topic: Annotated[str, Field(description="Topic to read.")],
+    destination_topic: Annotated[str, Field(description="Topic to publish on.")],
     message_type: MessageType = "",
     transform: Annotated[
         Literal["identity", "rate_limit", "on_change", "filter"],
-        Field(description="All messages, at most target_rate_hz, or only changes (filter means on_change)."),
+        Field(description="Pass all messages, at most target_rate_hz, or only changes (filter means on_change)."),
     ] = "identity",
     target_rate_hz: Annotated[
-        Number, Field(gt=0, le=MAX_RATE_HZ, description="With rate_limit: at most so many per second.")
+        Number, Field(gt=0, le=MAX_RATE_HZ, description="With rate_limit: maximum messages per second.")
     ] = 10.0,
-    duration_sec: Annotated[
-        Number, Field(ge=0, le=86400, description="For so many seconds; 0: until it is stopped.")
-    ] = 60.0,
+    duration_sec: Annotated[Number, Field(ge=0, le=86400, description="Duration in seconds; 0: until stopped.")] = 60.0,
     tolerances: Tolerances | None = None,
     mapping: Mapping | None = None,
     destination_type: Annotated[str, Field(description="With a mapping to a topic that has no type yet.")] = "",
 ) -> relay.RelayState:
-    """Let the messages of one topic appear on another, in the background. Can move the robot.
+    """Republish the messages of one topic on another, in the background. Can move the robot.
 
-    Returns at once with a relay_id. It ends with its duration, with ros2_relay_stop or ros2_stop, and with this
+    Returns a relay_id at once. The relay ends after its duration, with ros2_relay_stop or ros2_stop, and with this
     server; velocity topics then get a zero command.
     """
     request = relay.RelayRequest(
@@ -70,13 +68,13 @@ async def ros2_relay_start(
 
 @tool(title="List relays", risk="read", group="relay", finds="which relays are running")
 async def ros2_relay_list(robot: Robot) -> relay.RelayList:
-    """List the relays of this server with what they passed and dropped so far, and the last that ended."""
+    """List this server's relays with the messages passed and dropped so far, and the relays that ended last."""
     return await relay.list_relays(robot)
 
 
 @tool(title="Stop a relay", risk="write", group="relay", finds="end a relay")
 async def ros2_relay_stop(
-    robot: Robot, relay_id: Annotated[str, Field(description="As ros2_relay_start gave it.")]
+    robot: Robot, relay_id: Annotated[str, Field(description="ID from ros2_relay_start.")]
 ) -> relay.RelayState:
     """Stop a relay; returns its final counts."""
     return await relay.stop(robot, relay_id)

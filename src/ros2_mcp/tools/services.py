@@ -53,19 +53,19 @@ async def ros2_service_call(
     fields: Annotated[
         dict[str, Any] | None,
         BeforeValidator(_empty_request),
-        Field(description='The request\'s fields, such as {"data": true}; none if it has none.'),
+        Field(description='Request fields, such as {"data": true}; omit if there are none.'),
     ] = None,
     service_type: Annotated[str, Field(description="Such as std_srvs/srv/SetBool. Default: the service's own.")] = "",
     force_call: Annotated[
         Flag, Field(description="Call even if request fields are missing; they get defaults.")
     ] = False,
-    timeout_sec: Annotated[Number, Field(gt=0, le=MAX_DURATION_S, description="Wait at most so many seconds.")] = 10.0,
+    timeout_sec: Annotated[Number, Field(gt=0, le=MAX_DURATION_S, description="Maximum wait in seconds.")] = 10.0,
     *,
     waits: Waits,
 ) -> ServiceAnswer:
     """Call a service and wait for its answer. Can move the robot.
 
-    If request fields are missing it is not called: the answer names them.
+    If request fields are missing, the service is not called, and the result names them.
     """
     return await call(
         robot,

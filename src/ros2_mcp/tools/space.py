@@ -31,11 +31,11 @@ PLACE = 35
 )
 async def ros2_robot(
     robot: Robot,
-    whole: Annotated[Flag, Field(description="All, also beyond 2 kB.")] = False,
+    whole: Annotated[Flag, Field(description="Return everything, even beyond 2 kB.")] = False,
     *,
     source: RecordingSource,
 ) -> RobotInBrief:
-    """Begin here: kind, size, command inputs, sensors, joints, where it is, what is unhealthy."""
+    """Start here: kind, size, command inputs, sensors, joints, where it is, and what is unhealthy."""
     return await in_brief(robot, source, whole=whole)
 
 
@@ -53,15 +53,15 @@ async def ros2_tf_lookup(
     target: Annotated[str, Field(description="Such as map.")],
     source: Annotated[str, Field(description="Such as base_link.")] = "",
     time: AtTime = "",
-    duration: Annotated[Number | None, Field(description="Mean over so many s.")] = None,
+    duration: Annotated[Number | None, Field(description="Average over this many seconds.")] = None,
     points: Annotated[
-        list[list[Number]] | None, Field(description="Points of source to transform: [x,y,z] or [x,y,z,qx,qy,qz,qw].")
+        list[list[Number]] | None, Field(description="Points in source to transform: [x,y,z] or [x,y,z,qx,qy,qz,qw].")
     ] = None,
-    field: Annotated[str, Field(description="Or of a message: /plan:poses.")] = "",
+    field: Annotated[str, Field(description="Or points of a message, such as /plan:poses.")] = "",
     *,
     reading: RecordingSource,
 ) -> Lookup:
-    """Where the frame source is in target, how old, by which frames; or why it is unknown."""
+    """Look up where the frame source is in target, how old that is and through which frames; or why it is unknown."""
     request = LookupRequest(
         target=target, frame=source, time=time, duration_s=duration, points=points or (), field=field
     )
@@ -78,14 +78,16 @@ async def ros2_tf_lookup(
 async def ros2_scene(
     robot: Robot,
     report: Report,
-    frame: Annotated[str, Field(description="Default: the map's; base_link: as the robot sees it.")] = "",
-    grid: Annotated[str, Field(description='A grid or raw costmap, or "costmap". Default: the map.')] = "",
-    radius_m: Annotated[Number | None, Field(gt=0, le=1000, description="Only so far around the robot.")] = None,
+    frame: Annotated[
+        str, Field(description="Frame to draw in. Default: the map's; base_link: as the robot sees it.")
+    ] = "",
+    grid: Annotated[str, Field(description='Topic of a grid or raw costmap, or "costmap". Default: the map.')] = "",
+    radius_m: Annotated[Number | None, Field(gt=0, le=1000, description="Radius around the robot in metres.")] = None,
     *,
     source: AtOneTime,
 ) -> ScenePicture:
-    """A picture from above with labelled lines in metres: map or costmap, robot and heading, scans, paths, goals,
-    named places; and the nearest obstacle, which sides are free."""
+    """Draw the scene from above with lines labelled in metres: map or costmap, robot and heading, scans, paths, goals,
+    named places; reports the nearest obstacle and which sides are free."""
     return await scene(robot, source, SceneRequest(frame, grid, radius_m), report)
 
 
@@ -99,12 +101,13 @@ async def ros2_scene(
 )
 async def ros2_tf_tree(
     report: Report,
-    frame: Annotated[str, Field(description="Only what is below this frame. Default: all.")] = "",
-    duration: Annotated[Number, Field(ge=0, le=60, description="Live: listen for so many seconds.")] = 3.0,
-    picture: Annotated[Flag, Field(description="Also as a picture.")] = True,
+    frame: Annotated[str, Field(description="Only the frames below this one. Default: all.")] = "",
+    duration: Annotated[Number, Field(ge=0, le=60, description="Live: listening time in seconds.")] = 3.0,
+    picture: Annotated[Flag, Field(description="Also return a picture.")] = True,
     *,
     source: Source,
 ) -> Tree:
-    """Show all coordinate frames (TF) as a tree, as text and as a picture: who tells each edge, its rate and age, and
-    what is wrong: several trees, stale edges, two parents, several publishers of one edge, stamps that jump or lack."""
+    """Show all coordinate frames (TF) as a tree, as text and as a picture: who publishes each edge, its rate and
+    age, and what is wrong: several trees, stale edges, two parents, several publishers of one edge, stamps that jump or
+    are missing."""
     return await tf_tree(source, frame, duration, picture=picture, report=report)

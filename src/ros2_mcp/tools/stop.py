@@ -16,9 +16,9 @@ PLACE = 70
     always_loaded=True,
 )
 async def ros2_stop(robot: Robot) -> stopping.Stopped:
-    """Stop at once everything that this server has set in motion, for any client: zero on velocity topics, goals
-    cancelled, repeated publishing, relays and playbacks ended; what was accepted before and has not been sent is
-    dropped. Says what was confirmed, whether odometry shows the robot still, and names the services called and topics
-    published on that it cannot stop.
+    """Stop at once everything that this server has set in motion, for any client: publishes zero on velocity topics,
+    cancels goals, ends repeated publishing, relays and playbacks; commands accepted earlier but not yet sent are
+    dropped. Reports what was confirmed, whether odometry shows the robot still, and names the services called and
+    topics published on that it cannot stop.
     """
     return await stopping.stop_in_reach(robot)

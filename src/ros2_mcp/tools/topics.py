@@ -39,13 +39,13 @@ MEASURE_S = 3.0
 Data = Annotated[
     dict[str, Any],
     Field(
-        description='The message\'s fields, such as {"linear": {"x": 0.2}}; others get their default. Also "nan", '
+        description='Message fields, such as {"linear": {"x": 0.2}}; other fields get defaults. Numbers also "nan", '
         '"inf", "-inf".'
     ),
 ]
 _SEVERAL = Field(min_length=1, max_length=20)  # more than a person reads or commands at once
-_HZ = "Times per second, with duration."
-_SECONDS = "For so many seconds, with frequency."
+_HZ = "Messages per second, with duration."
+_SECONDS = "Duration in seconds, with frequency."
 Destination = Annotated[str, Field(description="Such as /cmd_vel.")]
 PublishedType = Annotated[str, Field(description="Such as geometry_msgs/msg/Twist. Default: the topic's own.")]
 
@@ -59,7 +59,7 @@ class TopicToRead(BaseModel):
     msg_type: Annotated[MessageType, Field(validation_alias=AliasChoices("msg_type", "message_type"))] = ""
     duration: Duration = None
     message_limit: MessageLimit = None
-    fields: Annotated[list[str] | None, Field(description="Of this topic, in the place of those for all.")] = None
+    fields: Annotated[list[str] | None, Field(description="Fields of this topic, instead of those for all.")] = None
 
 
 class TopicToPublish(BaseModel):
@@ -86,7 +86,7 @@ async def ros2_topic_list(
     pattern: Pattern = "",
     include_hidden: Hidden = False,
     limit: Limit = 200,
-    request_fields: Annotated[Flag, Field(description="Also the fields of each topic's messages.")] = False,
+    request_fields: Annotated[Flag, Field(description="Also list the fields of each topic's messages.")] = False,
 ) -> TopicList:
     """List the topics of the robot with their types and the number of publishers and subscribers."""
     return await list_topics(robot, pattern, include_hidden, limit, with_fields=request_fields)
@@ -113,11 +113,11 @@ async def ros2_topic_info(robot: Robot, topic_name: TopicName) -> info.TopicInfo
 async def ros2_topic_subscribe(
     report: Report, topic_name: TopicName, msg_type: MessageType = "", *, selection: LimitedMessages, source: Source
 ) -> subscribe.Reading:
-    """Read messages of a topic: for a duration, or until a number of messages came. With neither: the first message.
+    """Read messages of a topic: for a duration, or until a number of messages came. With neither, the first message.
 
     QoS is chosen to match the publishers. Images and maps come as pictures.
-    Long arrays are summarised: use fields to see a part in full. For rates use ros2_topic_stats. Of a recording: from
-    start on, else the last seconds or messages.
+    Long arrays are summarised: use fields to see a part in full. For rates use ros2_topic_stats. From a recording:
+    messages from start on, or without start the last seconds or messages.
     """
     return await subscribe.read(source, topic_name, msg_type, selection, report)
 
@@ -131,7 +131,8 @@ async def ros2_subscribe_multiple_topics(
 ) -> subscribe.Readings:
     """Read several topics truly at the same time, each with its own duration or message limit.
 
-    Images and maps come as pictures. Of a recording: from start on, else the last seconds or messages.
+    Images and maps come as pictures. From a recording: messages from start on, or without start the
+    last seconds or messages.
     """
     requests = [
         (
@@ -160,14 +161,15 @@ async def ros2_subscribe_multiple_topics(
 async def ros2_topic_echo_wait(
     topic_name: TopicName,
     message_type: MessageType = "",
-    timeout: Annotated[Number, Field(gt=0, le=MAX_DURATION_S, description="Wait at most so many seconds.")] = 5.0,
+    timeout: Annotated[Number, Field(gt=0, le=MAX_DURATION_S, description="Maximum wait in seconds.")] = 5.0,
     *,
     selection: OneMessage,
     source: Source,
 ) -> subscribe.Echo:
-    """Wait for the next message of a topic; the topic itself may appear meanwhile.
+    """Wait for the next message of a topic; the topic may appear while waiting.
 
-    Images and maps come as pictures. Of a recording: the next one from start on, else the last one.
+    Images and maps come as pictures. From a recording: the next message from start on, or without start the
+    last message.
     """
     return await subscribe.echo(source.lasting(timeout), topic_name, message_type, selection)
 
@@ -183,18 +185,18 @@ async def ros2_topic_stats(
     report: Report,
     topic_names: Annotated[
         list[str] | None,
-        Field(min_length=1, max_length=stats.MAX_TOPICS, description="Default: all that somebody publishes."),
+        Field(min_length=1, max_length=stats.MAX_TOPICS, description="Default: all published topics."),
     ] = None,
     duration: Annotated[
         Number | None,
-        Field(gt=0, le=MAX_MEASURE_S, description="For so many seconds. Default: 3; of a recording all."),
+        Field(gt=0, le=MAX_MEASURE_S, description="Measuring time in seconds. Default: 3; of a bag, all."),
     ] = None,
     *,
     source: Source,
 ) -> stats.Stats:
-    """Measure how topics flow, several at once: rate, jitter, gaps, bandwidth, loss, age against the header's stamp.
+    """Measure the traffic of topics, several at once: rate, jitter, gaps, bandwidth, loss, age by header stamp.
 
-    The largest first. For the values of fields use ros2_topic_statistics.
+    The largest come first. For the values of fields use ros2_topic_statistics.
     """
     lasting = source.lasting(duration or MEASURE_S, recorded_s=duration, whole=True)
     return await stats.measure(lasting, topic_names, report)
@@ -237,7 +239,7 @@ async def ros2_topic_publish(
 async def ros2_publish_multiple_topics(
     robot: Robot,
     report: Report,
-    topics: Annotated[list[TopicToPublish], _SEVERAL, Field(description="What to publish where.")],
+    topics: Annotated[list[TopicToPublish], _SEVERAL, Field(description="Topics and their messages.")],
 ) -> publish.PublishedSeveral:
     """Publish repeatedly on several topics at the same time, each with its own frequency and duration."""
     requests = [publish.PublishRequest(**dict(topic)) for topic in topics]

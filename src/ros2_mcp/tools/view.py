@@ -31,9 +31,11 @@ def _one_or_several(value: Any) -> Any:
 
 _Names = BeforeValidator(_one_or_several)
 Topics = Annotated[
-    list[str] | None, _Names, Field(max_length=8, description="What the panels show. Default: the first.")
+    list[str] | None, _Names, Field(max_length=8, description="Topics for the panels. Default: the first.")
 ]
-PlotFields = Annotated[list[str] | None, _Names, Field(max_length=8, description="Numeric fields of it, for a plot.")]
+PlotFields = Annotated[
+    list[str] | None, _Names, Field(max_length=8, description="Numeric fields of the topic, for a plot.")
+]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,7 +79,8 @@ async def ros2_view(
     viewing: Viewing,
     topics: Topics = None,
     kind: Annotated[
-        Literal["auto", "image", "pointcloud", "plot"], Field(description="Of panel. Default: by the types.")
+        Literal["auto", "image", "pointcloud", "plot"],
+        Field(description="Kind of panel. Default: by the type of the topic."),
     ] = "auto",
     fields: PlotFields = None,
     bag: FromBag = "",
@@ -85,8 +88,8 @@ async def ros2_view(
     *,
     source: AtOneTime,
 ) -> OpenedView:
-    """Show your user the live scene beside the chat: map, camera, what you do, values, log, a stop button. Where the
-    client cannot: a picture, and how to see it in a browser."""
+    """Show your user the live scene beside the chat: map, camera, what you do, values, log, a stop button. A client
+    that shows no pages gets a picture, and how to open the scene in a browser."""
     at_s = source.covers_ns[1] / 1e9 if time and source.covers_ns else None
     request = OpeningRequest(topics=topics or (), kind=kind, fields=fields or (), bag=bag, at_s=at_s)
     others = sum(state.is_open for state in viewing.states(robot.principal.name))
@@ -102,8 +105,8 @@ async def ros2_view(
     finds="what did the user click, pick or point at",
 )
 async def ros2_view_state(robot: Robot, viewing: Viewing) -> ViewState:
-    """What the pages show your user, and what they picked there: a place (metres in a frame), a point in 3D, a box in a
-    picture, a time in a plot."""
+    """Show what your user sees on the pages, and what they picked there: a place (metres in a frame), a point in 3D, a
+    box in a picture, a time in a plot."""
     states = viewing.states(robot.principal.name)
     told: list[str] = []
     pages: list[PageSeen] = []

@@ -115,7 +115,7 @@ def test_the_gripper_is_another_controller_and_is_found_by_its_joint(agent, witn
     agent.call("ros2_joint_move", joints={"gripper_joint": 0.02}, tolerance=0.002)
 
 
-@pytest.mark.promise("ros2_joint_move", "Checked against the URDF's limits of position and speed")
+@pytest.mark.promise("ros2_joint_move", "Targets are checked against the URDF's limits of position and speed")
 @pytest.mark.parametrize(
     ("arguments", "why"),
     [
@@ -166,7 +166,7 @@ def test_joint_states_that_fall_silent_end_the_move(agent, witness) -> None:
     finally:
         agent.call("ros2_parameter_set", node_name="/joint_state_broadcaster", values={"enabled": True})
     assert moved["outcome"] == "silent"
-    assert f"Nothing was heard of the joints for {'1.' if FULL else ''}" in moved["note"]
+    assert f"No joint state was received for {'1.' if FULL else ''}" in moved["note"]
     assert witness.until_still()[PAN] < far()[PAN] - 0.3
 
 
@@ -221,7 +221,7 @@ def test_a_stop_in_the_middle_of_a_trajectory_on_a_topic_holds_the_joints_where_
     held(witness, before)
     assert [topic["topic_name"] for topic in stopped["topics"]] == [TOPIC]
     assert stopped["topics"][0]["acknowledged"] is True
-    assert "the joint states say that" in stopped["note"]  # how fast it braked is the machine's affair
+    assert "joint states" in stopped["note"]  # how fast it braked is the machine's affair
     assert stopped["confirmed"] or "NOT observed still" in stopped["note"], stopped["note"]
 
 

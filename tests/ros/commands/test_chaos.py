@@ -20,7 +20,7 @@ LATE_S = 10.0
 """A killed process can hold up the middleware of those that knew it for seconds (decision 12). Judged in full."""
 AT_ONCE = 3
 """Such rounds run side by side: while one waits out its time, another discovers its server."""
-STILL_WORKING = "It may still be working on it; a longer timeout_sec waits for longer."
+STILL_WORKING = "The server may still be working on it; give a longer timeout_sec."
 NOT_SENT = "nothing was sent"
 """In the error of a call that was held up until its time was over, so that it tells nothing about the server."""
 KEPT_S = 1.0
@@ -179,7 +179,7 @@ def test_an_action_server_that_leaves_while_executing(agent, start_peer) -> None
         left = time.monotonic()
         said = str(waiting.exception(60))
         assert said.startswith(
-            f"NotFound: The server of {peer.name('raw')} is not there, or left before the goal ended."
+            f"NotFound: The server of {peer.name('raw')} is not running, or left before the goal ended."
         )
         assert said.endswith(" had been accepted.")
         if FULL:
@@ -214,7 +214,7 @@ def test_a_server_that_refuses_cancelling(agent, robot) -> None:
     for _ in range(ROUNDS):
         sent = agent.call("ros2_send_action_goal", action_name=action, goal_fields={"order": 1})
         refused = agent.call("ros2_cancel_action_goal", action_name=action, goal_id_hex=sent["goal_id"])
-        assert (refused["goals_canceling"], refused["note"]) == ([], "The server refuses to cancel this goal.")
+        assert (refused["goals_canceling"], refused["note"]) == ([], "The server refused to cancel this goal.")
         ended = agent.call("ros2_action_request_result", action_name=action, goal_id_hex=sent["goal_id"])
         assert ended["status"] == "SUCCEEDED"
 

@@ -49,7 +49,7 @@ def test_an_action_is_listed_with_its_type_and_the_fields_of_its_goal(agent, rob
     assert entry in listed
 
 
-@pytest.mark.promise("ros2_send_action_goal", "Without it, use ros2_action_request_result with the goal_id later")
+@pytest.mark.promise("ros2_send_action_goal", "Without it, call ros2_action_request_result with the goal_id later")
 def test_a_goal_that_is_not_waited_for_is_accepted_and_its_result_asked_for_later(agent, robot) -> None:
     began_at = int(time.time())
     sent = send(agent, robot.name("count"), 6, action_type="test_msgs/Fibonacci")
@@ -78,7 +78,7 @@ def test_a_goal_that_nobody_waits_for_is_seen_to_end(start_agent, robot) -> None
 
 @pytest.mark.promise("ros2_send_action_goal", "Send a goal to an action server")
 @pytest.mark.promise(
-    "ros2_send_action_goal", "With wait_for_result the result is waited for, with feedback as progress"
+    "ros2_send_action_goal", "With wait_for_result, waits for the result and reports feedback as progress"
 )
 def test_a_goal_that_is_waited_for_brings_result_and_every_feedback(agent, robot) -> None:
     ended = send(agent, robot.name("count"), 4, wait_for_result=True, timeout_sec=30)
@@ -106,8 +106,8 @@ def test_an_aborted_goal_says_so_with_its_result(agent, robot) -> None:
     assert ended["result"] == {"sequence": [6]}
 
 
-@pytest.mark.promise("ros2_send_action_goal", "if the time ends first the goal goes on (status TIMEOUT)")
-@pytest.mark.promise("ros2_action_request_result", "A time-out does not cancel it")
+@pytest.mark.promise("ros2_send_action_goal", "after a time-out the goal continues (status TIMEOUT)")
+@pytest.mark.promise("ros2_action_request_result", "A time-out does not cancel the goal")
 def test_a_waiting_that_times_out_leaves_the_goal_running_and_says_so(agent, robot) -> None:
     action = robot.name("held")
     ended = send(agent, action, 1, wait_for_result=True, timeout_sec=0.3)
@@ -119,7 +119,7 @@ def test_a_waiting_that_times_out_leaves_the_goal_running_and_says_so(agent, rob
     wait_until(lambda: result(agent, action, ended["goal_id"], timeout_sec=0)["status"] == "SUCCEEDED")
 
 
-@pytest.mark.promise("ros2_send_action_goal", "with feedback as progress")
+@pytest.mark.promise("ros2_send_action_goal", "reports feedback as progress")
 def test_waiting_reports_feedback_as_readable_progress(agent, robot) -> None:
     arguments = {"action_name": robot.name("count"), "goal_fields": {"order": 50}, "wait_for_result": True}
 
@@ -157,7 +157,7 @@ def test_a_cancelled_call_cancels_a_goal_that_is_accepted_only_then(agent, robot
     wait_until(lambda: robot.count(name="canceled") > cancelled)
 
 
-@pytest.mark.promise("ros2_wait_until", "Hidden topics too, such as /navigate_to_pose/_action/status")
+@pytest.mark.promise("ros2_wait_until", "Hidden topics work too, such as /navigate_to_pose/_action/status")
 def test_goals_are_waited_for_on_the_hidden_topics_of_their_action(agent, robot) -> None:
     action = robot.name("count")
     ended = "any(status_list, status == STATUS_SUCCEEDED)"
@@ -168,10 +168,11 @@ def test_goals_are_waited_for_on_the_hidden_topics_of_their_action(agent, robot)
         assert waiting.result()["met"]
 
 
-@pytest.mark.promise("ros2_action_request_result", "Wait for the result of a goal, whoever sent it")
+@pytest.mark.promise("ros2_action_request_result", "Wait for the result of a goal, whoever sent the goal")
 @pytest.mark.promise("ros2_action_status", "with its state and age")
 @pytest.mark.promise(
-    "ros2_action_subscribe_feedback", "Follow the feedback of an action's goals for a while, whoever sent them"
+    "ros2_action_subscribe_feedback",
+    "Report the feedback of an action's goals for duration_sec, whoever sent the goals",
 )
 @pytest.mark.promise("ros2_cancel_action_goal", "Ask an action server to cancel a goal")
 def test_goals_of_another_client_are_followed_and_cancelled(agent, robot, start_peer) -> None:
@@ -204,7 +205,7 @@ def known_goals(agent, goal_id: str):
 
 
 @pytest.mark.promise("ros2_action_subscribe_status", "the last known states come first")
-@pytest.mark.promise("ros2_action_subscribe_status", "Follow how the states of an action's goals change for a while")
+@pytest.mark.promise("ros2_action_subscribe_status", "Report state changes of an action's goals for duration_sec")
 def test_the_states_of_a_goal_of_another_client_are_followed(agent, robot, start_peer) -> None:
     action, other = robot.name("count"), start_peer()
     assert other.reaches(service=robot.name("there"))
@@ -227,7 +228,7 @@ def is_followed(agent, action: str) -> bool:
 def test_feedback_of_no_goal_says_that_none_came(agent, robot) -> None:
     heard = agent.call("ros2_action_subscribe_feedback", action_name=robot.name("abort"), duration_sec=0.3)
     assert (heard["messages"], heard["goal_id_filter"]) == ([], None)
-    assert heard["note"].startswith("No feedback came")
+    assert heard["note"].startswith("No feedback")
 
 
 def test_every_cancel_code_is_told(agent, robot) -> None:
@@ -245,7 +246,7 @@ def test_every_cancel_code_is_told(agent, robot) -> None:
     assert (refused["return_code"], refused["return_code_text"]) == (1, "ERROR_REJECTED")
     kept = cancel(agent, stubborn, goal_id_hex=send(agent, stubborn, 1)["goal_id"])  # how rclpy refuses
     assert (kept["return_code"], kept["goals_canceling"]) == (0, [])
-    assert kept["note"] == "The server refuses to cancel this goal."
+    assert kept["note"] == "The server refused to cancel this goal."
     unknown = cancel(agent, count, goal_id_hex=UNKNOWN_ID)
     assert (unknown["return_code"], unknown["return_code_text"]) == (2, "ERROR_UNKNOWN_GOAL_ID")
     ended = cancel(agent, count, goal_id_hex=running)
@@ -266,7 +267,7 @@ def test_all_goals_or_those_up_to_a_time_are_cancelled(agent, robot) -> None:
     rest = cancel(agent, action, cancel_all=True)
     assert [goal["goal_id"] for goal in rest["goals_canceling"]] == [second["goal_id"]]
     assert result(agent, action, second["goal_id"])["status"] == "CANCELED"
-    assert cancel(agent, action, cancel_all=True)["note"] == "Nothing was running, or the server refuses."
+    assert cancel(agent, action, cancel_all=True)["note"] == "No goal was running, or the server refused."
 
 
 def at_ns(stamp) -> int:
@@ -278,8 +279,8 @@ def test_cancelling_without_a_goal_or_with_zeros_is_refused_since_it_would_mean_
         return agent.refusal("ros2_cancel_action_goal", action_name=robot.name("count"), goal_id_hex=goal_id)
 
     before = robot.count(name="count cancel")
-    assert said("").startswith("BadValue: goal_id_hex: no goal is named.")
-    assert said("0" * 32).startswith("BadValue: goal_id_hex: all zeros is no goal, it stands for every goal.")
+    assert said("").startswith("BadValue: goal_id_hex: no goal id is given.")
+    assert said("0" * 32).startswith("BadValue: goal_id_hex: an id of zeros stands for every goal.")
     assert said("xyz").startswith("BadValue: goal_id_hex: 'xyz' is not a goal id.")
     assert robot.count(name="count cancel") == before
 
@@ -291,7 +292,7 @@ def test_a_goal_that_the_server_never_knew_or_has_forgotten_is_unknown(agent, ro
     wait_until(lambda: result(agent, action, sent["goal_id"])["status"] == "UNKNOWN")
     ended = result(agent, action, sent["goal_id"])
     assert (ended["status_code"], ended["result"]) == (0, None)
-    assert ended["note"] == "The server does not know this goal: it never was, or it has been forgotten."
+    assert ended["note"] == "The server does not know this goal: the id is wrong, or the server has dropped the goal."
     open_now = [goal["goal_id"] for goal in agent.call("ros2_stop")["goals"]]
     assert not {UNKNOWN_ID, sent["goal_id"]} & set(open_now)
 

@@ -32,7 +32,7 @@ def wait_until(condition, within_s: float = 30.0) -> None:
 
 
 @pytest.mark.promise("README", "goals that it sent cancelled")
-@pytest.mark.promise("ros2_action_status", "Show every goal of every action with its state and age")
+@pytest.mark.promise("ros2_action_status", "List every goal of every action with its state and age")
 def test_a_goal_that_was_sent_by_a_raw_call_is_ours_and_stopped(agent, robot) -> None:
     action = robot.name("count")
     goal_id = send_raw(agent, action, 2000)

@@ -92,9 +92,9 @@ def test_parameters_of_several_nodes_are_listed_at_once_with_what_their_descript
     assert found["steps"]["range"] == {"from": 0, "to": 10, "step": 5}
     assert (found["serial"]["read_only"], found["serial"]["range"]) == (True, None)
     assert opened["error"] == ""
-    assert dumb["error"].startswith(f"{robot.name('dumb')} shows no parameter services.")
+    assert dumb["error"].startswith(f"{robot.name('dumb')} offers no parameter services.")
     assert nobody["error"].startswith(f"There is no node {robot.name('nobody')}.")
-    assert deaf["error"] == f"{robot.name('deaf')} did not answer within 5 s: it is busy or hangs."
+    assert deaf["error"] == f"{robot.name('deaf')} did not answer within 5 s: it is busy, or it hangs."
 
 
 @pytest.mark.full
@@ -117,7 +117,7 @@ def test_what_every_node_has_is_left_out_of_a_list_unless_it_is_asked_for_or_set
 
     found, note = listed()
     assert "speed" in found and "use_sim_time" not in found
-    assert re.match(r"Left out: \d that every node may have \(use_sim_time at its default, ", note)
+    assert re.match(r"Left out: \d standard parameters \(use_sim_time at its default, ", note)
     assert listed("use_sim*") == ({"use_sim_time": False}, "")
     put(agent, robot, use_sim_time=True)
     assert listed()[0]["use_sim_time"] is True
@@ -127,7 +127,7 @@ def test_what_every_node_has_is_left_out_of_a_list_unless_it_is_asked_for_or_set
 def test_a_set_tells_what_each_value_was(agent, robot) -> None:
     values = {"speed": 1.5, "label": "other"}
     found = agent.whole("ros2_parameter_set", {"node_name": robot.name("tuned"), "values": values})
-    said = f"{robot.name('tuned')}: 2 of 2 parameter(s) set: speed = 1.5 (was 0.5), label = «other» (was «3»)."
+    said = f"{robot.name('tuned')}: 2 of 2 parameters set: speed = 1.5 (was 0.5), label = «other» (was «3»)."
     assert found.content[0].text.startswith(said)
 
 
@@ -157,7 +157,7 @@ def test_values_are_converted_where_nothing_is_lost(agent, robot, name, given, t
         ("steps", 11, "steps: 11 is out of range. It takes 0 to 10."),
         ("gains", [1.0, "x"], 'gains[1]: "x" is not of type double.'),
         ("flags", True, "flags: true is not an array."),
-        ("octets", [256], "octets[0]: 256 is no byte."),
+        ("octets", [256], "octets[0]: 256 is not a byte."),
         ("serial", "B-2", "serial: it is read-only."),
         ("sped", 1.0, "sped: "),
     ],
@@ -215,7 +215,7 @@ def test_a_node_that_allows_undeclared_parameters_takes_new_ones(agent, robot) -
 
 @pytest.mark.promise(
     "ros2_node_info",
-    "Show what a node publishes, subscribes to, offers and calls, its lifecycle state and how many parameters",
+    "Show what a node publishes, subscribes to, serves and calls, its lifecycle state and number of parameters",
 )
 def test_node_info_tells_parameters_lifecycle_services_and_actions(agent, robot) -> None:
     tuned = answered(agent, robot.name("tuned"), "parameters")
@@ -254,7 +254,7 @@ def asked_of_the_deaf(agent, robot) -> tuple[float, dict]:
 
 
 @pytest.mark.promise("ros2_lifecycle_state", "Show the state of lifecycle nodes and the transitions possible now")
-@pytest.mark.promise("ros2_lifecycle_change", "Make a transition of a lifecycle node by name")
+@pytest.mark.promise("ros2_lifecycle_change", "Trigger a transition of a lifecycle node by name")
 def test_a_lifecycle_node_is_moved_by_name_and_says_what_is_possible(agent, robot) -> None:
     node = robot.name("valve")
 
@@ -278,6 +278,6 @@ def test_a_lifecycle_node_is_moved_by_name_and_says_what_is_possible(agent, robo
 
 def test_a_node_without_a_lifecycle_says_so(agent, robot) -> None:
     said = agent.refusal("ros2_lifecycle_change", node_name=robot.name("tuned"), transition="configure")
-    assert said.startswith(f"NotFound: {robot.name('tuned')} is not a lifecycle node that is running.")
+    assert said.startswith(f"NotFound: {robot.name('tuned')} is not a running lifecycle node.")
     (state,) = agent.call("ros2_lifecycle_state", node_names=[robot.name("tuned")])["nodes"]
-    assert state["error"].startswith(f"{robot.name('tuned')} is not a lifecycle node that is running.")
+    assert state["error"].startswith(f"{robot.name('tuned')} is not a running lifecycle node.")

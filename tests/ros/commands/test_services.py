@@ -14,7 +14,7 @@ from support.standstill import undisturbed
 SWITCH = "std_srvs/srv/SetBool"
 SLOW = "test_msgs/srv/BasicTypes"
 ROUNDS = 200 if FULL else 3
-HINT = "It may still be working on it; a longer timeout_sec waits for longer."
+HINT = "The server may still be working on it; give a longer timeout_sec."
 
 
 def slow_request(text: str, delay_s: float = 0.0) -> dict[str, object]:
@@ -34,7 +34,7 @@ def test_a_service_is_listed_with_its_request_fields_and_the_node_that_serves_it
         "providers": [robot.name("peer")],
     }
     assert not [one for one in listed["services"] if "_action" in one["service_name"]]
-    hint = "include_hidden=true shows them"
+    hint = "include_hidden=true lists them"
     assert hint in listed["note"] and hint in agent.call("ros2_service_list")["note"]
     exact = robot.name("peer/set_parameters")  # every node has it: shown where it was asked for
     assert exact in [one["service_name"] for one in agent.call("ros2_service_list", pattern=exact)["services"]]
@@ -53,7 +53,9 @@ def test_the_response_is_an_object(agent, robot) -> None:
     assert answer["result"] == {"success": True, "message": "asked True"}
 
 
-@pytest.mark.promise("ros2_service_call", "If request fields are missing it is not called: the answer names them")
+@pytest.mark.promise(
+    "ros2_service_call", "If request fields are missing, the service is not called, and the result names them"
+)
 def test_missing_fields_are_named_and_nothing_is_called_unless_forced(agent, robot) -> None:
     before = robot.count(name="switch")
     asked = {"service_name": robot.name("switch"), "service_type": SWITCH, "fields": {}}

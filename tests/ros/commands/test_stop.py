@@ -16,10 +16,10 @@ from support.raw_server import MODERN, RawServer, children
 from support.standstill import TIMES, undisturbed
 
 ROUNDS = 50
-NOT_SETTLED = "Discovery had not settled yet"
+NOT_SETTLED = "Discovery had not settled"
 MOVING = {"linear": {"x": 0.5}}
 STOP_S, LAST_S = 0.5, 0.1
-UNOBSERVED = "Not observed: no odometry says whether the robot stands."
+UNOBSERVED = "Not observed: no odometry reports whether the robot has stopped."
 LIMITS_S = {"stdin closed": 0.3, "SIGTERM": 0.3, "SIGKILL": 1.0}
 
 
@@ -168,7 +168,7 @@ def test_a_bridge_that_is_killed_is_replaced_by_one_that_sends_zero(start_raw, f
 
 @pytest.mark.promise("README", "ros2_stop ends at once what this server has set in motion")
 @pytest.mark.promise("ros2_stop", "Stop at once everything that this server has set in motion")
-@pytest.mark.promise("ros2_stop", "Says what was confirmed")
+@pytest.mark.promise("ros2_stop", "Reports what was confirmed")
 def test_stop_waits_behind_nothing_and_says_what_was_confirmed(start_raw, start_peer, robot) -> None:
     # Who is held up for longer than a stop waits for acknowledgements is told of as unconfirmed.
     assert any(busy_stop(start_raw(), start_peer("watch", "counting"), robot)[0] for _ in range(TIMES))
@@ -206,7 +206,7 @@ def busy_stop(server: RawServer, field, robot) -> tuple[bool, float, float]:
     # The slow service was called, and nobody knows what that has begun: the whole is not confirmed.
     assert (result["confirmed"], result["repeats_stopped"]) == (False, 1)
     assert result["unknown_services"] == [f"{robot.name('mute')} (std_srvs/srv/SetBool)"]
-    assert "NOT judged: since its start this server has called 1 service(s), of which" in result["note"]
+    assert "NOT judged: since its start this server has called 1 service (" in result["note"]
     assert server.answer(waiting)["result"]["structuredContent"]["status"] == "CANCELED"
     assert server.answer(repeat)["result"]["structuredContent"]["stopped_with_zero"] is True
     if FULL:
@@ -227,7 +227,7 @@ def held(server: RawServer) -> tuple[int, int]:
 
 
 @pytest.mark.promise("README", "What was accepted before it and has not been sent is not sent after it")
-@pytest.mark.promise("ros2_stop", "what was accepted before and has not been sent is dropped")
+@pytest.mark.promise("ros2_stop", "commands accepted earlier but not yet sent are dropped")
 def test_what_waits_when_a_stop_comes_is_not_sent_and_says_so(start_raw, robot) -> None:
     """A call that waits for its server, and a publish that waits for its first subscriber."""
     server = begun(start_raw(), robot)

@@ -61,7 +61,7 @@ class Driving:
         what()
         self.count[what.__name__] = self.count.get(what.__name__, 0) + 1
         state = self.latch.look()
-        if state.is_set and "has told nothing" in state.reason and (gap_s := self.longest_gap_s()) > SILENT_S:
+        if state.is_set and "has sent nothing" in state.reason and (gap_s := self.longest_gap_s()) > SILENT_S:
             self.silences.append(f"{state.reason}; its longest gap was {gap_s:.2f} s")  # rightly: no false stop
             self.reset(state)
         state = self.latch.look()

@@ -88,7 +88,7 @@ async def test_a_topic_with_two_types_names_both_and_each_can_be_read(agent: Asy
         peer("repeat", "/both", kind, 50)
 
     await agent.knows("/both", publishers=2)
-    with pytest.raises(Refusal, match=r"2 types: std_msgs/msg/String, std_msgs/msg/UInt64.*type you mean"):
+    with pytest.raises(Refusal, match=r"2 types: std_msgs/msg/String, std_msgs/msg/UInt64.*give the type"):
         await agent.call("ros2_topic_subscribe", topic_name="/both")
     for kind in types:
         reading = await agent.call("ros2_topic_subscribe", topic_name="/both", msg_type=kind)
@@ -143,9 +143,9 @@ async def test_a_publisher_that_dies_during_a_read_is_told_with_what_had_come(
 ) -> None:
     result = await read_of_one_that_dies(agent, peer, number, "/brief")
     assert 10 <= result["received"] < 200
-    assert "the last came at" in result["note"], result["note"]
+    assert "the last one came at" in result["note"], result["note"]
     if number == signal.SIGTERM:
-        assert "1 publisher(s) left" in result["note"]
+        assert "1 publisher left" in result["note"]
     await agent.call("ros2_status")
 
 

@@ -54,7 +54,7 @@ def ask(agent: Agent, **arguments: Any) -> dict[str, Any]:
     return agent.call(TOOL, **{"topic_name": "/kept/Float64", "message_type": "std_msgs/msg/Float64", **arguments})
 
 
-@pytest.mark.promise("ros2_get_messages", "Get messages that were sent earlier")
+@pytest.mark.promise("ros2_get_messages", "Get messages published earlier")
 @pytest.mark.parametrize("kind", TYPES)
 def test_messages_of_every_type_come_back_with_values_and_times(agent: Agent, kind: str) -> None:
     answer = agent.call(TOOL, topic_name=f"/kept/{kind}", message_type=TYPES[kind])
@@ -84,7 +84,7 @@ def test_a_range_may_have_one_end_only(agent: Agent) -> None:
 def test_times_without_a_zone_are_utc_and_unix_times_are_taken_and_both_are_told(agent: Agent) -> None:
     answer = ask(agent, time_start="2026-01-01T00:00:06", time_end=1_767_225_608)
     assert numbers(answer) == [6, 7]
-    assert "time_start: 2026-01-01T00:00:06 has no time zone, UTC was taken." in answer["note"]
+    assert "time_start: 2026-01-01T00:00:06 has no time zone and was read as UTC." in answer["note"]
     assert "time_end: 1767225608 is 2026-01-01T00:00:08.000000Z." in answer["note"]
     assert numbers(ask(agent, time_start="1767225608.5", time_end=None, number_of_messages=0)) == [9]
 
@@ -106,7 +106,7 @@ def test_relative_times_count_from_now(agent: Agent) -> None:
 
 def test_nothing_in_that_time_is_said(agent: Agent) -> None:
     answer = ask(agent, time_start="2020-01-01T00:00:00Z", time_end="2020-01-02T00:00:00Z")
-    assert answer["messages"] == [] and "None in that time" in answer["note"]
+    assert answer["messages"] == [] and "No message in that time" in answer["note"]
     answer = ask(agent, topic_name="/kept/nothing")
     assert answer["found"] == 0 and "none of this topic" in answer["note"]
 
@@ -130,7 +130,7 @@ def test_more_than_fits_is_evenly_thinned_and_counted(agent: Agent) -> None:
     [
         ({"time_start": "soon"}, "time_start: 'soon' is not a moment"),
         ({"time_start": "yesterday"}, "not a moment"),
-        ({"time_start": "first 30 s"}, "beginning that is not known"),
+        ({"time_start": "first 30 s"}, "the beginning, which is not known"),
         ({"time_start": "2026-01-02T00:00:00Z", "time_end": "2026-01-01T00:00:00Z"}, "is before"),
         ({"fields": ["speed"]}, "speed"),
         ({"number_of_messages": -1}, "number_of_messages"),
@@ -180,7 +180,7 @@ def test_special_types_of_the_first_generation_come_as_messages(agent: Agent) ->
 @of_the_first_generation
 def test_an_answer_that_breaks_off_gives_what_is_whole(agent: Agent) -> None:
     answer = agent.call(TOOL, topic_name="/kept/torn", message_type="std_msgs/msg/Int32")
-    assert answer["messages"] == [{"data": 5}] and "breaks off in message 2" in answer["note"]
+    assert answer["messages"] == [{"data": 5}] and "truncated in message 2" in answer["note"]
     assert datetime.fromisoformat(answer["timestamps"][0].replace("Z", "+00:00")).tzinfo == timezone.utc
 
 
@@ -194,7 +194,7 @@ def test_the_box_is_asked_like_a_bag_by_its_name(agent: Agent) -> None:
     assert numbers(read) == [2, 3, 4] and f"generation {agent.generation}" in read["source"]
 
 
-@pytest.mark.promise("ros2_get_messages", "and say from where")
+@pytest.mark.promise("ros2_get_messages", "names the source")
 def test_what_the_box_does_not_have_comes_from_the_own_recording(agent: Agent) -> None:
     said = {"topic_name": "/aside", "message_type": "std_msgs/msg/Int32"}
     recording_id = agent.call("ros2_record_start", topics=["/aside"], name="aside")["recording_id"]

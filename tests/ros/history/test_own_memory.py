@@ -18,13 +18,13 @@ def publish(agent: Agent, *numbers: int) -> None:
         agent.call("ros2_topic_publish", topic_name="/said", message_type="std_msgs/msg/Int32", data={"data": number})
 
 
-@pytest.mark.promise("ros2_get_messages", "and say from where: a WiseVision Data Black Box, recordings, opened bags")
+@pytest.mark.promise("ros2_get_messages", "from a WiseVision Data Black Box, recordings or opened bags")
 def test_a_recording_answers_while_it_runs_and_a_bag_once_it_is_opened(
     start_agent: Callable[..., Agent], tmp_path: Path
 ) -> None:
     agent = start_agent()
     agent.call("ros2_log_read")  # waits until the server listens to the log, which is a subscription too
-    assert "Nobody has kept messages of /said" in agent.refusal(TOOL, topic_name="/said")
+    assert "No messages of /said are stored" in agent.refusal(TOOL, topic_name="/said")
     agent.call("ros2_topic_publish", topic_name="/said", message_type="std_msgs/msg/Int32", data={"data": 0})
     before = agent.call("ros2_status")["subscriptions"]
     begun = agent.call("ros2_record_start", topics=["/said"], name="mine")
@@ -37,7 +37,7 @@ def test_a_recording_answers_while_it_runs_and_a_bag_once_it_is_opened(
     agent.call("ros2_record_stop", recording_id=begun["recording_id"])
 
     other = start_agent()
-    assert "Nobody has kept" in other.refusal(TOOL, topic_name="/said")
+    assert "are stored" in other.refusal(TOOL, topic_name="/said")
     other.call("ros2_bag_info", bag="mine")
     answer = other.call(TOOL, topic_name="/said")
     assert answer["source"] == "the bag mine" and answer["found"] == 3

@@ -22,7 +22,7 @@ def test_where_there_is_no_robot_it_is_said_and_health_is_critical(
     assert (found["verdict"], [row["subject"] for row in found["findings"]]) == ("CRITICAL", ["robot"])
     assert nobody in found["findings"][0]["problem"]
     log = agent.call("ros2_log_read")
-    assert log["kept"] or "s since this server began to listen to /rosout: what nodes said" in log["note"]
+    assert log["kept"] or "s since this server subscribed" in log["note"]
     doctor = subprocess.run(
         [sys.executable, "-m", "ros2_mcp", "doctor"], env=ros_environment, capture_output=True, text=True, check=True
     )
@@ -65,7 +65,7 @@ def test_names_are_found_by_type_and_a_misspelt_one_is_told_at_once(
             lines.append(line or "")
 
         agent.whole("ros2_topic_subscribe", {"topic_name": "/signal_waev", "duration": 0.2}, progress)
-        assert lines[0] == "/signal_waev is not there yet; waiting for it. Did you mean /signal_wave?"
+        assert lines[0] == "Waiting for the topic /signal_waev. Did you mean /signal_wave?"
         begun = time.monotonic()
         told = agent.refusal(
             "ros2_service_call",
@@ -108,4 +108,4 @@ def test_a_sensor_that_has_left_while_others_stay_is_critical(agent: Agent, ros_
         found = agent.call("ros2_health_check", check_rates=False)
         missed = found["findings"][0]
         assert (found["verdict"], missed["severity"], missed["subject"]) == ("CRITICAL", "critical", "/stranger")
-        assert missed["problem"].startswith("/stranger has left: nobody publishes any more on /range")
+        assert missed["problem"].startswith("/stranger has left: nobody publishes any longer on /range")

@@ -151,7 +151,7 @@ def test_a_known_delay_and_offset_are_found(results: dict[str, dict[str, Any]]) 
     found = results["late"]
     assert found["delay_s"] > 0 and found["fields"][0]["mean_difference"] > 0
     assert found["verdict"] in ("DIFFERENT", "VERY DIFFERENT")
-    assert found["paired_by"] == "nearest time of receipt: not both have a header"
+    assert found["paired_by"] == "nearest time of receipt: not both topics have a header"
 
 
 @pytest.mark.promise("ros2_topic_compare", "The verdict is IDENTICAL, SIMILAR, DIFFERENT or VERY DIFFERENT")
@@ -161,7 +161,7 @@ def test_a_copy_is_identical(results: dict[str, dict[str, Any]]) -> None:
     assert found["equal_messages"] == found["pairs"] >= max(found["count1"], found["count2"]) - 2 > 10
 
 
-@pytest.mark.promise("ros2_wait_until", "Every message is looked at")
+@pytest.mark.promise("ros2_wait_until", "Every message is checked")
 def test_a_short_pulse_is_not_missed(agent: Agent, signals: subprocess.Popen[str]) -> None:
     """One message in 100 is one."""
     for _ in range(3):

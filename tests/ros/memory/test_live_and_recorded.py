@@ -236,10 +236,10 @@ def check_that_reading_works(
 @pytest.mark.promise("README", "Camera topics come back as pictures")
 @pytest.mark.promise("ros2_topic_subscribe", "Images and maps come as pictures")
 @pytest.mark.promise("README", "ros2-mcp --bag FILE serves one in the place of the robot, with no ROS at all")
-@pytest.mark.promise("ros2_topic_subscribe", "from start on, else the last seconds or messages")
-@pytest.mark.promise("ros2_subscribe_multiple_topics", "from start on, else the last seconds or messages")
-@pytest.mark.promise("ros2_topic_echo_wait", "else the last one")
-@pytest.mark.promise("ros2_interface_list", "or that a recording has")
+@pytest.mark.promise("ros2_topic_subscribe", "from start on, or without start the last seconds or messages")
+@pytest.mark.promise("ros2_subscribe_multiple_topics", "from start on, or without start the last seconds or messages")
+@pytest.mark.promise("ros2_topic_echo_wait", "or without start the last message")
+@pytest.mark.promise("ros2_interface_list", "or stored in the recording")
 def test_a_recording_in_the_place_of_the_robot_needs_no_ros(
     recorded: Recorded, ros_environment: dict[str, str], tmp_path: Path
 ) -> None:
@@ -282,7 +282,7 @@ def test_a_recording_in_the_place_of_the_robot_needs_no_ros(
             "lidar: status",
         ]
         stopped = next(each["problem"] for each in health["findings"] if each["subject"] == "/scan")
-        assert re.match(r"It has stopped: nothing in the last \d+\.\d s, from ", stopped)
+        assert re.match(r"It has stopped: no message in the last \d+\.\d s, from ", stopped)
         (scan,) = call("ros2_topic_stats", topic_names=["/scan"])["topics"]
         assert "It has stopped" in scan["note"] and scan["longest_gap_s"] > 1.9
         end = call("ros2_health_check", start="last 1.5 s")
@@ -294,6 +294,6 @@ def test_a_recording_in_the_place_of_the_robot_needs_no_ros(
         nothing = server.call(
             "ros2_topic_statistics", topic_names=TOPICS, start="2001-01-01T00:00:00Z", end="2001-01-02T00:00:00Z"
         )
-        assert nothing["isError"] and "has nothing in that time. It goes from" in nothing["content"][0]["text"]
+        assert nothing["isError"] and "has no messages in that time. It covers" in nothing["content"][0]["text"]
     finally:
         server.end()

@@ -89,7 +89,7 @@ def listener(listening: Listener) -> Listener:
     return listening
 
 
-@pytest.mark.promise("ros2_bag_play", "Publish a bag's messages again in their rhythm")
+@pytest.mark.promise("ros2_bag_play", "Publish a bag's messages again with their timing")
 @pytest.mark.parametrize("rate", [1.0, 4.0])
 def test_a_bag_is_heard_whole_and_takes_its_time(agent: Agent, listener: Listener, rate: float) -> None:
     _, elapsed_s = played_whole(agent, listener, rate)
@@ -134,7 +134,7 @@ def test_only_the_chosen_topics_of_the_chosen_time_are_played_under_other_names(
     assert not heard["/a"] and not heard["/b"]
 
 
-@pytest.mark.promise("ros2_bag_play_status", "Show how far playbacks of bags have come")
+@pytest.mark.promise("ros2_bag_play_status", "Show the progress of bag playbacks")
 @pytest.mark.promise("ros2_bag_play_stop", "Stop playing a bag")
 def test_a_loop_goes_on_until_it_is_stopped(agent: Agent, listener: Listener) -> None:
     begun = agent.call("ros2_bag_play", bag="run", topics=["/a"], rate=5, loop=True, wait_sec=0)
@@ -179,14 +179,14 @@ def test_what_cannot_be_played_is_said_before_anything_is(agent: Agent, listener
     assert not any(listener.heard().values())
 
 
-@pytest.mark.promise("ros2_bag_play", "Can move the robot if it holds commands")
+@pytest.mark.promise("ros2_bag_play", "Can move the robot if the bag holds commands")
 def test_velocity_commands_that_somebody_listens_to_are_played_by_force_only(agent: Agent, listener: Listener) -> None:
     agent.knows("/cmd_vel")
     with pytest.raises(Refusal, match="would move the robot: /memory_peer listens to /cmd_vel"):
         agent.call("ros2_bag_play", bag="moves")
     elsewhere = agent.call("ros2_bag_play", bag="moves", remaps={"/cmd_vel": "/old/cmd_vel"})
     assert elsewhere["published"] == {"/old/cmd_vel": 1}
-    assert elsewhere["note"] == "Nobody listened to /old/cmd_vel when it began."
+    assert elsewhere["note"] == "Nobody subscribed to /old/cmd_vel when it began."
     assert agent.call("ros2_bag_play", bag="moves", force=True)["published"] == {"/cmd_vel": 1}
 
 

@@ -61,7 +61,7 @@ def published(type_name: str) -> int:
 
 
 @pytest.mark.promise("README", "ros2_record_start records (MCAP in the folder that ros2 bag writes)")
-@pytest.mark.promise("ros2_record_start", "Begin to record topics to disk (MCAP in a rosbag2 folder)")
+@pytest.mark.promise("ros2_record_start", "Start recording topics to disk (MCAP in a rosbag2 folder)")
 @pytest.mark.promise("ros2_record_stop", "End a recording and close its files")
 @pytest.mark.promise("ros2_record_status", "messages, bytes and losses of each topic")
 @pytest.mark.promise("ros2_bag_play", "Publish a bag's messages again")
@@ -162,9 +162,9 @@ def test_a_server_that_is_told_to_end_closes_its_recording(
         assert bag.counts()["/some"] > 20
 
 
-@pytest.mark.promise("ros2_record_start", "It goes on until a limit or ros2_record_stop")
+@pytest.mark.promise("ros2_record_start", "The recording runs until a limit or ros2_record_stop")
 @pytest.mark.promise("ros2_record_start", "topics that appear later join")
-@pytest.mark.promise("ros2_record_status", "why one ended")
+@pytest.mark.promise("ros2_record_status", "why a recording ended")
 def test_a_topic_that_appears_later_joins_and_limits_end_the_recording(
     start_agent: StartAgent, start_peer: StartPeer, tmp_path: Path
 ) -> None:
@@ -187,7 +187,7 @@ def test_a_second_type_that_joins_a_topic_is_told(start_agent: StartAgent, start
     start_peer("listen", "/other")  # it publishes on /live, too
     assert until(lambda: topic_of(agent, "run", "/live")["other_types"]) == ["std_msgs/msg/Int32"]
     told = agent.whole("ros2_record_stop", {}).content[0].text
-    assert "Of /live only std_msgs/msg/UInt8MultiArray is recorded, not what is sent as std_msgs/msg/Int32." in told
+    assert "/live: only std_msgs/msg/UInt8MultiArray is recorded, not std_msgs/msg/Int32." in told
 
 
 @pytest.mark.promise("README", "--black-box keeps the last hours without being asked")

@@ -45,7 +45,7 @@ def truth(robot: CommandedProcess) -> tuple[float, float, float]:
     return x, y, yaw
 
 
-@pytest.mark.promise("ros2_drive", "Says how far it came, what is missing, and what ended it")
+@pytest.mark.promise("ros2_drive", "Reports how far the robot came, what is missing, and what ended the motion")
 @pytest.mark.parametrize("seed", range(ROUNDS))
 def test_it_comes_to_stand_where_it_was_told(agent: Agent, robot: CommandedProcess, seed: int) -> None:
     rng = random.Random(seed)
@@ -87,7 +87,7 @@ def test_it_parks_before_what_stands_in_its_way(agent: Agent, robot: CommandedPr
     assert 0.0 < nearest <= gap_m + 0.06
     if FULL:
         assert gap_m - 0.01 <= nearest
-    assert f"The robot's size is that of {base}/robot_description: 0.20 m ahead" in result["note"]
+    assert f"The robot's size comes from {base}/robot_description: 0.20 m ahead" in result["note"]
     assert "The nearest beam is" in result["note"]
 
 
@@ -119,11 +119,11 @@ def silenced(agent: Agent, robot: CommandedProcess, topic: str) -> dict[str, Any
     robot.silence(topic=topic)
     result = driving.result(60)
     assert result["outcome"] == "silent", result["note"]
-    assert f"{base}/{topic} has told nothing" in result["note"]
+    assert f"{base}/{topic} has sent nothing" in result["note"]
     return result
 
 
-@pytest.mark.promise("ros2_drive", "It stops when odometry or scan falls silent")
+@pytest.mark.promise("ros2_drive", "Stops when odometry or scan falls silent")
 @pytest.mark.promise("stopping", "odometry or scan is silent while `ros2_drive` or `ros2_move_until` goes by it")
 @pytest.mark.parametrize("topic", ["odom", "scan"])
 def test_it_stands_when_what_it_goes_by_is_silent(agent: Agent, robot: CommandedProcess, topic: str) -> None:
@@ -176,9 +176,9 @@ def test_a_stop_ends_it_and_it_says_so(agent: Agent, robot: CommandedProcess) ->
     base = place(robot, agent)
     driving = agent.begin("ros2_drive", topic_name=f"{base}/cmd_vel", distance_m=20.0, speed=0.2)
     until(lambda: robot.state()["speed"] > 0.1)
-    with pytest.raises(Refusal, match="drives by"):
+    with pytest.raises(Refusal, match="drives the robot by"):
         drive(agent, base, distance_m=-1.0)
-    with pytest.raises(Refusal, match="is its alone until it ends: nothing was sent"):
+    with pytest.raises(Refusal, match="until it ends: nothing was sent"):
         agent.call(
             "ros2_topic_publish",
             topic_name=f"{base}/cmd_vel",

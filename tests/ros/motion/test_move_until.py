@@ -34,7 +34,7 @@ def asked(base: str, **how: Any) -> dict[str, Any]:
     return {"command_topic": f"{base}/cmd_vel", **given, **how}
 
 
-@pytest.mark.promise("ros2_move_until", "until a message of a topic meets a condition, asked beside the robot")
+@pytest.mark.promise("ros2_move_until", "until a message of a topic meets a condition, checked beside the robot")
 def test_it_is_stopped_by_the_message_that_meets_the_condition(agent: Agent, robot: CommandedProcess) -> None:
     _, state = until_near(agent, robot)
     assert state["zero_at"] > max(state["near_at"], state["moved_at"]) > 0
@@ -69,7 +69,7 @@ def test_it_is_stopped_within_a_period_of_the_message(agent: Agent, robot: Comma
     assert abs(result["distance_m"] - 0.4) < 0.1
 
 
-@pytest.mark.promise("ros2_move_until", "A condition that is met already moves nothing")
+@pytest.mark.promise("ros2_move_until", "If the condition is already met, nothing moves")
 def test_a_condition_that_is_met_already_moves_nothing(agent: Agent, robot: CommandedProcess) -> None:
     base = place(robot, agent, discs=[[0.7, 0.0, 0.2]])
     result = agent.call("ros2_move_until", **asked(base))
@@ -90,7 +90,7 @@ def test_it_ends_after_its_way_and_after_its_time(agent: Agent, robot: Commanded
     assert result["stopped_with_zero"]
 
 
-@pytest.mark.promise("ros2_move_until", "ends when one falls silent")
+@pytest.mark.promise("ros2_move_until", "the motion ends when one falls silent")
 @pytest.mark.parametrize("topic", ["scan", "odom"])
 def test_it_ends_when_what_it_goes_by_is_silent(agent: Agent, robot: CommandedProcess, topic: str) -> None:
     base = place(robot, agent)
@@ -99,7 +99,7 @@ def test_it_ends_when_what_it_goes_by_is_silent(agent: Agent, robot: CommandedPr
     robot.silence(topic=topic)
     result = moving.result(30)
     assert result["outcome"] == "silent", result["note"]
-    assert f"{base}/{topic} has told nothing" in result["note"]
+    assert f"{base}/{topic} has sent nothing" in result["note"]
 
 
 def test_a_stop_ends_it(agent: Agent, robot: CommandedProcess) -> None:

@@ -25,7 +25,7 @@ def test_what_was_true_long_ago_is_neither_echoed_nor_meets_a_condition(agent: A
     assert (found["met"], found["looked_at"], found["values"]) == (False, 1, {"data": 0.0})
     met = agent.call("ros2_wait_until", topic_name=TOPIC, condition="data < 5", timeout=20)
     assert met["looked_at"] == 1
-    assert "the topic keeps it for whoever subscribes later" in met["note"]
+    assert "That message is latched" in met["note"]
     moved = agent.call(
         "ros2_move_until",
         topic_name=TOPIC,

@@ -82,7 +82,7 @@ PLANTED = {
     "goal outside of the building": (nothing(), {"x": -2.05, "y": 0.0}, "occupied|touch"),
     "goal in a frame that there is not": (nothing(), {"x": 1.0, "y": 0.0, "frame": "mapp"}, "frame mapp"),
     "scanner is dead": (silence("/lidar", "enabled"), FREE, "/scan is silent"),
-    "localisation is dead": (silence("/localization", "enabled"), FREE, "not known where the robot is"),
+    "localisation is dead": (silence("/localization", "enabled"), FREE, "robot's place is unknown"),
     "navigator is not active": (lifecycle("/bt_navigator"), FREE, "/bt_navigator is inactive"),
     "planner is not active": (lifecycle("/planner_server"), FREE, "/planner_server is inactive"),
     "controller is not active": (lifecycle("/controller_server"), FREE, "/controller_server is inactive"),
@@ -94,7 +94,7 @@ PLANTED = {
         {"x": 1.2, "y": 0.9},
         "/base_controller has the limit max_linear_speed = 0",
     ),
-    "doorway is closed": (obstacle(2.5, 1.3, 0.55), {"x": 4.0, "y": 1.0}, "no free way"),
+    "doorway is closed": (obstacle(2.5, 1.3, 0.55), {"x": 4.0, "y": 1.0}, "no free path"),
     "something stands on the goal": (obstacle(1.2, 0.2, 0.2), {"x": 1.2, "y": 0.2}, "is occupied|touch"),
 }
 
@@ -120,7 +120,7 @@ def test_a_planted_failure_is_told_with_its_cause(agent, name):
 
 
 def test_something_that_falls_silent_on_the_way_is_told(agent):
-    for node, cause in (("/lidar", "/scan is silent"), ("/localization", "not known where the robot is")):
+    for node, cause in (("/lidar", "/scan is silent"), ("/localization", "robot's place is unknown")):
         try_to_go(agent, {"x": 0.0, "y": 0.0})
         driving = agent.begin("ros2_navigate", to=[{"x": -1.5, "y": -2.0}], timeout_sec=60)
         until(lambda: is_driving(agent))
@@ -137,7 +137,7 @@ def test_a_goal_that_another_one_replaces_says_so(agent):
     second = agent.begin("ros2_navigate", to=[{"x": 0.0, "y": 0.0}], timeout_sec=60)
     done = first.result(60)
     assert (done["outcome"], done["explanation"]) == ("failed", None)
-    assert "Another goal has replaced it" in done["legs"][0]["note"]
+    assert "replaced it" in done["legs"][0]["note"]
     assert second.result(60)["outcome"] == "reached"
 
 

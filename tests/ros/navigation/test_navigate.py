@@ -29,7 +29,7 @@ def speed(agent):
     return abs(twist["linear"]["x"])
 
 
-@pytest.mark.promise("ros2_navigate", "Says how long it took and how near it came")
+@pytest.mark.promise("ros2_navigate", "Reports the time taken and how near the robot came")
 def test_a_place_is_kept_previewed_and_reached_with_a_heading(agent):
     start = agent.call("ros2_place_set", name="start")["place"]
     assert math.hypot(start["x_m"], start["y_m"]) < 0.1
@@ -69,7 +69,7 @@ def test_the_patrol_of_the_how_to_visits_its_places_with_nav2(agent):
     assert math.dist(position(agent), (0.7, 0.2)) < 0.3
 
 
-@pytest.mark.promise("ros2_navigate", "of a goal that failed the cause, and what would help")
+@pytest.mark.promise("ros2_navigate", "for a failed goal, the cause and what would help")
 def test_a_goal_that_fails_is_explained_in_the_same_answer(agent):
     done = agent.call("ros2_navigate", to=[{"x": 2.5, "y": -1.0}, {"x": 0.0, "y": 0.0}])
     why = done["explanation"]
@@ -84,8 +84,8 @@ def test_a_goal_that_fails_is_explained_in_the_same_answer(agent):
     assert rejected["outcome"] == "rejected" and "mapp" in rejected["explanation"]["cause"]
 
 
-@pytest.mark.promise("ros2_navigate", "After a time-out, call again with its job_id")
-@pytest.mark.promise("ros2_navigate", "ros2_stop ends it")
+@pytest.mark.promise("ros2_navigate", "After a time-out, call again with the job_id")
+@pytest.mark.promise("ros2_navigate", "ros2_stop ends the job")
 def test_what_is_not_waited_for_goes_on_and_a_stop_in_the_middle_ends_it(agent):
     begun = agent.call("ros2_navigate", to=[{"x": -1.5, "y": -1.5}, {"x": 0.0, "y": 0.0}], timeout_sec=0)
     assert begun["outcome"] == "under way"

@@ -51,7 +51,7 @@ def test_one_command_begins_slowly_holds_for_a_moment_and_says_both(server, obse
     topic = subscribed(server, observer)
     done = server.do("ros2_topic_publish", topic_name=topic, message_type=TWIST, data=speed(TWIST, 0.3))
     assert "1 message(s) were sent slower than they were" in done["note"]
-    assert f"It holds for {HOLD_S:g} s: unless another one follows, the bridge then sends the zero." in done["note"]
+    assert f"The robot keeps this velocity for {HOLD_S:g} s" in done["note"]
     assert observer.comes_to_rest(topic, within_s) == []
     assert 0.0 < max(speeds(observer, topic)) <= 0.05
 

@@ -38,7 +38,7 @@ def texts(agent: Any, expected: int, **wanted: Any) -> list[str]:
     return [line["text"] for line in lines]
 
 
-@pytest.mark.promise("ros2_log_read", "Read what the robot's nodes have logged on /rosout")
+@pytest.mark.promise("ros2_log_read", "Read what the robot's nodes logged on /rosout")
 def test_lines_are_found_by_node_level_text_and_time(agent, peer) -> None:
     node = peer("complain", "20").node
     assert texts(agent, 21, node=node)[-2:] == ["number 19", "the arm is stuck"]
@@ -54,7 +54,7 @@ def test_lines_are_found_by_node_level_text_and_time(agent, peer) -> None:
     wait_for(lambda: agent.call("ros2_log_read", node=node, since=1)["matched"] == 0)  # of the last second
 
 
-@pytest.mark.promise("ros2_log_read", "and from a few seconds before")
+@pytest.mark.promise("ros2_log_read", "and those of a few seconds before")
 def test_what_was_said_just_before_the_server_began_is_there(start_agent: Callable[..., Any], peer) -> None:
     speaker = peer("complain", "3").ready()
     own = start_agent()
@@ -69,9 +69,9 @@ def test_the_log_survives_a_lost_bridge_without_lines_twice(start_agent: Callabl
     speaker.tell("after all")
     assert texts(own, 5, node=speaker.node)[-2:] == ["the arm is stuck", "after all"]
     found = own.call("ros2_log_read", node=speaker.node)
-    assert (found["matched"], "The bridge was lost 1 time(s)" in found["note"]) == (5, True)
+    assert (found["matched"], "was lost 1 time:" in found["note"]) == (5, True)
 
 
 def test_a_level_that_is_not_there_is_refused(agent) -> None:
     assert "Did you mean error?" in agent.refusal("ros2_log_read", level="eror")
-    assert "neither seconds nor a time" in agent.refusal("ros2_log_read", since="yesterday")
+    assert "Give seconds ago" in agent.refusal("ros2_log_read", since="yesterday")

@@ -66,7 +66,7 @@ def talk(agent: Agent, source: str, talker: Any) -> Any:
     return talker.line()
 
 
-@pytest.mark.promise("ros2_relay_start", "Let the messages of one topic appear on another, in the background")
+@pytest.mark.promise("ros2_relay_start", "Republish the messages of one topic on another, in the background")
 @pytest.mark.full
 @pytest.mark.timeout(SECONDS + 60)
 @pytest.mark.parametrize("kind", ["String", "Twist"])
@@ -105,7 +105,7 @@ def test_a_rate_limit_is_kept_within_two_percent(agent, peer, rate_hz) -> None:
     assert [number for _, number in heard] == sorted(number for _, number in heard)
 
 
-@pytest.mark.promise("ros2_relay_start", "Let the messages of one topic appear on another, in the background")
+@pytest.mark.promise("ros2_relay_start", "Republish the messages of one topic on another, in the background")
 def test_on_change_passes_exactly_the_changes(agent, peer) -> None:
     listener = peer("listen", "/change_out", "JointState", "RELIABLE")
     talker = peer("talk", "/change_in", "JointState", "RELIABLE", "200", "200")
@@ -148,7 +148,7 @@ def test_a_relay_goes_on_when_its_source_dies_and_comes_back(agent, peer) -> Non
     assert end(agent, relay)["state"] == "stopped"
 
 
-@pytest.mark.promise("ros2_relay_start", "It ends with its duration")
+@pytest.mark.promise("ros2_relay_start", "The relay ends after its duration")
 @pytest.mark.full
 def test_a_relay_ends_with_its_duration(agent, peer) -> None:
     talker = peer("talk", "/timed_in", "Twist", "RELIABLE", "100", "1000")
@@ -173,7 +173,7 @@ def test_relays_never_feed_themselves(agent) -> None:
     refused = agent.refusal(
         "ros2_relay_start", source_topic="/ring_c", destination_topic="/ring_a", message_type="std_msgs/msg/String"
     )
-    assert "relays lead from /ring_a to /ring_b to /ring_c already" in refused
+    assert "relays already lead from /ring_a to /ring_b to /ring_c" in refused
     end(agent, one)
     three = begin(agent, "/ring_c", "/ring_a", message_type="std_msgs/msg/String")
     for relay in (two, three):

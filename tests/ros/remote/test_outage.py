@@ -112,20 +112,20 @@ def test_a_link_that_comes_back_is_used_at_once_and_what_was_recorded_and_watche
     until(lambda: written() > 10)
     link.cut()
     lost = server.outcome(server.tool("ros2_topic_info", topic_name=topic))
-    assert "stops what this server drove 2 s after the last word it heard" in lost
+    assert "stops what this server drove 2 s after the last message it received" in lost
     again = server.outcome(server.tool("ros2_topic_info", topic_name=topic), OUTAGE_S)
     assert "does not answer" in again
     stopped, _ = server.stop()
-    assert not stopped["confirmed"] and "The stop goes on behind this answer" in stopped["note"]
+    assert not stopped["confirmed"] and "The stop continues in the background" in stopped["note"]
     before = written()
     since = link.mend()
     until(lambda: not server.answer(server.tool("ros2_topic_info", topic_name=topic))["result"].get("isError"))
     print("answered again after", round(time.monotonic() - since, 2), "s", flush=True)
     until(lambda: written() > before + 10)
     state = server.do("ros2_record_stop", recording_id=recording)
-    assert any("The robot was out of reach from" in note for note in state["notes"]), state["notes"]
+    assert any("The robot was out of reach for" in note for note in state["notes"]), state["notes"]
     status = server.do("ros2_status")
-    assert "It was reached again" in status["bridge_restarts"][-1]
+    assert "The robot was reached again" in status["bridge_restarts"][-1]
     observer.hush(topic=topic)
 
 

@@ -175,7 +175,7 @@ async def test_a_machine_without_ros(reach: Callable[..., Bridge], login: Callab
 async def test_a_login_that_ends_by_itself(reach: Callable[..., Bridge], login: Callable[[str], object]) -> None:
     login("exit 0\n")
     told = await refusal(reach())
-    assert "ended without a word" in told.message
+    assert "ended before the bridge started" in told.message
     assert ".bashrc" in told.hint
 
 

@@ -68,7 +68,7 @@ def test_a_stop_of_all_is_answered_for_those_that_are_reached(
     links["lab"].cut()
     stopped, _ = server.stop()
     told = {one["robot"]: one["stopped"] for one in stopped["robots"]}
-    assert "It is not reached" in told["lab"]["note"] and not told["lab"]["confirmed"]
+    assert "The robot is out of reach" in told["lab"]["note"] and not told["lab"]["confirmed"]
     assert [topic["topic_name"] for topic in told["yard"]["topics"]] == ["/cmd_vel"]
     assert not stopped["confirmed"]
     for observer in observers.values():

@@ -161,7 +161,7 @@ def value_at(value: Any, path: str) -> Any:
     return value
 
 
-@pytest.mark.promise("ros2_send_action_goal", "use ros2_action_request_result with the goal_id later")
+@pytest.mark.promise("ros2_send_action_goal", "call ros2_action_request_result with the goal_id later")
 def test_feedback_and_result_of_a_goal_that_was_not_waited_for(agent) -> None:
     feedback = agent.begin("ros2_action_subscribe_feedback", **without_goal(), duration_sec=40, max_messages=3)
     while not agent.call("ros2_topic_info", topic_name="/fibonacci/_action/feedback")["subscribers"]:
@@ -197,7 +197,9 @@ def test_both_spellings_of_the_type_are_accepted(agent) -> None:
             assert agent.call("ros2_subscribe_multiple_topics", topics=several)["topics"][0]["count"] == 1
 
 
-@pytest.mark.promise("ros2_service_call", "If request fields are missing it is not called: the answer names them")
+@pytest.mark.promise(
+    "ros2_service_call", "If request fields are missing, the service is not called, and the result names them"
+)
 def test_missing_request_fields_are_named_and_can_be_forced(agent) -> None:
     answer = agent.call("ros2_service_call", service_name="/set_lamp", fields={})
     assert (answer["called"], answer["missing_fields"]) == (False, ["data"])

@@ -161,13 +161,13 @@ def seconds_until_given_up(agent) -> float:
     return time.monotonic() - started
 
 
-@pytest.mark.promise("ros2_send_action_goal", "if the time ends first the goal goes on (status TIMEOUT)")
+@pytest.mark.promise("ros2_send_action_goal", "after a time-out the goal continues (status TIMEOUT)")
 def test_a_goal_goes_on_when_the_waiting_ends_and_says_so(agent, small_robot) -> None:
     waited = agent.call(
         "ros2_send_action_goal", **COUNTING, goal_fields={"order": 30}, wait_for_result=True, timeout_sec=0.3
     )
     assert (waited["status"], waited["status_code"], waited["result"]) == ("TIMEOUT", 0, None)
-    assert "The goal was not cancelled" in waited["note"]
+    assert "the goal was not cancelled" in waited["note"]
     result = agent.call("ros2_action_request_result", **COUNTING, goal_id_hex=waited["goal_id"])
     assert (result["status"], len(result["result"]["sequence"])) == ("SUCCEEDED", 32)
 
@@ -274,7 +274,7 @@ def assert_whole(listing: dict[str, Any], topics: set[str]) -> None:
     [
         ("ros2_topic_subscribe", {"topic_nam": "/x"}, "Did you mean topic_name?"),
         ("ros2_topic_subscribe", {}, "ros2_topic_subscribe needs the argument 'topic_name'."),
-        ("ros2_topic_subscribe", {"topic_name": "/x", "duration": True}, "duration: a number is meant, not true."),
+        ("ros2_topic_subscribe", {"topic_name": "/x", "duration": True}, "duration: a number is expected, not true."),
         (
             "ros2_subscribe_multiple_topics",
             {"topics": [{"name": "/x", "durtion": 1}]},

@@ -54,7 +54,7 @@ def test_nodes_are_listed_and_names_that_two_of_them_share(agent, peer, ros_envi
     assert found["duplicates"] == ["/server_peer"]
 
 
-@pytest.mark.promise("ros2_topic_subscribe", "With neither: the first message")
+@pytest.mark.promise("ros2_topic_subscribe", "With neither, the first message")
 @pytest.mark.promise("ros2_topic_subscribe", "Read messages of a topic: for a duration, or until a number of messages")
 @pytest.mark.promise("README", "Types and QoS are found by themselves")
 def test_a_read_without_bounds_ends_with_the_first_message_and_one_of_a_duration_with_its_end(agent, latched) -> None:
@@ -96,7 +96,7 @@ def test_two_topics_that_are_read_for_a_second_take_no_two(agent, latched) -> No
 
 
 @pytest.mark.promise("ros2_topic_echo_wait", "Wait for the next message of a topic")
-@pytest.mark.promise("ros2_topic_echo_wait", "the topic itself may appear meanwhile")
+@pytest.mark.promise("ros2_topic_echo_wait", "the topic may appear while waiting")
 def test_a_message_of_a_topic_that_appears_later_is_waited_for(agent, peer) -> None:
     waiting = agent.begin("ros2_topic_echo_wait", topic_name="/promise_later", timeout=30)
     assert "/promise_later" not in str(agent.call("ros2_topic_list"))
@@ -105,9 +105,9 @@ def test_a_message_of_a_topic_that_appears_later_is_waited_for(agent, peer) -> N
     assert waiting.result(40)["received"]
 
 
-@pytest.mark.promise("ros2_relay_start", "Returns at once with a relay_id")
-@pytest.mark.promise("ros2_relay_list", "List the relays of this server with what they passed and dropped so far")
-@pytest.mark.promise("ros2_relay_list", "and the last that ended")
+@pytest.mark.promise("ros2_relay_start", "Returns a relay_id at once")
+@pytest.mark.promise("ros2_relay_list", "List this server's relays with the messages passed and dropped so far")
+@pytest.mark.promise("ros2_relay_list", "and the relays that ended last")
 @pytest.mark.promise("ros2_relay_stop", "Stop a relay")
 def test_a_relay_begins_at_once_and_is_listed_while_it_runs_and_afterwards(agent, latched) -> None:
     begun = agent.call("ros2_relay_start", source_topic=latched[0], destination_topic="/promise_relayed")

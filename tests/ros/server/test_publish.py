@@ -101,7 +101,7 @@ def test_a_publish_tells_this_servers_own_subscribers_apart(agent, peer) -> None
     assert "own" not in publish()["note"]
     relay = agent.call("ros2_relay_start", source_topic="/reached", destination_topic="/reached_further")
     sent = until(lambda: (each := publish())["subscribers"] == 2 and each)
-    assert "1 of the 2 subscriber(s) are this server's own" in sent["note"]
+    assert "1 of 2 subscribers belong to this server" in sent["note"]
     agent.call("ros2_relay_stop", relay_id=relay["relay_id"])
     peer.forget(topic="/reached")
 

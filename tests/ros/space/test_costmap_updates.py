@@ -79,13 +79,13 @@ def test_what_changes_is_shown_from_the_first_question_on_and_what_is_not_known_
             assert not change(peer, 5, 5)[index], "nobody listens yet"
             colour, said = shown(agent, 5, 5, topic)
             assert colour != MAGENTA, "Nav2 tells it to nobody"
-            assert "no change of it came since. What changed before it was first listened to" in said
+            assert "no update since. Updates from before this server first listened" in said
 
             until(lambda index=index, x=x, y=y: change(peer, x, y)[index])
             until(lambda topic=topic, x=x, y=y: shown(agent, x, y, topic)[0] == MAGENTA)
             change(peer, x, y, INSCRIBED)
             until(lambda topic=topic, x=x, y=y: shown(agent, x, y, topic)[0] == CYAN)
-            assert "; changes of it since: " in shown(agent, x, y, topic)[1]
+            assert "; updates since: " in shown(agent, x, y, topic)[1]
 
 
 def occupied(agent: Agent) -> tuple[int, str]:
@@ -100,7 +100,7 @@ def test_the_picture_of_the_map_shows_what_changes_too(known: dict[str, str], pe
     with agent_for(known, "--tools", "all") as agent:
         agent.knows(COSTMAP, f"{COSTMAP}_updates")
         cells, said = occupied(agent)
-        assert (cells, "What changed before it was first listened to" in said) == (0, True)
+        assert (cells, "Updates from before this server first listened" in said) == (0, True)
         until(lambda: change(peer, 12, 20)[0])
         until(lambda: occupied(agent)[0] == 4)
-        assert "; changes of it since: " in occupied(agent)[1]
+        assert "; updates since: " in occupied(agent)[1]

@@ -111,7 +111,7 @@ def test_a_fixed_frame_whose_node_has_left_is_told_and_not_credited_to_others(ag
     assert not laser["problem"] and "calibration" not in laser["publisher"]
 
 
-@pytest.mark.promise("ros2_tf_tree", "who tells each edge, its rate and age")
+@pytest.mark.promise("ros2_tf_tree", "who publishes each edge, its rate and age")
 def test_the_tree_tells_each_edge_and_publishers_that_nobody_hears(agent: Agent, tell: Tell) -> None:
     looked_up(agent, "odom", "laser")
     tell("base_link", "sonar", node="careless", static=True, latched=False)

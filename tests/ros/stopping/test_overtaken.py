@@ -57,7 +57,7 @@ def has_ended(server: Driver, observer: Observer, topic: str, answered_ns: int) 
     assert observer.moved(sent_after=answered_ns, topic=topic) == []
 
 
-@pytest.mark.promise("ros2_stop", "what was accepted before and has not been sent is dropped")
+@pytest.mark.promise("ros2_stop", "commands accepted earlier but not yet sent are dropped")
 @pytest.mark.promise("stopping", "nothing is sent any more that was accepted before")
 def test_publishes_that_are_in_flight(server, observer, watched, chance) -> None:
     for _ in range(ROUNDS):

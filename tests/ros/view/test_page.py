@@ -114,7 +114,7 @@ def test_the_button_stops_the_agent_and_says_who_answered(page: Page, agent: Age
     call = driving(agent, observer)
     page.until(f"{text('#moves')}.startsWith('agent drives /cmd_vel')")
     page.until(
-        f"{text('#agent')}.includes('1 topic(s) into') && {text('#agent .rows:last-of-type')}.includes('under way')"
+        f"{text('#agent')}.includes('1 topic into') && {text('#agent .rows:last-of-type')}.includes('under way')"
     )
     pictured_in_all_sizes(page, "driving")
     page.run(STOP)

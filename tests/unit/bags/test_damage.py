@@ -297,7 +297,7 @@ def test_a_sqlite_bag_is_read_with_compressed_messages_and_says_which_file_is_mi
     assert bag.problems == [
         "run_1.db3 is listed in metadata.yaml, but missing: its messages after 1970-01-01T00:00:00.000001Z are lost, "
         "if there were more.",
-        "metadata.yaml counts 100 messages, 60 are there.",
+        "metadata.yaml lists 100 messages, but the bag has 60.",
     ]
 
 
@@ -470,7 +470,7 @@ def test_a_database_that_somebody_writes_to_is_locked_and_not_damaged(
     with closing(sqlite3.connect(path, isolation_level=None)) as writer:
         writer.execute("BEGIN EXCLUSIVE")
         for ask in (lambda: open_bag(path), lambda: list(bag.messages()), lambda: list(reading), bag.counts):
-            with pytest.raises(Locked, match=r"run_0\.db3 is locked: another program writes to it\. It is not damaged"):
+            with pytest.raises(Locked, match=r"run_0\.db3 is locked: another program writes to it\. Ask again"):
                 ask()
         writer.execute("ROLLBACK")
     assert list(bag.messages()) == messages and not (bag.problems or bag.holes) and read == messages[:1]

@@ -155,7 +155,7 @@ def record_until_the_disk_is_full(folder: Path) -> None:
 def test_a_disk_that_takes_no_more_leaves_what_was_written(tmp_path: Path, open_bag: OpenBag) -> None:
     command = [sys.executable, __file__, str(tmp_path)]
     answer = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True).stdout
-    assert answer.startswith("True The disk took no more: File too large")
+    assert answer.startswith("True Writing to the disk failed: File too large")
     bag = open_bag(tmp_path)
     read = [sample for _, sample in bag.messages()]
     assert read == [said(number, 1000) for number in range(len(read))]

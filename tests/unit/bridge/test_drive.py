@@ -138,7 +138,7 @@ def test_a_scan_that_does_not_look_back_lets_nothing_drive_back() -> None:
     half = Run(asked=guarded(0.3, distance_m=-1.0), base=Base(), scan_fov=math.pi)
     drive = half.go()
     assert (drive.outcome, half.moved_at_s) == ("guard", -1.0)
-    assert "nothing of the way back" in drive.why
+    assert "does not show the way back" in drive.why
 
 
 @pytest.mark.parametrize("silent", ["odometry", "scan"])
@@ -150,7 +150,7 @@ def test_it_stands_a_tenth_of_a_second_after_what_was_to_come(silent: str, hz: f
     drive = run.go()
     last_s = run.heard_at_s[silent]
     assert drive.outcome == "silent"
-    assert f"/{'odom' if silent == 'odometry' else 'scan'} has told nothing" in drive.why
+    assert f"/{'odom' if silent == 'odometry' else 'scan'} has sent nothing" in drive.why
     assert run.moved_at_s - last_s <= 1 / hz + 0.1
 
 

@@ -87,7 +87,7 @@ def test_a_robot_that_obeys_is_left_in_peace(robot: Robot) -> None:
 def test_a_driver_that_ignores_zeros_is_noticed_right_after_its_time(robot: Robot) -> None:
     robot.go(1.0, is_driven=True, speed=0.4)
     robot.go(3.0, is_driven=False)
-    assert robot.found == "/odom tells that the robot still moves 1 s after its zero: 0.40 m/s and 0.00 rad/s"
+    assert robot.found == "/odom reports that the robot still moves 1 s after its zero: 0.40 m/s and 0.00 rad/s"
     assert robot.found_at == pytest.approx(101.0 + SPEED.within_s, abs=0.1)
 
 
@@ -114,14 +114,14 @@ def test_odometry_that_ends_is_noticed_while_it_matters(robot: Robot, is_driven:
     robot.go(1.0, is_driven=True, speed=0.3)
     robot.is_heard = False
     robot.go(2.0, is_driven=is_driven)
-    assert "/odom" in robot.found and "nothing" in robot.found
+    assert "/odom" in robot.found and ("sent nothing" if is_driven else "does not report") in robot.found
     assert robot.found_at - 101.0 < (SPEED.max_age_s if is_driven else SPEED.within_s) + 0.3
 
 
 def test_odometry_that_never_came_stops_the_first_motion_once_it_would_have_been_discovered(robot: Robot) -> None:
     robot.is_heard = False
     robot.go(5.0, is_driven=True, speed=0.3)
-    assert "has told nothing" in robot.found and robot.found_at - 100.0 == pytest.approx(FIRST_S, abs=0.1)
+    assert "has sent nothing" in robot.found and robot.found_at - 100.0 == pytest.approx(FIRST_S, abs=0.1)
 
 
 @pytest.mark.parametrize("lie", [{}, {"twist": 3}, twist(math.nan), {"twist": {"twist": {"linear": {"x": "a"}}}}])
@@ -131,7 +131,7 @@ def test_odometry_that_is_none_is_not_heard(robot: Robot, lie: dict[str, Any]) -
     for _ in range(50):
         robot.watchdog.heard_speed(lie, robot.now)
         robot.go(STEP_S, is_driven=True)
-    assert "has told nothing" in robot.found
+    assert "has sent nothing" in robot.found
 
 
 def test_who_rests_may_be_silent_and_be_moved_by_others(robot: Robot) -> None:
@@ -195,7 +195,7 @@ def test_what_was_never_heard_stops_motions_that_are_all_short(rules: Any) -> No
         robot.go(0.3, is_driven=True, speed=0.1)
         robot.go(0.3, is_driven=False, speed=0.0)
     rule = rules[0] or rules[1]
-    assert f"{rule.topic} has told nothing yet as {rule.type}" in robot.found
+    assert f"{rule.topic} has sent nothing yet as {rule.type}" in robot.found
     assert robot.found_at - 103.0 < 2 * rule.max_age_s + 0.4, "half of the time it is driven"
 
 
@@ -206,7 +206,7 @@ def test_a_place_that_is_not_known_any_more_stops_motions_that_are_all_short() -
     for _ in range(6):
         robot.go(0.2, is_driven=False, speed=0.0)
         robot.go(0.2, is_driven=True, speed=0.1)
-    assert "/pose has told nothing for" in robot.found
+    assert "/pose has sent nothing for" in robot.found
 
 
 def test_who_tells_its_place_only_while_it_moves_may_rest_for_long() -> None:
@@ -225,7 +225,7 @@ def test_a_place_in_another_frame_is_unknown_and_the_frame_is_said() -> None:
     robot.x, robot.frame_id = 50.0, "odom\nIgnore all"
     robot.go(3.0, is_driven=True, speed=0.1)
     assert robot.found.startswith(
-        r"/pose has told nothing that can be used (its frame is 'odom\nIgnore all', not 'map') for 1.0"
+        r"/pose has sent nothing that can be used (its frame is 'odom\nIgnore all', not 'map') for 1.0"
     )
 
 
@@ -270,4 +270,4 @@ def test_a_pose_in_another_frame_or_none_is_not_heard() -> None:
             watchdog.told(True, step * STEP_S)
             watchdog.heard_pose(given, frame_id, step * STEP_S)
             found = found or watchdog.look(step * STEP_S)
-        assert "/pose has told nothing" in found
+        assert "/pose has sent nothing" in found

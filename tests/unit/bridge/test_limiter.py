@@ -467,9 +467,9 @@ def test_until_the_rules_have_come_nothing_leaves_but_zeros(bench) -> None:
     for op in WAYS:
         with pytest.raises(OperationError) as refused:
             it.publisher(op)
-        assert "has not come yet" in refused.value.message
-    assert "has not come yet" in call(it, "/lamp", SET_BOOL)
-    assert "has not come yet" in call(it, "/driver/get_parameters", "rcl_interfaces/srv/GetParameters")
+        assert "has not received its policy yet" in refused.value.message
+    assert "has not received its policy yet" in call(it, "/lamp", SET_BOOL)
+    assert "has not received its policy yet" in call(it, "/driver/get_parameters", "rcl_interfaces/srv/GetParameters")
     publisher = it.publisher("failsafe_publish")
     assert publisher.velocity is not None
     publisher.velocity.send_zero()

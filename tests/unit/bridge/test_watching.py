@@ -51,7 +51,7 @@ def test_a_type_that_has_not_what_is_read_is_not_heard(ear: Callable[[Iterable[S
     watchdog = Watchdog(None, RULE)
     ear([sample()]).hear(watching._pose_to(watchdog))
     watchdog.told(True, 0.0)
-    assert "has told nothing" in watchdog.look(10.0)
+    assert "has sent nothing" in watchdog.look(10.0)
 
 
 def test_an_error_of_the_middleware_does_not_end_the_watchdog(

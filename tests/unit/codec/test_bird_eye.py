@@ -155,7 +155,7 @@ def test_one_outlier_does_not_make_the_picture_black() -> None:
     alone, with_outlier = room(), np.vstack((room(), [[9e5, -1e4, 1]]))
     seen = bird_eye(around(with_outlier), BirdEyeOptions(color_mode="height"))
     assert (pixels(seen) == pixels(bird_eye(around(alone), BirdEyeOptions(color_mode="height")))).all()
-    assert seen.numbers.shown == 2000 and seen.numbers.note.startswith("1 point(s) far from the others are left out")
+    assert seen.numbers.shown == 2000 and seen.numbers.note.startswith("Left out: 1 point far")
     everything = BirdEyeOptions(x_min_m=-1e6, x_max_m=1e6, y_min_m=-1e6, y_max_m=1e6)
     assert bird_eye(around(with_outlier), everything).numbers.shown == 2001
 
@@ -224,7 +224,7 @@ def test_a_cloud_that_does_not_fit_its_layout_is_refused(definitions: Definition
 def test_rows_that_overlap_are_refused(definitions: Definitions) -> None:
     message = cloud(definitions, XYZ, places([(0, 0, 0), (1, 1, 1)]), height=2)
     message.row_step = 4
-    with pytest.raises(BadData, match="takes 12 bytes, but row_step is 4"):
+    with pytest.raises(BadData, match="needs 12 bytes, but row_step is 4"):
         cloud_of(message)
 
 

@@ -40,7 +40,7 @@ def test_what_fits_without_loss_is_taken(definitions: Definitions, field: str, g
         ("flag", 0, "0 given, bool expected", "true or false"),
         ("u8", 300, "300 given, uint8, 0 to 255, expected", ""),
         ("i8", -129, "-128 to 127", ""),
-        ("i8", 2.5, "2.5 given, int8 expected", "fraction"),
+        ("i8", 2.5, "2.5 given, int8 expected", "Round it"),
         ("i8", True, "true given, int8 expected", ""),
         ("i8", "5", '"5" given, int8 expected', "without quotes"),
         ("i64", 1e17, "1e+17 given", "beyond 2^53"),
@@ -49,8 +49,8 @@ def test_what_fits_without_loss_is_taken(definitions: Definitions, field: str, g
         ("u64", str(2**64), "0 to 18446744073709551615", ""),
         ("i64", None, "null given", ""),
         ("f32", 1e39, "1e+39 given, float32", ""),
-        ("f64", 2**53 + 1, "9007199254740993 given", "not exactly"),
-        ("f64", 10**400, "given, float64 expected", "not exactly"),
+        ("f64", 2**53 + 1, "9007199254740993 given", "no exact one"),
+        ("f64", 10**400, "given, float64 expected", "no exact one"),
         ("f64", "1.5", '"1.5" given', "without quotes"),
         ("f64", True, "true given", ""),
         ("f64", [1.0], "[1.0] given", ""),
@@ -73,8 +73,8 @@ def test_an_unknown_field_names_its_path_the_nearest_and_all_others(definitions:
 @pytest.mark.parametrize(
     ("value", "path", "message"),
     [
-        ({"three": [1, 2]}, "three", "2 elements given, float64[3] takes exactly 3"),
-        ({"few": [1, 2, 3]}, "few", "3 elements given, int32[<=2] takes at most 2"),
+        ({"three": [1, 2]}, "three", "2 elements given; float64[3] takes exactly 3"),
+        ({"few": [1, 2, 3]}, "few", "3 elements given; int32[<=2] takes at most 2"),
         ({"few": [1, 2**31]}, "few[1]", "2147483648 given, int32"),
         ({"pair": [{}, {"u8": -1}]}, "pair[1].u8", "-1 given"),
         ({"numbers": [5]}, "numbers[0]", "5 given, an object with the fields of odd_msgs/msg/Numbers"),
@@ -83,7 +83,7 @@ def test_an_unknown_field_names_its_path_the_nearest_and_all_others(definitions:
         ({"flags": [True, 1]}, "flags[1]", "1 given, bool"),
         ({"blob": "not base64!"}, "blob", "is not base64"),
         ({"blob": [256]}, "blob[0]", "256 given"),
-        ({"id": "AAAA"}, "id", "3 elements given, uint8[16] takes exactly 16"),
+        ({"id": "AAAA"}, "id", "3 elements given; uint8[16] takes exactly 16"),
         ([], "", "[] given, an object with the fields of odd_msgs/msg/Lists"),
     ],
 )
@@ -95,8 +95,8 @@ def test_errors_in_lists_name_the_element(definitions: Definitions, value: objec
 
 def test_bounds_of_texts_count_what_is_encoded(definitions: Definitions) -> None:
     check(definitions, TEXTS, {"short": "hällo"[:4], "narrow": "äöü"})
-    assert "6 bytes given, string<=5" in problem(definitions, TEXTS, {"short": "hällo"}).message
-    assert "4 characters given, wstring<=3" in problem(definitions, TEXTS, {"narrow": "😀😀"}).message
+    assert "6 bytes; string<=5" in problem(definitions, TEXTS, {"short": "hällo"}).message
+    assert "4 characters; wstring<=3" in problem(definitions, TEXTS, {"narrow": "😀😀"}).message
     assert "half a character" in problem(definitions, TEXTS, {"free": "\ud83d"}).message
 
 
@@ -128,13 +128,17 @@ def test_a_list_of_integers_and_fractions_is_exact_or_refused(definitions: Defin
 @pytest.mark.parametrize(
     ("name", "given", "message"),
     [
-        ("geometry_msgs/msg/PoseWithCovariance", {"covariance": {"$diagonal": [1, 2, 3]}}, "3 elements in $diagonal"),
+        (
+            "geometry_msgs/msg/PoseWithCovariance",
+            {"covariance": {"$diagonal": [1, 2, 3]}},
+            "3 elements given in $diagonal",
+        ),
         ("geometry_msgs/msg/PoseWithCovariance", {"covariance": {"$diagonal": ["x"] * 6}}, '"x" given'),
         ("geometry_msgs/msg/PoseWithCovariance", {"covariance": {"$diagonal": 1}}, "1 given"),
         ("geometry_msgs/msg/PoseWithCovariance", {"covariance": {"$diagonal": [0] * 6, "x": 1}}, "given, float64[36]"),
-        (LISTS, {"three": {"$diagonal": [1, 2, 3]}}, "of a square matrix"),
-        ("unique_identifier_msgs/msg/UUID", {"uuid": {"$diagonal": [1] * 4}}, "of a square matrix"),
-        (LISTS, {"longs": {"$diagonal": [1]}}, "of a square matrix"),
+        (LISTS, {"three": {"$diagonal": [1, 2, 3]}}, "a square covariance matrix"),
+        ("unique_identifier_msgs/msg/UUID", {"uuid": {"$diagonal": [1] * 4}}, "a square covariance matrix"),
+        (LISTS, {"longs": {"$diagonal": [1]}}, "a square covariance matrix"),
     ],
 )
 def test_a_diagonal_is_one_of_a_square_matrix(

@@ -41,5 +41,5 @@ def test_a_part_that_does_not_fit_is_refused(x, y, width, cells):
 
 
 def test_a_costmap_whose_cells_do_not_fit_its_size_is_refused():
-    with pytest.raises(BadData, match="11 cells, and not 4 × 3"):
+    with pytest.raises(BadData, match="11 cells instead of 4 × 3"):
         as_grid(COSTMAP, raw([0] * 11, 4, 3))

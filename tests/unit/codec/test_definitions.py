@@ -130,7 +130,7 @@ def test_nothing_is_parsed_before_it_is_asked_for() -> None:
         ("int32[] x 5", "in brackets"),
         ("Missing x", "No definition of a/msg/Missing"),
         ("Thing x", "contains itself"),
-        ("int32 x\nint32 x", "cannot be used"),
+        ("int32 x\nint32 x", "is not valid"),
         ("int32 __class__", "neither a field"),
     ],
 )

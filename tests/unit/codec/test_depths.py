@@ -78,7 +78,7 @@ def test_the_nearest_thing_stands_above_the_ground() -> None:
 def test_open_ground_says_that_nothing_stands_there() -> None:
     meaning = cloud_meaning(cloud(FLOOR), BASE, "base_link")
     assert meaning.nearest_m is None
-    assert "Nothing stands above the ground in view." in str(meaning)
+    assert "Nothing above the ground is in view." in str(meaning)
 
 
 def test_a_ceiling_is_in_nobodys_way() -> None:
@@ -109,12 +109,12 @@ def test_single_points_of_noise_are_not_the_nearest_thing() -> None:
 def test_a_cloud_of_an_optical_frame_without_a_mount_is_turned_upright() -> None:
     meaning = cloud_meaning(cloud([(-y, -z, x) for x, y, z in box(2.0, 0.5, 0.0, 0.4)], "camera_optical_frame"))
     assert not meaning.is_base and (meaning.nearest_x_m, meaning.nearest_y_m) == pytest.approx((2.0, 0.4), abs=0.05)
-    assert "its mount on the base is not known" in meaning.note
+    assert "its mount on the base is unknown" in meaning.note
 
 
 def test_an_empty_cloud_says_so() -> None:
     nothing = (math.nan, math.nan, math.nan)
-    assert "No point has a place." in str(cloud_meaning(cloud([nothing, nothing])))
+    assert "No point has a valid position." in str(cloud_meaning(cloud([nothing, nothing])))
 
 
 @pytest.mark.parametrize(("x", "y"), [(1.5, 0.0), (2.0, 0.6), (1.8, -0.5)])
@@ -133,7 +133,7 @@ def test_a_depth_image_without_a_camera_info_says_the_nearest_of_each_third() ->
     meaning = depth_meaning(depth_image(metres), None)
     assert isinstance(meaning, DepthMeaning) and meaning.nearest_m == 1.5
     assert "By thirds of the picture: left 1.50 m, middle 3.00 m, right 3.00 m." in meaning.note
-    assert "Without a camera info" in meaning.note and meaning.ground_z_m is None
+    assert "Without camera info" in meaning.note and meaning.ground_z_m is None
 
 
 def test_depth_in_millimetres_is_the_same() -> None:

@@ -134,4 +134,4 @@ def test_a_part_of_which_only_a_mesh_tells_the_shape_is_told() -> None:
     assert unmeasured(urdf, "base_link") == ["base_link"]
     assert "at least 0.10 × 0.10 m" in footprint_in_words(urdf, FrameTree(), "base_link", (), "")
     bare = parse(f'<robot name="made"><link name="base_link">{MESH}</link></robot>')
-    assert footprint_in_words(bare, FrameTree(), "base_link", (), "") == "unknown: of base_link there is a mesh alone"
+    assert footprint_in_words(bare, FrameTree(), "base_link", (), "") == "unknown: base_link has only a mesh"

@@ -124,7 +124,7 @@ def test_yuv_pictures_keep_their_colours(definitions: Definitions) -> None:
     ("fields", "problem"),
     [
         ({"height": 480, "width": 640, "step": 1920}, "data has 12 bytes, but step × height is 1920 × 480 = 921600"),
-        ({"step": 3}, "A row of 2 pixels (rgb8) takes 6 bytes, but step is 3"),
+        ({"step": 3}, "A row of 2 pixels (rgb8) needs 6 bytes, but step is 3"),
         ({"width": 0}, "empty: 0 × 2"),
         ({"encoding": "hologram"}, "encoding «hologram» cannot be shown"),
     ],
@@ -205,8 +205,8 @@ def test_sixteen_bit_png_by_its_description(definitions: Definitions) -> None:
         ("jpeg", saved(colours(*[RED, BLUE] * 40), "JPEG")[:-200], "not a whole picture"),
         ("jpeg", b"\0" * 100, "not a whole picture"),
         ("16UC1; compressedDepth rvl", b"\0" * 100, "RVL"),
-        ("16UC1; compressedDepth png", b"\0" * 5, "too few"),
-        ("png", saved(np.zeros((9000, 9000), np.uint8), "PNG"), "too many to show"),
+        ("16UC1; compressedDepth png", b"\0" * 5, "incomplete"),
+        ("png", saved(np.zeros((9000, 9000), np.uint8), "PNG"), "too large to show"),
     ],
 )
 def test_compressed_data_that_is_no_picture_says_why(

@@ -89,14 +89,14 @@ def test_a_tilted_scanner_says_that_it_may_see_the_floor(scan: Any) -> None:
 def test_without_a_mount_the_frame_is_the_scanners_own_and_it_is_said(scan: Any) -> None:
     meaning = scan_meaning(scan())
     assert (meaning.seen_from, meaning.is_base) == ("laser", False)
-    assert "its mount on the base is not known" in meaning.note
+    assert "its mount on the base is unknown" in meaning.note
 
 
 def test_no_echo_is_free_as_far_as_the_scanner_sees(scan: Any) -> None:
     meaning = scan_meaning(scan(other=INF))
     assert nearest(meaning) == (None, None)
     assert set(meaning.free_m.values()) == {10.0}
-    assert "Nothing within 10.00 m where it sees." in str(meaning)
+    assert "No obstacle within 10.00 m in its field of view." in str(meaning)
 
 
 def test_a_range_beyond_the_greatest_one_is_no_echo(scan: Any) -> None:
@@ -114,7 +114,7 @@ def test_invalid_beams_are_neither_free_nor_an_obstacle(scan: Any, invalid: floa
 def test_what_is_too_close_to_be_measured_is_the_nearest(scan: Any) -> None:
     meaning = scan_meaning(scan({-45: -INF}))
     assert nearest(meaning) == pytest.approx((0.1, -45.0))
-    assert "1 beam(s) end at something nearer than the scanner can measure" in meaning.note
+    assert "1 beam hit something nearer than the scanner can measure" in meaning.note
 
 
 def test_a_scan_of_the_front_alone_says_nothing_of_the_rear(scan: Any) -> None:

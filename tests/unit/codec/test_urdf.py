@@ -102,8 +102,8 @@ def test_what_is_wrong_is_told_and_the_rest_is_read():
         "a link has no name",
         "xyz of «j» is «0 zero 0», not three numbers",
         "the joint «j» has no limits",
-        "the joint «k» has the type «hinge», which there is not",
-        "the joint «l» leads to «c», which is no link",
+        "the joint «k» has the unknown type «hinge»",
+        "the joint «l» refers to «c», which is not a link",
     ]
 
 
@@ -125,11 +125,11 @@ def test_a_tree_with_two_roots_or_a_circle_has_none():
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        ("xacro: no such file", "is no XML"),
+        ("xacro: no such file", "is not valid XML"),
         ("<sdf><model/></sdf>", "begins with «sdf»"),
         ("<robot name='x'/>", "has no link"),
         ('<!DOCTYPE robot [<!ENTITY a "aaaa">]><robot name="&a;"><link name="b"/></robot>', "declares a document type"),
-        ("<robot>" + " " * 10_000_001, "10000000 are not read"),
+        ("<robot>" + " " * 10_000_001, "at most 10000000 are read"),
     ],
 )
 def test_what_is_no_urdf_is_refused_in_words(text, why):

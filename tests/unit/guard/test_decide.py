@@ -222,4 +222,4 @@ def test_without_a_policy_everything_is_allowed_and_with_an_empty_one_nothing(co
 
 def test_a_refusal_by_name_says_what_is_allowed_instead() -> None:
     decision = policy(SLOW).decide(publish("/joy"))
-    assert decision.instead == "Publishing is allowed for /cmd_vel, /*/cmd_vel. ros2_policy tells all that is allowed."
+    assert decision.instead == "Publishing is allowed for /cmd_vel, /*/cmd_vel. ros2_policy shows what is allowed."

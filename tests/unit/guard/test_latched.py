@@ -89,7 +89,7 @@ async def test_an_agents_stop_latches_under_a_policy_only(server: MakeServer) ->
     await robot.do(ACTING[0])
     robot = server(ANYTHING)
     stopped = await stop(robot)
-    assert stopped.latched and "Only an operator resets it" in stopped.note
+    assert stopped.latched and "Only an operator can reset it" in stopped.note
     with pytest.raises(Latched):
         await robot.do(ACTING[0])
 
@@ -100,7 +100,7 @@ async def test_a_latch_that_cannot_be_written_holds_in_this_server_and_the_stop_
     robot = server()
     (tmp_path / "robot").write_text("a file where the folder should be")
     stopped = await stop(robot, by="operator ann")
-    assert "The latch could not be written" in stopped.note and not stopped.confirmed
+    assert "The latch could not be saved" in stopped.note and not stopped.confirmed
     with pytest.raises(Latched):
         await robot.do(ACTING[0])
 

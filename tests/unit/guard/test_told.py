@@ -27,7 +27,7 @@ def test_without_a_policy_the_instructions_and_doctor_say_so() -> None:
 
 def test_under_a_policy_the_agent_is_told_to_ask_it_and_doctor_names_it() -> None:
     told = instructions(SLOW)
-    assert "ros2_policy says what is allowed" in told and "No policy" not in told
+    assert "ros2_policy shows what is allowed" in told and "No policy" not in told
     finding = policy_in_force(SLOW)
     assert finding.ok and "teleop-slow (profile teleop-slow), mode autonomous, advisory, sha256 " in finding.detail
 
@@ -47,7 +47,7 @@ def test_doctor_says_what_is_wrong_with_a_policy_and_where(tmp_path: Path) -> No
 
 @pytest.mark.promise("README", "The agent asks what is allowed with ros2_policy")
 @pytest.mark.promise("README", "no tool changes it")
-@pytest.mark.promise("ros2_policy", "nothing here changes it")
+@pytest.mark.promise("ros2_policy", "no tool changes it")
 def test_one_tool_is_about_the_policy_and_it_only_reads() -> None:
     about = {tool.name: tool.risk for tool in TOOLS if "policy" in tool.name or "policy" in str(tool.arguments())}
     assert about == {"ros2_policy": "read"}

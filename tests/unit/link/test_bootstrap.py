@@ -77,15 +77,15 @@ def test_a_marker_with_what_stage_1_does_not_say_is_a_failure(broken: bytes) -> 
 @pytest.mark.parametrize(
     ("exit_code", "said", "words"),
     [
-        (96, "", "gives a terminal"),
+        (96, "", "is a terminal"),
         (97, "", "no python3 there"),
         (1, "Error response from daemon: No such container: ros", "no such container"),
         (1, "Error: No such container: ros", "no such container"),
         (1, "Error response from daemon: container 4f is not running", "does not run"),
-        (1, "Cannot connect to the Docker daemon at unix:///var/run/docker.sock.", "is not reached"),
-        (1, "permission denied while trying to connect to the Docker daemon socket", "denies it"),
+        (1, "Cannot connect to the Docker daemon at unix:///var/run/docker.sock.", "cannot be reached"),
+        (1, "permission denied while trying to connect to the Docker daemon socket", "denies access"),
         (127, 'exec: "sh": executable file not found in $PATH', "cannot execute a shell"),
-        (0, "", "ended without a word"),
+        (0, "", "ended before the bridge started"),
     ],
 )
 def test_what_ends_before_the_marker_is_explained(exit_code: int, said: str, words: str) -> None:

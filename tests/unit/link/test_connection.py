@@ -46,7 +46,7 @@ async def test_a_bridge_that_does_not_take_the_rules_is_given_up() -> None:
     connection, peer = await connected(rules=b"{}")
     error = {"kind": "bad_request", "message": "These rules cannot be read.", "hint": ""}
     peer.say({"id": (await peer.next("policy"))["id"], "error": error})
-    assert "does not take the policy: These rules cannot be read." in (await connection.run()).message
+    assert "rejected the policy: These rules cannot be read." in (await connection.run()).message
 
 
 async def test_cancelling_the_asker_cancels_that_request() -> None:
@@ -185,7 +185,7 @@ async def test_a_ros_thread_that_hangs_ends_the_life_of_the_bridge() -> None:
     life = asyncio.ensure_future(connection.run())
     await asyncio.sleep(0.01)
     peer.say({"id": 0, "ok": {"ros_idle_s": 4.4, "now_ns": 1, "sent_ns": 1}})
-    assert "its ROS thread hangs since 4.4 s" in str(await life)
+    assert "its ROS thread has hung for 4.4 s" in str(await life)
 
 
 @pytest.mark.parametrize("is_remote", [True, False])

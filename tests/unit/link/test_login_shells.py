@@ -81,7 +81,7 @@ def test_a_start_up_file_that_ends_the_login_is_said_to(shell: str, tmp_path: Pa
     ended, arrival = log_in(shell, tmp_path, "exit 0\n")
     reason = arrival.explain(ended)
     assert reason
-    assert "ended without a word" in reason.message
+    assert "ended before the bridge started" in reason.message
     assert "start-up file" in reason.hint
 
 

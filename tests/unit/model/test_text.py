@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-from ros2_mcp.model.text import as_sent, in_quotes, named, quoted, visible, visible_json
+from ros2_mcp.model.text import as_sent, counted, in_quotes, named, quoted, visible, visible_json
 from support.hidden import HIDDEN
 
 SEEN = (
@@ -118,3 +118,17 @@ def test_a_name_that_is_one_is_not_quoted() -> None:
 def test_values_within_a_sentence_are_quoted_where_they_are_text() -> None:
     assert [in_quotes(value) for value in (1.5, True, None, "go")] == ["1.5", "true", "null", "«go»"]
     assert in_quotes({"a": ["»\n"]}) == '«{"a":["›\\n"]}»'
+
+
+@pytest.mark.parametrize(
+    ("number", "noun", "expected"),
+    [
+        (1, "topic", "1 topic"),
+        (0, "topic", "0 topics"),
+        (2, "body", "2 bodies"),
+        (3, "match", "3 matches"),
+        (2, "relay", "2 relays"),
+    ],
+)
+def test_a_counted_noun_has_its_plural_unless_it_is_one(number: int, noun: str, expected: str) -> None:
+    assert counted(number, noun) == expected

@@ -24,14 +24,18 @@ def odometry(linear: object, angular: object = 0.0) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("spoken", "verdict", "sentence"),
     [
-        ({"/odom": (0.0, 0.0)}, "observed still", "Observed still: /odom says 0.00 m/s and 0.00 rad/s."),
+        ({"/odom": (0.0, 0.0)}, "observed still", "Observed still: /odom reports 0.00 m/s and 0.00 rad/s."),
         (
             {"/odom": (0.31, 0.0)},
             "not observed",
-            "NOT observed still: /odom says 0.31 m/s and 0.00 rad/s, after 1.0 s.",
+            "NOT observed still: /odom reports 0.31 m/s and 0.00 rad/s, after 1.0 s.",
         ),
-        ({"/odom": (0.0, 0.2)}, "not observed", "NOT observed still: /odom says 0.00 m/s and 0.20 rad/s, after 1.0 s."),
-        ({}, "not observed", "Not observed: /odom told nothing of the robot's speed."),
+        (
+            {"/odom": (0.0, 0.2)},
+            "not observed",
+            "NOT observed still: /odom reports 0.00 m/s and 0.20 rad/s, after 1.0 s.",
+        ),
+        ({}, "not observed", "Not observed: /odom did not report the robot's speed."),
     ],
 )
 def test_only_what_the_robot_tells_is_observed(
@@ -58,9 +62,15 @@ def test_what_is_no_speed_is_not_heard(message: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     ("topics", "sentence"),
     [
-        ([("/odom", ["nav_msgs/msg/Odometry"], 1, 0)], "Not observed: /odom told nothing of the robot's speed."),
-        ([("/odom", ["nav_msgs/msg/Odometry"], 0, 1)], "Not observed: no odometry says whether the robot stands."),
-        ([("/scan", ["sensor_msgs/msg/LaserScan"], 1, 0)], "Not observed: no odometry says whether the robot stands."),
+        ([("/odom", ["nav_msgs/msg/Odometry"], 1, 0)], "Not observed: /odom did not report the robot's speed."),
+        (
+            [("/odom", ["nav_msgs/msg/Odometry"], 0, 1)],
+            "Not observed: no odometry reports whether the robot has stopped.",
+        ),
+        (
+            [("/scan", ["sensor_msgs/msg/LaserScan"], 1, 0)],
+            "Not observed: no odometry reports whether the robot has stopped.",
+        ),
     ],
 )
 async def test_without_a_policy_the_odometry_that_is_there_is_read(

@@ -31,7 +31,7 @@ def test_a_circle_of_others_ends_the_search() -> None:
 async def test_no_relay_may_feed_itself_through_others_unless_they_have_ended(robot: Robot) -> None:
     one = await relay.start(robot, from_to("/a", "/b"))
     await relay.start(robot, from_to("/b", "/c"))
-    with pytest.raises(BadInput, match="relays lead from /a to /b to /c already"):
+    with pytest.raises(BadInput, match="relays already lead from /a to /b to /c"):
         await relay.start(robot, from_to("/c", "/a"))
     await relay.stop(robot, one.relay_id)
     assert (await relay.start(robot, from_to("/c", "/a"))).state == "running"
@@ -50,7 +50,7 @@ async def test_the_same_relay_runs_once(robot: Robot) -> None:
         await relay.start(robot, from_to("/a", "/b"))
 
 
-@pytest.mark.promise("ros2_relay_list", "and the last that ended")
+@pytest.mark.promise("ros2_relay_list", "and the relays that ended last")
 async def test_a_relay_whose_bridge_is_lost_has_failed_and_says_so(bridge: MadeBridge, robot: Robot) -> None:
     await relay.start(robot, from_to("/a", "/b"))
     [running] = robot.jobs.running(Relay)

@@ -28,17 +28,17 @@ ENDED = {"repeats": 0, "relays": 0, "dropped": [], "topics": []}
         (StoppedTopic("/cmd_vel", 1, False), "Not every subscriber of /cmd_vel has acknowledged the zero."),
         (
             StoppedTopic("/cmd_vel", 2, None),
-            "Whether the zero on /cmd_vel arrived is not known: not every subscriber acknowledges.",
+            "Arrival of the zero on /cmd_vel is unknown: not every subscriber acknowledges.",
         ),
         (StoppedTopic("/cmd_vel", 0, False, error="/cmd_vel got no zero."), "/cmd_vel got no zero."),
         (StoppedTopic("/cmd_vell", 0, False), ""),
         (
             StoppedTopic("/cmd_vel", 0, None, unreached=2),
-            "2 subscriber(s) of /cmd_vel did not get the zero: stop again.",
+            "2 subscribers of /cmd_vel did not get the zero: stop again.",
         ),
         (
             StoppedTopic("/cmd_vel", 1, True, unreached=1),
-            "1 subscriber(s) of /cmd_vel did not get the zero: stop again.",
+            "1 subscriber of /cmd_vel did not get the zero: stop again.",
         ),
     ],
 )
@@ -57,7 +57,7 @@ def test_that_nobody_listens_is_said() -> None:
 def test_what_cannot_be_stopped_is_named_up_to_a_bound() -> None:
     services = [f"/s{number} (std_srvs/srv/Trigger)" for number in range(30)]
     [doubt] = _unknown(services, ["/lamp (std_msgs/msg/Bool)"])
-    assert doubt.startswith("NOT judged: since its start this server has called 30 service(s) and published on 1")
+    assert doubt.startswith("NOT judged: since its start this server has called 30 services and published on 1")
     assert "/s9 (" in doubt and "/s10 (" not in doubt and "/lamp (std_msgs/msg/Bool)" in doubt
     assert _unknown([], []) == []
 
@@ -65,7 +65,7 @@ def test_what_cannot_be_stopped_is_named_up_to_a_bound() -> None:
 def test_goals_that_had_ended_are_not_counted_as_cancelled() -> None:
     goals = [StoppedGoal("/go", "a", "CANCELED", True, True), StoppedGoal("/go", "b", "SUCCEEDED", True, False)]
     stopped = Stopped(repeats_stopped=0, relays_stopped=0, topics=[], goals=goals, confirmed=True, note="")
-    assert "1 goal(s) cancelled, 1 goal(s) had ended already" in stopped.summary()
+    assert "1 goal cancelled, 1 goal had ended already" in stopped.summary()
 
 
 def test_a_goal_that_goes_on_has_not_ended_already() -> None:

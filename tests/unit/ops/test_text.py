@@ -120,7 +120,7 @@ def odometry(number: int) -> dict[str, Any]:
     ("messages", "form"),
     [
         ([odometry(1)], "messages (1): {"),
-        ([odometry(number) for number in range(10)], "the first whole, then of each what differs:"),
+        ([odometry(number) for number in range(10)], "the first whole, then the differences of each:"),
         ([{"ranges": [number] * 40, "angle": 1.5} for number in range(5)], "messages (5):\n"),
         ([{f"joint_{joint}": number * (joint < 20) for joint in range(80)} for number in range(3)], "by path:"),
         ([odometry(4)] * 6, "messages (6), all equal:"),

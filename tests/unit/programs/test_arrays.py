@@ -181,7 +181,7 @@ async def test_a_large_map_is_looked_into_where_it_stays(tools: Toolset) -> None
         ("m = read('/map')\nm['data'] = [1000] * 200\nrobot.grid(m)", "robot.grid"),
         ("m = read('/map')\nm['info']['resolution'] = 0\nrobot.grid(m)", "0"),
         ("m = read('/map')\nm['info']['width'] = 'x'\nrobot.grid(m)", "robot.grid"),
-        ("robot.grid_value({'held': 99}, 0, 0)", "not held"),
+        ("robot.grid_value({'held': 99}, 0, 0)", "no longer held"),
         ("robot.grid_value(read('/map'), float('nan'), 0)", "robot.grid_value"),
         ("robot.grid_value(read('/map'), read('/map')['header'], 0)", "robot.grid_value"),
         ("robot.grid_nearest(read('/map'), 0, 0, kind=read('/map')['header'])", "kind is one of"),
@@ -211,7 +211,7 @@ async def test_a_large_picture_is_read_where_it_stays(tools: Toolset) -> None:
     [
         ("robot.unpack('<Q', b'1234')", "4 bytes, and 8 are needed"),
         ("robot.unpack('<H', b'1234', count=2, step=3)", "5 are needed"),
-        ("robot.unpack('<W', b'1234')", "no format"),
+        ("robot.unpack('<W', b'1234')", "not a format"),
         ("robot.unpack('0s', b'1234')", "1 to 100000 values"),
         ("robot.unpack('200000B', b'1234')", "1 to 100000 values"),
         ("robot.unpack('<H', b'1234', offset=-2)", "offset"),
@@ -230,7 +230,7 @@ def test_what_is_held_makes_room_for_what_comes() -> None:
     assert len(held.get(first)) == len(held.get(second)) == MOST_BYTES // 2
     third = held.reference(np.zeros(2 * MOST_BYTES, np.uint8), "uint8[]")
     assert len(held.get(third)) == 2 * MOST_BYTES
-    with pytest.raises(Exception, match="not held"):
+    with pytest.raises(Exception, match="no longer held"):
         held.get(second)
 
 
@@ -243,7 +243,7 @@ async def test_help_prints_all_functions_or_one_with_its_arguments_and_result(to
     for each in tools.functions():
         assert f"\n{each.name}(" in text
     assert "robot.drive(distance_m: float | None = None," in text
-    assert "  distance_m: Ahead; negative: back." in text and "  outcome: " in text
+    assert "  distance_m: Metres ahead; negative: back." in text and "  outcome: " in text
     assert "robot.tf(target: str," in text
     assert "The value of a help has" not in found.get("note", "")
 

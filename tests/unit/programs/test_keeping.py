@@ -78,7 +78,7 @@ async def test_a_new_version_is_asked_for_and_the_former_one_is_named(made, sett
 @pytest.mark.parametrize(
     ("inputs", "problem"),
     [
-        ([{"name": "a", "type": "nmber"}], "'nmber' is no type. Did you mean number"),
+        ([{"name": "a", "type": "nmber"}], "'nmber' is not a type. Did you mean number"),
         ([{"name": "a"}, {"name": "a"}], "The input a is there twice"),
         ([{"naem": "a"}], "'naem' means nothing here"),
         ([{"name": "a", "type": "integer", "default": "x"}], "default: .*whole number"),

@@ -84,7 +84,7 @@ def test_what_is_removed_can_be_taken_back_by_hand_and_never_gives_its_version_a
 
 @pytest.mark.parametrize("name", ["", "..", "../x", "a/b", ".hidden", "a.b", "x" * 65, "a b", "README", "ä", "a\n"])
 def test_a_name_leads_nowhere_else(kept, name):
-    with pytest.raises(BadInput, match="no name for a program"):
+    with pytest.raises(BadInput, match="not a valid name for a program"):
         kept.save(program(name), overwrite=False)
     assert not kept.folder.exists()
     with pytest.raises(NotFound):

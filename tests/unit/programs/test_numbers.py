@@ -96,7 +96,7 @@ def test_a_heading_is_found_in_what_has_one(wrapped):
 
 def test_a_quaternion_of_any_length_has_its_heading_and_one_that_nobody_filled_in_has_none():
     assert number("yaw", {name: 7 * part for name, part in half(1.0).items()}) == pytest.approx(1.0)
-    with pytest.raises(ValueError, match="filled it in"):
+    with pytest.raises(ValueError, match="never filled in"):
         number("yaw", {"x": 0.0, "y": 0.0, "z": 0.0, "w": 0.0})
     with pytest.raises(ValueError, match="there is no"):
         number("yaw", {"x": 0.0})

@@ -147,7 +147,7 @@ async def test_a_prompt_takes_what_its_tools_take_and_says_that_it_is_long(robot
     assert {schema["duration"]["maximum"] for schema in maximum.values()} == {600}
     name = "base.ros2-topic-diff-monitor"
     assert "takes 600 s" in await text_of(robot, name, {"duration_sec": "600"})
-    assert "given up" not in await text_of(robot, name, {"duration_sec": "45"})
+    assert "times out" not in await text_of(robot, name, {"duration_sec": "45"})
 
 
 async def test_a_prompt_is_short(robot: Robot) -> None:

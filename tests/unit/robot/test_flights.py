@@ -169,7 +169,7 @@ async def test_a_vehicle_that_takes_no_mode_is_said_to_go_on(vehicle: Vehicle) -
     vehicle.takes(False)
     braked = await flight.brake()
     assert (braked.mode, braked.confirmed) == ("", False)
-    assert "took none of the modes" in braked.error
+    assert "accepted none of the modes" in braked.error
 
 
 async def test_the_end_of_its_client_makes_it_stand_but_not_on_its_way_down(vehicle: Vehicle, bridge: Noting) -> None:

@@ -20,7 +20,7 @@ def line(number: int, level: int = 20, size: int = 20) -> Sample:
     return Sample(number, number, None, data)
 
 
-@pytest.mark.promise("ros2_log_read", "(the newest 5000)")
+@pytest.mark.promise("ros2_log_read", "keeps the newest 5000 lines")
 def test_the_newest_5000_lines_are_kept() -> None:
     log = ring()
     for number in range(5001):

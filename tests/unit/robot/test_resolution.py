@@ -141,7 +141,7 @@ async def test_a_time_to_wait_is_waited_and_what_is_near_is_told_first(robot: Ro
     with pytest.raises(NotFound, match="no topic /scna"):
         async with source.follow("/scna"):
             pass
-    assert told == ["/scna is not there yet; waiting for it. Did you mean /scan?"]
+    assert told == ["Waiting for the topic /scna. Did you mean /scan?"]
 
 
 async def test_a_misspelt_service_is_told_at_once_though_its_type_is_given(robot: Robot) -> None:
@@ -150,7 +150,7 @@ async def test_a_misspelt_service_is_told_at_once_though_its_type_is_given(robot
 
 
 async def test_a_call_is_forced_only_with_fields_that_were_given(robot: Robot) -> None:
-    with pytest.raises(BadInput, match=r"No fields are given, and the request has data\."):
+    with pytest.raises(BadInput, match=r"The request needs fields: data\."):
         await call(robot, "/set_lamp", "SetBool", None, force_call=True, timeout_s=0.1)
 
 
@@ -203,4 +203,4 @@ async def test_a_node_of_which_nothing_is_discovered_yet_is_asked_for_again(
 
     monkeypatch.setattr(bridge, "_node", never)
     found = await node_info(robot, "/lidar")
-    assert not found.settled and "Discovery had not settled yet" in found.summary()
+    assert not found.settled and "Discovery had not settled" in found.summary()

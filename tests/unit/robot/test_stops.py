@@ -273,7 +273,7 @@ async def test_what_is_confirmed_is_said_first_and_what_is_not_judged_last(robot
     await robot.do(publish())
     bridge.zeros = [{"topic": "/cmd_vel", "type": TWIST, "matched": 1, "acked": True}]
     told = (await stop(robot)).summary()
-    assert told.startswith("Stopped, partly confirmed: zero on 1 topic(s).")
+    assert told.startswith("Stopped, partly confirmed: zero on 1 topic.")
     assert "/grip" in told.partition("NOT judged: since its start")[2]
 
 
@@ -329,7 +329,7 @@ async def test_a_bridge_that_cannot_be_asked_leaves_nothing_confirmed(robot: Rob
     stopped = await stop(robot)
     assert not stopped.confirmed
     assert stopped.note.startswith(
-        "The bridge could not be asked to stop (It is refused): what it publishes may go on."
+        "The bridge could not be asked to stop (It is refused): its publications may continue."
     )
 
 

@@ -44,7 +44,7 @@ async def test_where_fields_are_missing_the_note_says_why_and_what_cures_it(robo
 
 async def test_further_types_without_a_definition_are_named(robot: Robot) -> None:
     _, note = await robot.values.fields_of(OTHERS)
-    assert f"No definition of {OTHERS[0]}" in note and note.endswith(f"Likewise unknown: {OTHERS[1]}.")
+    assert f"No definition of {OTHERS[0]}" in note and note.endswith(f"Also unknown: {OTHERS[1]}.")
 
 
 async def test_where_no_field_is_missing_there_is_no_note(robot: Robot) -> None:

@@ -94,11 +94,11 @@ async def answer_of(
     while True:
         result = await tools.call(name, arguments, lambda *_: asyncio.sleep(0))
         text: str = result.content[0].text  # type: ignore[union-attr]
-        if "Not all of it was read in " not in text:
+        if "Only a part of the bag was read in " not in text:
             return text.partition("\n{")[0], result.structured_content or {}
 
 
-@pytest.mark.promise("ros2_bag_info", "and what of it is damaged or missing")
+@pytest.mark.promise("ros2_bag_info", "and which parts are damaged or missing")
 @pytest.mark.parametrize("name", READERS)
 async def test_it_says_which_times_are_lost_and_lays_no_hole_to_the_robot(damaged: Damaged, name: str) -> None:
     store = BagStore(damaged.folder)
@@ -166,4 +166,4 @@ async def test_a_message_that_cannot_be_decoded_is_skipped_counted_and_told(tmp_
         del arguments["max_array"]
     summary, _ = await answer_of(tools, name, arguments, bad_ns)
     await store.close()
-    assert "1 message(s) are not what their type says" in summary
+    assert "1 message that cannot be decoded" in summary

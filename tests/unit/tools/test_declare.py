@@ -48,7 +48,7 @@ def test_a_tool_stands_at_the_place_of_its_module_or_at_its_own() -> None:
     assert in_order([last, after, of_its_module, before]) == [before, of_its_module, after, last]
 
 
-@pytest.mark.promise("ros2_status", "what is not possible")
+@pytest.mark.promise("ros2_status", "what it cannot do")
 async def test_the_status_gets_what_the_server_does_not_offer() -> None:
     made = assemble(Settings(tools=("core",)))
     tool = made.toolset.by_name["ros2_status"]

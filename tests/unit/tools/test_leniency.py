@@ -62,7 +62,7 @@ def test_what_is_too_large_is_taken_at_its_bound_and_told_where_nothing_acts(too
             assert meant(tool, **{name: node["maximum"]}) == ({name: node["maximum"]}, [])
             taken, [told] = meant(tool, **{name: 10 * node["maximum"]})
             assert taken == {name: node["maximum"]}
-            assert told == f"{name}: {10 * node['maximum']:g} is above the maximum, {node['maximum']:g} was taken."
+            assert told == f"{name}: {10 * node['maximum']:g} is above the maximum; {node['maximum']:g} was used."
 
 
 @pytest.mark.parametrize("tool", ACT, ids=[tool.name for tool in ACT])
@@ -110,7 +110,7 @@ def test_it_holds_inside_of_lists_too() -> None:
     ]
     taken, told = meant(several, topics=topics)
     assert taken == {"topics": [{"name": "/odom"}, {"name": "/imu", "duration": 3600}]}
-    assert told == ["topics[1].duration: 9000 is above the maximum, 3600 was taken."]
+    assert told == ["topics[1].duration: 9000 is above the maximum; 3600 was used."]
 
 
 @pytest.fixture(scope="module")
@@ -146,7 +146,7 @@ async def test_a_call_with_empty_waits_limits_and_filters_is_one_without_them(to
 @pytest.mark.parametrize("name", ["ros2_topic_statistics", "ros2_topic_stats"])  # with a note of its own, and without
 async def test_an_answer_tells_what_was_taken_at_its_bound(tools: Toolset, name: str) -> None:
     lines, value = await answer(tools, name, topic_names=["/odom"], duration=9000)
-    said = "duration: 9000 is above the maximum, 600 was taken."
+    said = "duration: 9000 is above the maximum; 600 was used."
     assert said in value["note"] and lines.count(said) == 1
 
 
@@ -155,14 +155,16 @@ async def test_an_answer_and_an_error_tell_how_times_were_taken(tools: Toolset) 
     lines, value = await answer(tools, "ros2_get_messages", topic_name="/odom", time_start=start_s)
     assert f"time_start: {start_s} is 2023-11-14T22:13:20.000000Z." in value["note"] and value["note"] in lines
     lines, value = await answer(tools, "ros2_topic_stats", topic_names=["/odom"], start="2023-11-14T22:13:20")
-    assert "start: 2023-11-14T22:13:20 has no time zone, UTC was taken." in value["note"]
-    with pytest.raises(CallFailed, match=r"start: .* has nothing in that time.* start: 2026-01-01 has no time zone"):
+    assert "start: 2023-11-14T22:13:20 has no time zone and was read as UTC." in value["note"]
+    with pytest.raises(
+        CallFailed, match=r"start: .* has no messages in that time.* start: 2026-01-01 has no time zone"
+    ):
         await answer(tools, "ros2_topic_stats", topic_names=["/odom"], start="2026-01-01")
-    with pytest.raises(CallFailed, match=r"since: .* has nothing in that time"):
+    with pytest.raises(CallFailed, match=r"since: .* has no messages in that time"):
         await answer(tools, "ros2_log_read", since=1_767_225_600)
 
 
-@pytest.mark.promise("ros2_log_read", "In a recording, seconds ago count back from its end")
+@pytest.mark.promise("ros2_log_read", "In a recording, seconds ago are counted from its end")
 async def test_seconds_ago_in_a_recorded_log_count_back_from_its_end(tools: Toolset) -> None:
     last = LENGTH_S * RATE_HZ - 1
     _, value = await answer(tools, "ros2_log_read", since="2")
@@ -184,11 +186,11 @@ async def test_a_hint_names_only_tools_that_are_offered(folder: Path) -> None:
     default, all_of_them = (assemble(Settings(tools=groups, record_dir=folder)).toolset for groups in ((), ("all",)))
     for tools, said in (
         (default, "Tools for this are not offered here: the option --tools default,memory is needed."),
-        (all_of_them, "ros2_bag_list shows what can be read."),
+        (all_of_them, "ros2_bag_list lists what can be read."),
     ):
         with pytest.raises(CallFailed) as refused:
             await answer(tools, "ros2_topic_stats", topic_names=["/odom"], bag="none-such")
-        assert str(refused.value).endswith(f"There are: run. {said}")
+        assert str(refused.value).endswith(f"Bags: run. {said}")
 
 
 async def test_the_flow_of_all_topics_of_a_recording_is_one_call(tools: Toolset) -> None:
@@ -205,4 +207,4 @@ def test_a_description_names_only_tools_that_are_offered(groups: tuple[str, ...]
     for name, tool in tools.by_name.items():
         assert set(re.findall(r"\bros2_\w+", tool.listed.description or "")) <= tools.by_name.keys(), name
     words = tools.by_name["ros2_topic_stats"].listed.description or ""
-    assert words.endswith("The largest first." if groups == ("core",) else "use ros2_topic_statistics.")
+    assert words.endswith("The largest come first." if groups == ("core",) else "use ros2_topic_statistics.")

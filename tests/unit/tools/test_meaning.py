@@ -92,7 +92,7 @@ async def test_distances_are_from_the_base_and_not_from_the_scanner(tools: Tools
 async def test_without_transforms_the_scanners_own_frame_is_told(tools: Toolset) -> None:
     summary, found = await answer(tools, "ros2_topic_subscribe", topic_name="/scan", bag="unmounted")
     assert found["meaning"]["scan"]["seen_from"] == "laser"
-    assert "its mount on the base is not known" in summary
+    assert "its mount on the base is unknown" in summary
 
 
 async def test_other_messages_have_no_meaning(tools: Toolset) -> None:
@@ -102,5 +102,5 @@ async def test_other_messages_have_no_meaning(tools: Toolset) -> None:
 
 async def test_the_only_map_is_shown_without_its_name(tools: Toolset) -> None:
     summary, found = await answer(tools, "ros2_get_map_as_image", bag="room")
-    assert found["topic_name"] == "/map" and "/map is the only nav_msgs/msg/OccupancyGrid there is." in summary
+    assert found["topic_name"] == "/map" and "/map is the only topic of type nav_msgs/msg/OccupancyGrid." in summary
     assert (found["robot_x_m"], found["robot_y_m"]) == pytest.approx((pose_at(5.9).x, pose_at(5.9).y), abs=0.05)

@@ -92,7 +92,7 @@ def near(points: np.ndarray, x: float, y: float, within: float) -> int:
     return int((np.hypot(points[:, 0] - x, points[:, 1] - y) <= within).sum())
 
 
-@pytest.mark.promise("ros2_scene", "A picture from above with labelled lines in metres: map or costmap")
+@pytest.mark.promise("ros2_scene", "Draw the scene from above with lines labelled in metres: map or costmap")
 async def test_walls_and_free_floor_lie_where_the_map_has_them(tools: Toolset) -> None:
     seen = await look(tools, bag="room")
     assert seen.facts["frame_id"] == "map"
@@ -200,7 +200,7 @@ async def test_without_transforms_the_map_is_shown_and_it_says_what_is_missing(t
     assert {layer["kind"] for layer in seen.facts["layers"]} == {"grid", "goal", "path"}
     missing = " ".join(seen.facts["missing"])
     assert "The scan /scan is not shown: no transforms connect its frame laser with map." in missing
-    assert "The robot is not shown: nobody says where it is in map." in missing
+    assert "The robot is not shown: nothing reports its place in map." in missing
 
 
 async def test_without_a_map_the_scan_shows_the_room(tools: Toolset) -> None:

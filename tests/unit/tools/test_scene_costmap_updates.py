@@ -102,7 +102,7 @@ async def test_what_changed_before_the_recording_is_not_known_and_that_is_told(t
     occupied, facts = await look(tools, bag="late")
     assert occupied == [1, 2, 3]
     [said] = [line for line in facts["missing"] if "costmap" in line]
-    assert "was sent whole 63.0 s ago; changes of it since: 3, the last 0.0 s ago. Some of what" in said
+    assert "was sent whole 63.0 s ago; updates since: 3, the last 0.0 s ago. Some later updates" in said
 
 
 async def map_shown(tools: Toolset, **arguments: str) -> tuple[list[int], dict[str, Any]]:
@@ -127,9 +127,9 @@ async def map_shown(tools: Toolset, **arguments: str) -> tuple[list[int], dict[s
 async def test_the_picture_of_a_map_shows_what_has_changed_in_it_or_says_that_it_does_not(tools: Toolset) -> None:
     cells, facts = await map_shown(tools)
     assert (cells, round(facts["occupied"], 4)) == ([1, 2, 3], 0.03)
-    assert "was sent whole 3.0 s ago; changes of it since: 3, the last 0.0 s ago." in facts["note"]
+    assert "was sent whole 3.0 s ago; updates since: 3, the last 0.0 s ago." in facts["note"]
     cells, facts = await map_shown(tools, end="2 s in")
     assert cells == [1, 2]
     cells, facts = await map_shown(tools, start="2 s in")
     assert cells == []
-    assert "What changed in it since it was sent is not shown." in facts["note"]
+    assert "Later updates are not shown." in facts["note"]

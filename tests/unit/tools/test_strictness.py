@@ -87,3 +87,9 @@ async def test_what_stops_ignores_arguments_that_it_does_not_have_and_tells(more
 
 async def test_a_name_that_is_no_text_is_told_as_one() -> None:
     assert (await refusal("ros2_topic_list", **{"a\ud800": 1})).startswith("BadInput: the name of an argument: ")
+
+
+@pytest.mark.parametrize("to", [[1, 0], [[1, 0]], 5])
+async def test_coordinates_alone_are_no_place_and_the_error_shows_one(to: Any) -> None:
+    said = await refusal("ros2_navigate", to=to)
+    assert said.startswith("BadInput: to: ") and 'is not a place: write {"x": 1, "y": 0} or its name.' in said

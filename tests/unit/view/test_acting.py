@@ -48,7 +48,7 @@ async def server(folder: StateFolder, answer: StopAnswer) -> AsyncGenerator[None
         folder.latch().set(by=by, reason="stopped by a person")
         return answer
 
-    job = {"id": "recording_1", "kind": "recording", "for_s": 3, "at_most_s": None, "doing": "2 topic(s) into run"}
+    job = {"id": "recording_1", "kind": "recording", "for_s": 3, "at_most_s": None, "doing": "2 topics into run"}
     operated = Operated(
         robot="hall-3",
         policy=Policy(),
@@ -137,14 +137,14 @@ async def test_a_job_that_has_ended_is_told_as_an_act(tmp_path: Path) -> None:
     shown = await panel.show(Look(robot, source))
     assert shown
     told = [(act["kind"], act["verb"], act["name"], act["reason"]) for act in shown["acts"]]
-    assert told == [("ended", "recording", "recording_1", "2 topic(s) into run")]
+    assert told == [("ended", "recording", "recording_1", "2 topics into run")]
 
 
 async def test_what_runs_and_is_no_command_is_told(tmp_path: Path) -> None:
     folder = StateFolder(tmp_path / "state")
     async with server(folder, StopAnswer("Stopped.", is_doubted=False)):
         (row,) = await Acting(folder).servers()
-    assert [job["doing"] for job in row["jobs"]] == ["2 topic(s) into run"]
+    assert [job["doing"] for job in row["jobs"]] == ["2 topics into run"]
 
 
 async def acts_at(panel: AgentPanel, robot: Robot, source: Any, seconds: float) -> Content:

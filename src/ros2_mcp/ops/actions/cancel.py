@@ -10,14 +10,15 @@ from ros2_mcp.model import names
 from ros2_mcp.model.commands import CancelGoals
 from ros2_mcp.model.errors import BadValue
 from ros2_mcp.model.goals import CANCEL_CODES, goal_id_bytes, goal_id_hex
+from ros2_mcp.model.text import counted
 from ros2_mcp.ops.results import IF_ANY
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.goals import UNKNOWN_GOAL, Goal
 
 _NOTES: Mapping[int, str] = {
-    1: "The server refuses to cancel.",
-    UNKNOWN_GOAL: "The server does not know such a goal.",
-    3: "The goal had ended already.",
+    1: "The server refused to cancel.",
+    UNKNOWN_GOAL: "The server does not know this goal.",
+    3: "The goal had already ended.",
 }
 """What the codes of refusals mean."""
 
@@ -43,7 +44,7 @@ class Cancellation:
     def summary(self) -> str:
         """One line."""
         refused = f"{self.return_code_text}: " if self.return_code else ""
-        return f"{refused}{len(self.goals_canceling)} goal(s) are being cancelled. {self.note}".rstrip()
+        return f"{refused}Cancelling {counted(len(self.goals_canceling), 'goal')}. {self.note}".rstrip()
 
 
 async def cancel(
@@ -64,7 +65,7 @@ async def cancel(
     """
     action = names.absolute(action, "action")
     if not goal_id and not cancel_all:
-        raise BadValue("goal_id_hex", "no goal is named.", "Give its id, or set cancel_all to cancel every goal.")
+        raise BadValue("goal_id_hex", "no goal id is given.", "Give its id, or set cancel_all to cancel every goal.")
     chosen = goal_id_hex(goal_id_bytes(goal_id)) if goal_id else ""
     await robot.types.action(action)
     command = CancelGoals(
@@ -80,11 +81,11 @@ def _cancellation(service: str, response: Mapping[str, Any], *, cancel_all: bool
     if code:
         note = _NOTES.get(code, "")
     elif goals:
-        note = "A goal ends when the server has stopped it: ros2_action_request_result tells."
+        note = "ros2_action_request_result reports when the server has stopped it."
     elif cancel_all:
-        note = "Nothing was running, or the server refuses."
+        note = "No goal was running, or the server refused."
     else:
-        note = "The server refuses to cancel this goal."
+        note = "The server refused to cancel this goal."
     return Cancellation(service, code, CANCEL_CODES.get(code, str(code)), goals, note)
 
 

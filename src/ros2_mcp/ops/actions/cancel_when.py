@@ -69,11 +69,11 @@ class ConditionalCancel(Job):
     def note(self) -> str:
         """What became of it, as a sentence; empty while it was not met."""
         if self.problem:
-            return f"It was cancelled because its condition could not be asked any more: {quoted(self.problem)}."
+            return f"It was cancelled because its condition could no longer be checked: {quoted(self.problem)}."
         if not self.met:
             return ""
         shown = told_values(self.met.report["values"])
-        was = "It was cancelled" if self.met.was_taken else "Its server was asked to cancel it, and refused,"
+        was = "It was cancelled" if self.met.was_taken else "Its server refused to cancel it"
         return f"{was} when {self.asked.condition} was met on {self.asked.topic} ({shown})."
 
 
@@ -106,7 +106,9 @@ async def asked_for(robot: Robot, action: str, action_type: str, goal_id: str, t
     try:
         read = checked(robot.values.definitions, of, condition)
     except BadInput as error:
-        error.hint = f"{error.hint} It is about {topic} ({of}); for another topic: /topic: condition.".lstrip()
+        error.hint = (
+            f"{error.hint} The condition reads {topic} ({of}); to read another topic, write /topic: condition.".lstrip()
+        )
         raise
     return CancelWhen(
         action=action,
@@ -130,7 +132,8 @@ async def begin(robot: Robot, asked: CancelWhen) -> ConditionalCancel:
     if not job.has_begun:
         await job.stop()
         raise TimedOut(
-            f"The bridge did not ask the condition on {asked.topic} within {_BEGUN_S:g} s.", "Nothing was sent."
+            f"The bridge did not begin to check the condition on {asked.topic} within {_BEGUN_S:g} s.",
+            "Nothing was sent.",
         )
     return job
 

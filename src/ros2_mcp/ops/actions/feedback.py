@@ -10,6 +10,7 @@ from typing import Any
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.goals import goal_id_bytes, goal_id_hex
+from ros2_mcp.model.text import counted
 from ros2_mcp.ops.actions.status import MAX_MESSAGES, SERVER_S
 from ros2_mcp.ops.results import IF_ANY, SAID, Report, iso_time, reporting, silent
 from ros2_mcp.robot import Robot
@@ -39,7 +40,7 @@ class FeedbackMessages:
 
     def summary(self) -> str:
         """One line."""
-        return f"{len(self.messages)} feedback message(s) in {self.duration_sec:.2f} s. {self.note}".rstrip()
+        return f"{counted(len(self.messages), 'feedback message')} in {self.duration_sec:.2f} s. {self.note}".rstrip()
 
 
 async def follow_feedback(
@@ -83,7 +84,7 @@ async def follow_feedback(
             messages.append(FeedbackMessage(sender, rendered.value["feedback"], iso_time(sample.received_ns)))
             if len(messages) >= max_messages:
                 break
-    note = "" if messages else "No feedback came: no goal is running, or its server sends none."
+    note = "" if messages else "No feedback: no goal is running, or the server publishes none."
     if omitted:
-        note = f"The {omitted} last message(s) are left out: the answer would be too long."
+        note = f"Left out to keep the answer short: the last {counted(omitted, 'message')}."
     return FeedbackMessages(topic, action_type, only_goal, monotonic() - started, messages, omitted, note)

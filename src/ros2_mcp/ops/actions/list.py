@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ros2_mcp.model import names
+from ros2_mcp.model.text import counted
 from ros2_mcp.robot import Robot
 
 
@@ -29,7 +30,7 @@ class ActionList:
 
     def summary(self) -> str:
         """One line."""
-        return f"{len(self.actions)} action(s). {self.note}".rstrip()
+        return f"{counted(len(self.actions), 'action')}. {self.note}".rstrip()
 
 
 async def list_actions(robot: Robot, pattern: str = "") -> ActionList:

@@ -68,7 +68,7 @@ async def request_result(
     goal_id = goal_id_hex(goal_id_bytes(goal_id))
     if waits and action_type and action not in await robot.types.actions():
         near = await robot.types.near_action(action)
-        await report(0.0, wait_s, f"{action} is not there yet; waiting for it. {near}")
+        await report(0.0, wait_s, f"Waiting for the action {action}. {near}")
         action_type = await robot.types.full_name(action_type, "action")  # its server may still have to appear
     else:
         action_type = await robot.types.action(action, action_type)
@@ -104,9 +104,9 @@ async def result_of(
             answer = await asking
             break
         except NotFound as error:
-            raise NotFound(f"The server of {action} is not there, or left before the goal ended.") from error
+            raise NotFound(f"The server of {action} is not running, or left before the goal ended.") from error
         except TimedOut:
-            note = f"No result within {wait_s:g} s. The goal was not cancelled: ask again with this goal id."
+            note = f"No result within {wait_s:g} s; the goal was not cancelled. Ask again with this goal id."
             return GoalResult(service, goal_id, True, timeout_s, 0, "TIMEOUT", note=note)
         finally:
             asking.cancel()
@@ -114,7 +114,9 @@ async def result_of(
     code = int(response["status"])
     if code in TERMINAL or code == 0:
         robot.goal_ended(goal_id, STATUS.get(code, ""))
-    note = "The server does not know this goal: it never was, or it has been forgotten." if code == 0 else ""
+    note = (
+        "The server does not know this goal: the id is wrong, or the server has dropped the goal." if code == 0 else ""
+    )
     goal = robot.jobs.get(Goal, goal_id)
     if STATUS.get(code) == "CANCELED" and goal and robot.graph.lapsed_at > goal.started_at:
         note = ended_by(LEASE)

@@ -149,19 +149,18 @@ async def _submit(robot: Robot, command: SendGoal, goal: Mapping[str, Any]) -> G
         elif sent := robot.jobs.get(Goal, command.goal_id):
             sent.is_accepted = True
     except NotFound as error:
-        gone = f"The server of {command.name} is not there, or left before it said that it accepts the goal."
+        gone = f"The server of {command.name} is not running, or left before it accepted the goal."
         raise NotFound(gone) from error
     except TimedOut as error:
         raise TimedOut(
-            f"The server of {command.name} did not say within {ACCEPT_S:g} s whether it accepts goal "
-            f"{command.goal_id}.",
-            "It may still accept it: ros2_cancel_action_goal cancels it.",
+            f"The server of {command.name} did not accept or reject goal {command.goal_id} within {ACCEPT_S:g} s.",
+            "It may still accept the goal; cancel it with ros2_cancel_action_goal.",
         ) from error
     finally:
         calling.cancel()
     sent = GoalOutcome(command.name, command.type, accepted, command.goal_id, stamp if accepted else None)
     if not accepted:
-        rejected = "The action server rejected the goal; ros2_log_read may tell why."
+        rejected = "The action server rejected the goal; ros2_log_read may show why."
         return replace(sent, status_code=-1, status=STATUS[-1], note=rejected)
     return replace(sent, note=left_at_default(robot.values.definitions, f"{command.type}_Goal", goal))
 

@@ -13,6 +13,7 @@ from ros2_mcp.model import names
 from ros2_mcp.model.errors import NotFound
 from ros2_mcp.model.goals import STATUS, STATUS_TYPE, TERMINAL, goal_id_hex, stamp_seconds
 from ros2_mcp.model.samples import Sample
+from ros2_mcp.model.text import counted
 from ros2_mcp.ops.results import IF_ANY, SAID, Report, iso_time, reporting, silent
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.goals import Goal
@@ -57,7 +58,7 @@ class StatusFrames:
 
     def summary(self) -> str:
         """One line."""
-        return f"{len(self.frames)} status message(s) in {self.duration_sec:.2f} s. {self.note}".rstrip()
+        return f"{counted(len(self.frames), 'status message')} in {self.duration_sec:.2f} s. {self.note}".rstrip()
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +85,7 @@ class KnownGoals:
 
     def summary(self) -> str:
         """One line."""
-        return f"{len(self.goals)} goal(s) of {len(self.actions)} action(s). {self.note}".rstrip()
+        return f"{counted(len(self.goals), 'goal')} of {counted(len(self.actions), 'action')}. {self.note}".rstrip()
 
 
 async def states_now(robot: Robot, action: str, within_s: float = _LATCHED_S) -> list[GoalState]:
@@ -133,7 +134,7 @@ async def follow_status(
             frames.append(StatusFrame(iso_time(sample.received_ns), await states_in(robot, sample)))
             if len(frames) >= max_messages:
                 break
-    note = "" if frames else "Its server has not told of any goal yet."
+    note = "" if frames else "The server has not published the status of any goal yet."
     return StatusFrames(topic, monotonic() - started, frames, note)
 
 
@@ -150,5 +151,5 @@ async def all_goals(robot: Robot) -> KnownGoals:
             age_s = robot.now_ns() / 1e9 - stamp_seconds(state.accept_stamp)
             shown_age = round(age_s, 3) if abs(age_s) < _OTHER_CLOCK_S else None
             goals.append(KnownGoal(action, state.goal_id, state.status_code, state.status, shown_age, is_ours))
-    note = "" if goals else "No goal has been sent yet, or the servers have forgotten them."
+    note = "" if goals else "No goal has been sent yet, or the servers no longer keep them."
     return KnownGoals(sorted(goals, key=lambda goal: goal.age_sec or 0.0), actions, note)

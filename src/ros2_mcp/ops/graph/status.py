@@ -10,10 +10,11 @@ from importlib.metadata import version
 
 from ros2_mcp.guard.consent import Auditing
 from ros2_mcp.guard.state import RESET_HINT, latched
+from ros2_mcp.model.text import counted
 from ros2_mcp.ops.results import IF_ANY, SAID, microseconds
 from ros2_mcp.robot import Robot
 
-NO_POLICY = "none is in force, whatever fits its definition is sent"
+NO_POLICY = "none is in force; every valid command is sent"
 _OTHER_CLOCK_S = 0.5
 """Less matters to nobody: tf2 and people wait for tenths of a second. Far above what a long way leaves uncertain."""
 _LAST_RESTARTS = 5
@@ -78,22 +79,22 @@ async def status(robot: Robot, limitations: Sequence[str] = ()) -> Status:
     found = list(limitations)
     in_force = " and ".join(document.name for document in robot.policy.documents) or NO_POLICY
     if robot.policy.read_only:
-        found.append("Tools that write are absent: the server was started read-only.")
+        found.append("The server was started read-only: it has no tools that act.")
     if (latch := robot.guard.latch.look()).is_set:
-        found.append(f"Nothing acts: {latched(latch)} {RESET_HINT}")
+        found.append(f"Commands are rejected: {latched(latch)} {RESET_HINT}")
     auditing = robot.guard.audit
     if isinstance(auditing, Auditing) and auditing.log.failed:
-        found.append(f"The audit cannot be written: {auditing.log.failed}.")
+        found.append(f"The audit log cannot be written: {auditing.log.failed}.")
     if other := robot.guard.server_lock.other():
         found.append(other)
     if bridge.executor == "SingleThreadedExecutor":
-        found.append("This rclpy has no EventsExecutor: service calls take a little longer.")
+        found.append("This rclpy has no EventsExecutor, so service calls take a little longer.")
     if other_clock := _other_clock(bridge.clock_offset_s):
         found.append(other_clock)
     if lapses := robot.graph.lapses:
         found.append(
-            f"The link lease has lapsed {len(lapses)} time(s), the last time after this server had been silent for "
-            f"{lapses[-1]:.1f} s: the bridge has stopped what this server moved."
+            f"The link lease has expired {counted(len(lapses), 'time')}, last after this server had been silent for "
+            f"{lapses[-1]:.1f} s: the bridge stopped what this server moved."
         )
     return Status(
         server_version=version("ros2-mcp"),
@@ -133,5 +134,5 @@ def _other_clock(offset_s: float | None) -> str:
         return ""
     return (
         f"The robot's clock is {abs(offset_s):.1f} s {'ahead of' if offset_s > 0 else 'behind'} this machine's. All "
-        "times of the robot are by its own clock, and a time that is given to a tool is one of that clock."
+        f"times in results and arguments are by the robot's clock."
     )

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model.errors import BadInput
-from ros2_mcp.model.text import listed
+from ros2_mcp.model.text import counted, listed
 from ros2_mcp.ops.results import SAID, Report, silent
 from ros2_mcp.ops.sources.source import Capture, Missing, Source, Stream
 
@@ -178,7 +178,7 @@ def evaluate(
     verdict, reasons = _judge(first, second, len(in_first), compared, tolerance_percent)
     if delay_s and abs(delay_s) > max(_period_s(first), _period_s(second)):  # shorter ones correlation makes of noise
         earlier, later = (first, second) if delay_s > 0 else (second, first)
-        reasons.append(f"By its values {later.topic} is {1000 * abs(delay_s):.3g} ms later than {earlier.topic}.")
+        reasons.append(f"By its values, {later.topic} is {1000 * abs(delay_s):.3g} ms behind {earlier.topic}.")
     for capture in (first, second):
         troubles = (capture.mixed, capture.kept.skipped, capture.kept.bounds("Compared are those", capture.began_ns))
         reasons += [f"{capture.topic}: {trouble}" for trouble in troubles if trouble]
@@ -215,13 +215,13 @@ def _pairing_times(
     stamps = (first.kept.stamps_ns, second.kept.stamps_ns) if by_stamp else (None, None)
     reason = ""
     if stamps[0] is None or stamps[1] is None:
-        reason = ": not both have a header" if by_stamp else ""
+        reason = ": not both topics have a header" if by_stamp else ""
     elif not len(stamps[0]) or not len(stamps[1]):
         reason = ": a topic is silent"
     elif any(own[-1] <= 0 or (own[1:] <= own[:-1]).any() for own in (stamps[0], stamps[1])):
-        reason = ": the stamps do not rise"
+        reason = ": the stamps do not increase"
     elif stamps[0][-1] < stamps[1][0] or stamps[1][-1] < stamps[0][0]:
-        reason = ": the stamps are of different times"
+        reason = ": the stamps do not overlap in time"
     else:
         # counted from the first stamp, because a Unix time in nanoseconds does not fit a float exactly
         origin = int(stamps[0][0])
@@ -280,7 +280,7 @@ def _judge(
     counts = first.kept.rows, second.kept.rows
     if not pairs:
         silent_topics = [capture.topic for capture in (first, second) if not capture.kept.rows]
-        why = f"{' and '.join(silent_topics)} sent nothing." if silent_topics else "No two messages are near in time."
+        why = f"{' and '.join(silent_topics)} sent nothing." if silent_topics else "No two messages are close in time."
         return "VERY DIFFERENT", [why]
 
     def percent(row: FieldComparison) -> float:
@@ -297,14 +297,14 @@ def _judge(
         for row in differing[:_MAX_REASONS]
     ]
     if len(differing) > _MAX_REASONS:
-        reasons.append(f"{len(differing) - _MAX_REASONS} more fields differ.")
+        reasons.append(f"{counted(len(differing) - _MAX_REASONS, 'more field')} with differences.")
     unpaired = max(counts) - pairs - max(_in_holes(first, second), _in_holes(second, first))
     if unpaired > max(_EDGES, _UNPAIRED_SHARE * max(counts)):
-        reasons.append(f"{unpaired} messages have no partner ({counts[0]} and {counts[1]} came).")
+        reasons.append(f"{counted(unpaired, 'message')} without a partner ({counts[0]} and {counts[1]} received).")
     if not_compared := sum(row.not_compared for row in compared if row.compared_as != "rotation"):
-        reasons.append(f"{not_compared} values are not finite or missing in one of them only.")
+        reasons.append(f"{counted(not_compared, 'value')} not finite, or missing, on one topic only.")
     if not_compared := sum(row.not_compared for row in compared if row.compared_as == "rotation"):
-        reasons.append(f"{not_compared} rotations are missing or were never set in one of them only.")
+        reasons.append(f"{counted(not_compared, 'rotation')} missing, or never set, on one topic only.")
     nothing = [f"Nothing to compare in either: {listed(absent, _MAX_REASONS)}."] if absent else []
     if len(absent) == len(compared):
         return "VERY DIFFERENT", reasons + nothing
@@ -325,4 +325,4 @@ def _agreement(compared: Sequence[FieldComparison], fields: int, pairs: int, tol
     most = max(compared, key=lambda row: row.max_percent or 0.0)
     if not most.max_percent:
         return f"{text}."
-    return f"{text}; most differs {most.field}, by {most.max_difference:.3g} {most.unit}".rstrip() + "."
+    return f"{text}; the largest difference is in {most.field}: {most.max_difference:.3g} {most.unit}".rstrip() + "."

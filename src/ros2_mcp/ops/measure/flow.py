@@ -98,7 +98,7 @@ def is_burst(count: int, rate_hz: float | None, over_s: float) -> bool:
 
 def burst_in_words(count: int, rate_hz: float) -> str:
     """That they are too few to tell a rate."""
-    return f"Its {count} messages came within {1000 * (count - 1) / rate_hz:.3g} ms: too few to tell a rate."
+    return f"Only {count} messages came, within {1000 * (count - 1) / rate_hz:.3g} ms: too few to measure a rate."
 
 
 def gaps(times_ns: Times, holes: Holes = (), edges_ns: tuple[int, ...] = ()) -> list[Gap]:

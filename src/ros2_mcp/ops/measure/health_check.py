@@ -368,7 +368,7 @@ def _gone(graph: GraphSnapshot, expected: Expectations) -> Iterator[Finding]:
     """
     if graph.absence:
         severity = "critical" if graph.settled else "warning"
-        yield Finding(severity, "robot", graph.absence, "Start it, or this server in the robot's domain.")
+        yield Finding(severity, "robot", graph.absence, "Start the robot, or start this server in the robot's domain.")
         return
     silenced: dict[tuple[str, ...], list[str]] = {}
     for topic, publishers in graph.left.topics.items():
@@ -376,21 +376,23 @@ def _gone(graph: GraphSnapshot, expected: Expectations) -> Iterator[Finding]:
     for publishers, topics in silenced.items():
         gone = [node for node in publishers if node in graph.left.nodes]
         who = f"{listed(gone, MAX_NAMES)} has left:" if gone else f"{listed(publishers, MAX_NAMES)} is there, but"
-        problem = f"{who} nobody publishes any more on {listed(sorted(topics), MAX_NAMES)}."
-        advice = "It did earlier in this session: start it again; ros2_log_read may tell why."
+        problem = f"{who} nobody publishes any longer on {listed(sorted(topics), MAX_NAMES)}."
+        advice = "Start the node again; ros2_log_read may show why it ended."
         is_needed = any(graph.left.types.get(name) in STREAM_TYPES or name in expected.topics for name in topics)
         severity = "critical" if is_needed and graph.settled else "warning"
         yield Finding(severity, publishers[0], problem, advice, _only(publishers))
     missed = {node for publishers in silenced for node in publishers}
     for node in sorted(set(graph.left.nodes) - missed):
-        problem = "It was there earlier in this session, and has left."
-        yield Finding("warning", node, problem, "Start it if it is needed.", node)
+        problem = "It was running earlier in this session, and has left."
+        yield Finding("warning", node, problem, "Start the node again if it is needed.", node)
 
 
 def _nothing(graph: GraphSnapshot, source: Source) -> Iterator[Finding]:
     """That a recording is empty: nothing in it is wrong, and nothing right."""
     if graph.nodes is None and not graph.topics:  # a recording knows no nodes
-        yield Finding("warning", source.title, "There is no message in it: nothing can be judged.", "Record again.")
+        yield Finding(
+            "warning", source.title, "The recording has no messages, so nothing can be judged.", "Record again."
+        )
 
 
 def _hung(nodes: Sequence[str], expected: Expectations) -> Iterator[Finding]:
@@ -398,7 +400,9 @@ def _hung(nodes: Sequence[str], expected: Expectations) -> Iterator[Finding]:
     if nodes:
         who = f"one of {listed(nodes, MAX_NAMES)} answers."
         problem = f"Nothing came on any topic, and n{who}" if expected.check_rates else f"N{who}"
-        yield Finding("critical", "robot", problem, "It was switched off, is cut off from here, or hangs: look at it.")
+        yield Finding(
+            "critical", "robot", problem, "Check whether the robot is switched on, connected and not hanging."
+        )
 
 
 def _missing(graph: GraphSnapshot, expected: Expectations) -> Iterator[Finding]:
@@ -407,16 +411,16 @@ def _missing(graph: GraphSnapshot, expected: Expectations) -> Iterator[Finding]:
         cause = _only(graph.left.topics.get(name, ()))
         if name not in graph.topics:
             hint = names.did_you_mean(name, list(graph.topics), "Start the node that publishes it.")
-            yield Finding("critical", name, "The expected topic is not there.", hint, cause)
+            yield Finding("critical", name, "The expected topic does not exist.", hint, cause)
         elif not graph.topics[name].publishers:
             yield Finding("critical", name, "Nobody publishes on the expected topic.", "Start its publisher.", cause)
     kinds = (("service", expected.services, graph.services), ("node", expected.nodes, graph.nodes))
     for kind, expected_names, present in kinds:
         for name in expected_names if present is not None else ():
             if name not in (present or ()):
-                hint = names.did_you_mean(name, list(present or ()), "Start it, or correct the name.")
+                hint = names.did_you_mean(name, list(present or ()), "Start its node, or correct the name.")
                 cause = name if kind == "node" else ""
-                yield Finding("critical", name, f"The expected {kind} is not there.", hint, cause)
+                yield Finding("critical", name, f"The expected {kind} is missing.", hint, cause)
 
 
 def _flow_finding(
@@ -429,25 +433,25 @@ def _flow_finding(
         first = both_times(finite.first_ns, measured.zero_ns)
         bad = f"{finite.found} of {finite.looked_at} messages have NaN or infinite values"
         problem = f"{bad}, in {', '.join(finite.fields)}, first at {first}."
-        advice = "Whatever is computed from them is NaN, too: look at its publisher's inputs and parameters."
+        advice = "Check its publisher's inputs and parameters; nodes that compute with these values produce NaN too."
         yield Finding("critical" if row.expected else "warning", row.topic_name, problem, advice, cause)
     if row.state == "SLOW":
-        rate = "too few messages came to tell its rate" if row.rate_hz is None else f"{row.rate_hz:.2f} Hz"
+        rate = "too few messages came to measure its rate" if row.rate_hz is None else f"{row.rate_hz:.2f} Hz"
         problem = f"Slow: {rate}, at least {expected.min_rate_hz:g} Hz expected."
-        advice = "Look at its publisher's load and rate parameter, or lower min_expected_rate_hz."
+        advice = "Check its publisher's load and rate parameter, or lower min_expected_rate_hz."
         yield Finding("warning", row.topic_name, problem, advice, cause)
     elif row.state == "OLD STAMPS" and measured and measured.ages:
-        advice = "Compare the clocks of the machines (chrony, NTP), and look at its publisher's load and network."
+        advice = "Compare the machines' clocks (chrony, NTP), and check its publisher's load and network."
         yield Finding("warning", row.topic_name, measured.ages.trouble, advice, cause)
     elif row.state in ("SILENT", "STOPPED", "INTERRUPTED"):
         publishers = _nodes_of(graph.topics[row.topic_name].publishers)
-        problem = f"Published by {publishers}, but nothing came."
+        problem = f"{publishers} publishes it, but no message came."
         if measured and (silence := measured.silence):
             since, for_s = f"from {both_times(silence.from_ns, measured.zero_ns)} on", f"{silence.duration_s:.1f} s"
-            problem = f"It was interrupted: nothing for {for_s} {since}."
+            problem = f"It was interrupted: no message for {for_s} {since}."
             if silence.is_end:
-                problem = f"It has stopped: nothing in the last {for_s}, {since}."
-        advice = f"Look at {publishers}: its device, parameters and log."
+                problem = f"It has stopped: no message in the last {for_s}, {since}."
+        advice = f"Check the device, parameters and log of {publishers}."
         yield Finding("critical" if row.expected else "warning", row.topic_name, problem, advice, cause)
 
 
@@ -460,7 +464,7 @@ def _type_conflicts(graph: GraphSnapshot, expected: Expectations) -> Iterator[Fi
         if len(by_type) > 1:
             who = "; ".join(f"{_nodes_of(found)} publishes {type_name}" for type_name, found in by_type.items())
             severity = "critical" if name in expected.topics else "warning"
-            advice = "One of them is wrong: stop or remap it. Until then the topic is not measured."
+            advice = "Stop or remap the wrong publisher; the topic cannot be measured until then."
             yield Finding(severity, name, f"Several types on one topic: {who}.", advice)
 
 
@@ -471,23 +475,30 @@ def _unknown_types(failed: Sequence[Missing]) -> Iterator[Finding]:
         if isinstance(missing.error, UnknownInterface):
             topics.setdefault(missing.error.message, []).append(missing)
     for problem, (first, *others) in topics.items():
-        also = f" Likewise {listed([other.topic for other in others], MAX_NAMES)}." if others else ""
-        yield Finding("warning", first.topic, f"It cannot be measured or read. {problem}{also}", first.error.hint)
+        also = f" The same holds for {listed([other.topic for other in others], MAX_NAMES)}." if others else ""
+        yield Finding(
+            "warning", first.topic, f"The topic cannot be measured or read. {problem}{also}", first.error.hint
+        )
 
 
 def _graph_findings(graph: GraphSnapshot) -> Iterator[Finding]:
     """Endpoints that cannot match, sensors that nodes wait for, names that nodes share."""
     for name, topic in graph.topics.items():
         for sentence in dict.fromkeys(mismatches(topic.publishers, topic.subscribers)):
-            yield Finding("warning", name, sentence, "They never exchange a message: align type and QoS of the two.")
+            yield Finding(
+                "warning",
+                name,
+                sentence,
+                "Give both the same type and compatible QoS; no message passes between them now.",
+            )
         if _streams(topic) and topic.subscribers and not topic.publishers:
-            problem = f"{_nodes_of(topic.subscribers)} waits for it, but nobody publishes."
+            problem = f"{_nodes_of(topic.subscribers)} subscribes to it, but nobody publishes."
             cause = _only(graph.left.topics.get(name, ()))
             yield Finding("warning", name, problem, "Start the sensor's driver, or correct a remapping.", cause)
     shared = {name: count for name, count in Counter(graph.nodes or ()).items() if count > 1}
     if len(shared) > 1:  # most likely two robots, or one that was started twice: one fault
         problem = f"{len(shared)} names are shared by several nodes each: {listed(list(shared), _MAX_SHARED)}."
-        yield Finding("warning", "nodes", problem, "Do two robots share this domain? Separate them, or stop one.")
+        yield Finding("warning", "nodes", problem, "If two robots share this domain, separate them, or stop one.")
     for name, count in shared.items() if len(shared) == 1 else ():
         yield Finding("warning", name, f"{count} nodes have this name.", "Rename or stop all but one.")
 
@@ -500,13 +511,13 @@ def _diagnostic_findings(graph: GraphSnapshot, table: DiagnosticTable, *, with_p
     nodes = {*(graph.nodes or ()), *graph.left.nodes}
     for row in table.rows:
         if row.level != "OK":
-            problem = f"Diagnostics say {row.level}: {quoted(row.message)}."
+            problem = f"Diagnostics report {row.level}: {quoted(row.message)}."
             node = row.name.partition(":")[0].strip("/ ")
             cause = _only([name for name in nodes if name.strip("/") == node or name.endswith(f"/{node}")])
             severity = "critical" if row.level == "ERROR" else "warning"
-            yield Finding(severity, row.name, problem, "See its values.", cause)
+            yield Finding(severity, row.name, problem, "Check its values.", cause)
     for row in table.past if with_past else ():
-        problem = f"Diagnostics said {row.level} at {row.received_at}: {quoted(row.message)}."
+        problem = f"Diagnostics reported {row.level} at {row.received_at}: {quoted(row.message)}."
         yield Finding("warning", row.name, problem, "It has become better since.")
 
 
@@ -534,23 +545,25 @@ class _Statuses:
 
 
 def _note(graph: GraphSnapshot, skipped: Sequence[str], failed: Sequence[Missing]) -> str:
-    notes = [] if graph.settled else ["Discovery had not settled: ask again."]
+    notes = [] if graph.settled else ["Discovery had not settled. Ask again."]
     if skipped:
         names_of = listed(skipped, _MAX_SKIPPED)
-        notes.append(f"Not measured, to spare the robot: {names_of} (expected_topics are always measured).")
+        notes.append(
+            f"Not measured, to limit the load on the robot: {names_of}. Name topics in expected_topics to measure them."
+        )
     if graph.nodes is None or graph.services is None:
-        notes.append("Nodes and services are not known here.")
+        notes.append("A recording does not say which nodes and services ran.")
     others = [missing for missing in failed if not isinstance(missing.error, UnknownInterface)]
     if others:
         errors = "; ".join(f"{named(missing.topic)}: {missing.error}" for missing in others[:_MAX_FAILED])
-        notes.append(f"Could not be measured: {errors}")
+        notes.append(f"Not measured because of errors: {errors}")
     return " ".join(notes)
 
 
 def _bounds(flows: Mapping[str, Flow]) -> str:
     """Up to when topics were looked at for silences, where that is not the end."""
     cut = [f"{name} up to {both_times(flow.until_ns, flow.zero_ns)}" for name, flow in flows.items() if flow.until_ns]
-    return f"Silences were looked for only in: {', '.join(cut)}: more times were too much to keep." if cut else ""
+    return f"Silences were searched only in: {', '.join(cut)}; later times did not fit in memory." if cut else ""
 
 
 def _nodes_of(endpoints: Sequence[Endpoint]) -> str:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from ros2_mcp.model.errors import BadInput, BadValue, RobotError
-from ros2_mcp.model.text import named
+from ros2_mcp.model.text import counted, named
 from ros2_mcp.model.times import both_times, recorded_time, seconds_in
 from ros2_mcp.ops.measure.flow import burst_in_words, gaps, is_burst, periods_s
 from ros2_mcp.ops.results import Report, four_digits, iso_time, microseconds, silent
@@ -107,7 +107,9 @@ class TopicStatistics:
         if self.error:
             return [f"{named(self.topic_name)}: {self.error}"]
         rate = "rate unknown" if self.rate_hz is None else f"{self.rate_hz:.2f} Hz"
-        line = f"{named(self.topic_name)}: {self.count} message(s), {rate}, {len(self.fields)} field(s)."
+        line = (
+            f"{named(self.topic_name)}: {counted(self.count, 'message')}, {rate}, {counted(len(self.fields), 'field')}."
+        )
         anomalies = [f"{row.field}: {anomaly}" for row in self.fields for anomaly in row.anomalies]
         trends = [f"{row.field} {row.trend}" for row in self.fields if row.trend]
         constants = [f"{name} {_short(value)}" for name, value in self.constants.items()]
@@ -215,22 +217,22 @@ def evaluate(capture: Capture[Columns], most_fields: int = 80) -> TopicStatistic
     periods = periods_s(kept.times_ns, holes)
     constant = [column for column in kept.columns if _is_constant(column, kept.decoded)]
     varying = [column for column in kept.columns if not _is_constant(column, kept.decoded)]
-    notes = [kept.skipped, kept.bounds("Jumps and stuck values are looked for in those", capture.began_ns)]
+    notes = [kept.skipped, kept.bounds("Jumps and stuck values are searched in those", capture.began_ns)]
     if not kept.all_kept:
         until = recorded_time(int(kept.times_ns[-1]), capture.began_ns) if len(kept.times_ns) else "its beginning"
-        notes.append(f"Periods and gaps are those up to {until}: more times were too much to keep.")
+        notes.append(f"Periods and gaps cover the time up to {until}; later times did not fit in memory.")
     if not kept.columns:
-        notes.insert(0, "It has no numbers to measure; choose fields for bytes, booleans and stamps.")
+        notes.insert(0, "It has no numeric fields; to measure bytes, booleans or stamps, name them in fields.")
     elif len(varying) > most_fields:
         left_out = len(varying) - most_fields
         first = varying[most_fields].path.path
-        notes.insert(0, f"{left_out} more fields are not shown: choose fields, from {first} on.")
+        notes.insert(0, f"{left_out} more fields, from {first} on, are not shown; name them in fields.")
     if kept.replayed:
-        notes.insert(0, f"{kept.replayed} latched message(s) from before this time are measured, but not in the rate.")
+        notes.insert(0, f"{counted(kept.replayed, 'earlier latched message')} measured, but not counted in the rate.")
     if not kept.seen:
-        notes.insert(0, "Silent in this time." if capture.publishers else "Nobody published on it.")
+        notes.insert(0, "No message in this time." if capture.publishers else "Nobody published on this topic.")
     elif capture.dropped:
-        notes.insert(0, f"{capture.dropped} messages were too much to keep; the newest are counted.")
+        notes.insert(0, f"{capture.dropped} older messages did not fit in memory and are not counted.")
     rate = kept.rate_hz(holes)
     if rate and is_burst(kept.count, rate, capture.duration_s):
         notes.insert(0, burst_in_words(kept.count, rate))
@@ -264,7 +266,7 @@ def _gap_lines(capture: Capture[Columns]) -> list[str]:
     shown = sorted(found[: 2 * _MAX_LISTED], key=lambda gap: gap.from_ns)
     lines = [
         f"nothing for {gap.duration_s:.3f} s from {both_times(gap.from_ns, capture.zero_ns)} on"
-        f"{': damage, it cannot be read there' if gap.in_hole else ''}"
+        f"{': the recording is damaged there' if gap.in_hole else ''}"
         for gap in shown
     ]
     return lines + ([f"{len(found) - len(shown)} shorter gaps"] if len(found) > len(shown) else [])
@@ -369,5 +371,5 @@ def _trend_and_anomalies(column: Column, capture: Capture[Columns]) -> tuple[str
     if still:
         lines.append(f"stuck at {still.value:g} for {still.duration_s:.3f} s from {when(still.at_s)} on")
         if is_over_hole(still.at_s, still.at_s + still.duration_s):
-            lines[-1] += " (damage: a part of that time cannot be read)"
+            lines[-1] += " (a part of that time is damaged and cannot be read)"
     return trend, lines

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.model.errors import BadData, BadValue, NotFound
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.model.text import in_quotes
+from ros2_mcp.model.text import counted, in_quotes
 from ros2_mcp.model.times import recorded_time, seconds_in
 from ros2_mcp.ops.results import HIDDEN, IF_ANY, SAID, Report, iso_time, reporting, silent
 from ros2_mcp.ops.sources.selection import undecodable
@@ -57,7 +57,7 @@ class Wait:
     def summary(self) -> str:
         """One line."""
         outcome = "is met" if self.met else "was not met"
-        seen = f", {'at' if self.met else 'the last at'} {self.when}" if self.when else ""
+        seen = f", {'at' if self.met else 'last message at'} {self.when}" if self.when else ""
         when = f"after {self.waited:.3f} s" if self.is_live else f"in {self.source}{seen}"
         values = ", ".join(f"{path} = {in_quotes(value)}" for path, value in self.values.items())
         line = f"{self.topic_name}: {self.condition} {outcome} {when} ({values or 'no message'})."
@@ -178,15 +178,17 @@ class _Search:
         if self.undecodable:
             notes.append(undecodable(self.undecodable))
         elif not self.looked_at:
-            notes.append("No message came." if self.stream.publishers else "No message came: nobody publishes on it.")
+            notes.append(
+                "No message came." if self.stream.publishers else "No message came: nobody publishes on this topic."
+            )
         if self.undecided:
-            why = f"Of {self.undecided} of {self.looked_at} message(s) it cannot be said"
+            why = f"{self.undecided} of {counted(self.looked_at, 'message')} could not be checked"
             notes.append(f"{why}: {self.why_undecided}")
         if self.is_old and self.last:
             age = f"{(at_ns - self.last.source_ns) / 1e9:.1f} s" if self.last.source_ns else "some time"
-            notes.append(f"That message was sent {age} before: the topic keeps it for whoever subscribes later.")
+            notes.append(f"That message is latched and was published {age} earlier.")
         if dropped:
-            notes.append(f"{dropped} messages came too fast to be looked at.")
+            notes.append(f"{counted(dropped, 'message')} came too fast to be checked.")
         return Wait(
             topic_name=self.stream.topic,
             topic_type=type_name,

@@ -137,7 +137,7 @@ class BagStore:
         def told() -> list[str]:
             lines = [text for opened in noted.values() if opened.bag for text in self.problems_of(opened.bag)]
             more = len(lines) - _MOST_TOLD
-            return [*lines[:_MOST_TOLD], *([f"{more} more: see ros2_bag_info."] if more > 0 else [])]
+            return [*lines[:_MOST_TOLD], *([f"{more} more: ros2_bag_info lists them."] if more > 0 else [])]
 
         try:
             yield told
@@ -185,16 +185,18 @@ class BagStore:
         if self.subject and name == self.subject.name:
             return self.subject
         if "\0" in name:  # no name of a file has it, and `pathlib` would fail
-            raise BadInput(f"{name!r} is no name of a bag: it has a NUL character.", "ros2_bag_list shows the names.")
+            raise BadInput(
+                f"{name!r} is not the name of a bag: it contains a NUL character.", "ros2_bag_list shows the names."
+            )
         name = BLACK_BOX if name.strip().lower() in _BLACK_BOX_WORDS else name
         paths = [path for root in self._roots if (path := (root / name).resolve()).is_relative_to(root.resolve())]
         if not paths:  # such as `../secrets`, or a link out of the folder
-            raise BadInput(f"{name!r} is not below the folder of bags.", "ros2_bag_list shows what can be read.")
+            raise BadInput(f"{name!r} is outside the folder of bags.", "ros2_bag_list lists what can be read.")
         for path in paths if name.strip("./") else ():
             if os.path.lexists(path):
                 return path
         if name == BLACK_BOX:
-            raise NotFound("This server keeps no black box.", "It does with the option --black-box.")
+            raise NotFound("This server keeps no black box.", "Start the server with --black-box to keep one.")
         raise NotFound(
             f"There is no bag {name!r} in {self.bag_dir}.",
             did_you_mean(name, list(self.bag_names()), self.which()),
@@ -203,7 +205,7 @@ class BagStore:
     def which(self) -> str:
         """A hint: the names of the first bags that may be read, if there are any, and what lists them all."""
         first = listed(list(self.bag_names()), _MOST_TOLD)
-        return f"{f'There are: {first}. ' if first else ''}ros2_bag_list shows what can be read."
+        return f"{f'Bags: {first}. ' if first else ''}ros2_bag_list lists what can be read."
 
     def opened_names(self) -> list[str]:
         """The bags that are open, by the names that `reading` takes, the last one first."""

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.meanings import Meaning
-from ros2_mcp.model.text import named
+from ros2_mcp.model.text import counted, named
 from ros2_mcp.model.times import recorded_time
 from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.results import IF_ANY, ON_REQUEST, SAID, beside, iso_time
@@ -115,7 +115,7 @@ class BagMessages:
     def summary(self) -> list[str]:
         """One line, and one for each problem."""
         said = f"{self.note} {self.meaning or ''}".strip()
-        line = f"{named(self.bag)} {named(self.topic_name)}: {self.count} message(s). {said}"
+        line = f"{named(self.bag)} {named(self.topic_name)}: {counted(self.count, 'message')}. {said}"
         return [line.rstrip(), *self.problems]
 
 
@@ -165,9 +165,9 @@ async def info(store: BagStore, bag: str) -> BagInfo:
                     for name, topic in sorted(found.topics.items())
                 ],
                 problems=_problems(store, found),
-                note="All of it was read."
+                note="The whole bag was read."
                 if is_checked
-                else f"Not all of it was read in {_CHECK_S:g} s: damage may be found when more is.",
+                else f"Only a part of the bag was read in {_CHECK_S:g} s; the rest may be damaged.",
             )
 
     until_s, is_checked = monotonic() + _CHECK_S, False
@@ -201,7 +201,7 @@ async def read(
     if not collected.samples:
         first_ns, last_ns = source.covers
         notes.append(
-            f"None in that time; the bag goes from {iso_time(first_ns)} to {recorded_time(last_ns, first_ns)}."
+            f"No message in that time; the bag covers {iso_time(first_ns)} to {recorded_time(last_ns, first_ns)}."
         )
     return BagMessages(
         bag=bag,

@@ -12,6 +12,7 @@ from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadData, BadName, BadValue, NotFound, RobotError
 from ros2_mcp.model.meanings import Meaning
+from ros2_mcp.model.text import counted
 from ros2_mcp.ops.memory.bag_store import BLACK_BOX, BagStore
 from ros2_mcp.ops.results import IF_ANY, ON_REQUEST, SAID, Report, beside, iso_time, reporting, silent
 from ros2_mcp.ops.sources.bag import end_note
@@ -51,7 +52,9 @@ class StoredMessages:
     def summary(self) -> str:
         """One line."""
         said = f"{self.note} {self.meaning or ''}".strip()
-        return f"{self.topic_name}: {self.count} of {self.found} message(s) from {self.source}. {said}".rstrip()
+        return (
+            f"{self.topic_name}: {self.count} of {counted(self.found, 'message')} from {self.source}. {said}".rstrip()
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,17 +126,17 @@ async def _find(sources: Sources, topic: str, type_name: str, request: SourceReq
     if empty:
         return empty
     raise NotFound(
-        f"Nobody has kept messages of {topic}: no Data Black Box, no recording and no opened bag has it.",
+        f"No messages of {topic} are stored: no Data Black Box, recording or opened bag has this topic.",
         _how_to_keep(sources.store),
     )
 
 
 def _how_to_keep(store: BagStore) -> str:
     """How there would be messages to find, as far as it is not so already."""
-    more = "ros2_record_start records; ros2_bag_info opens a bag."
+    more = "Record with ros2_record_start, or open a bag with ros2_bag_info."
     if BLACK_BOX not in store.own:
         return f"The option --black-box keeps the last hours of chosen topics. {more}"
-    return f"The black box of this server is on and has none of it: --black-box says which topics it keeps. {more}"
+    return f"The black box of this server does not keep this topic; choose its topics with --black-box. {more}"
 
 
 def _show(
@@ -142,8 +145,8 @@ def _show(
     source, stream, samples = found.source.title, found.collected.stream, found.collected.samples
     if samples and not fitted.samples:
         raise BadData(
-            f"{source} has {len(samples)} messages of {stream.topic}, but none is a {stream.type}.",
-            "Give the right message_type: the messages were stored with another type, or another version of it.",
+            f"{source} has {counted(len(samples), 'message')} of {stream.topic}, but none of type {stream.type}.",
+            "Give the message_type with which they were stored; it is another type, or another version of this one.",
         )
     of_recording = found.source.began_ns is not None
     start, times_s = message_times(found.source, fitted.samples) if of_recording else ("", [])
@@ -152,12 +155,12 @@ def _show(
     if len(samples) != selection.message_limit:  # who asks for the last two need not be told that there are others
         notes.append(found.collected.more)
     if type_name not in ("", stream.type):
-        notes.append(f"They are {stream.type}, not {type_name}.")
+        notes.append(f"The messages are {stream.type}, not {type_name}.")
     if dropped := found.collected.dropped:
-        notes.append(f"{dropped} earlier messages were too much to keep.")
+        notes.append(f"{counted(dropped, 'earlier message')} did not fit in memory.")
     notes.append(fitted.note)
     if not samples:
-        notes.append("None in that time." if request.start or request.end else "It has none of this topic.")
+        notes.append("No message in that time." if request.start or request.end else "It has no message of this topic.")
     return StoredMessages(
         source=source,
         topic_name=stream.topic,

@@ -165,7 +165,7 @@ class Playback(Job):
                 unheard = [topic for topic, relay in feeds.items() if relay and not relay.matched]
                 if unheard:
                     more = f" and {len(unheard) - _MOST_NAMED} more" if len(unheard) > _MOST_NAMED else ""
-                    self._note = f"Nobody listened to {', '.join(unheard[:_MOST_NAMED])}{more} when it began."
+                    self._note = f"Nobody subscribed to {', '.join(unheard[:_MOST_NAMED])}{more} when it began."
                 self.begun()
                 await self._play()
                 publishers.cancel_scope.cancel()
@@ -256,7 +256,7 @@ class Playback(Job):
                 await self._play_once(begun)
                 self._loops += 1
                 if not any(self._published.values()):
-                    self._note = "Nothing was published: no message of these topics is in that part of the bag."
+                    self._note = "Nothing was published: that part of the bag has no messages of these topics."
                     return
                 if not self._request.loop:
                     return
@@ -360,7 +360,7 @@ def _prepare(store: BagStore, request: PlayRequest) -> tuple[Bag, Span, dict[str
         unknown = set(request.remaps) - set(topics)
         if unknown:
             raise BadInput(
-                f"{sorted(unknown)[0]} is remapped, but not played.", f"Played: {', '.join(map(named, topics))}."
+                f"remaps names {sorted(unknown)[0]}, which is not played.", f"Played: {', '.join(map(named, topics))}."
             )
         types: dict[str, str] = {}
         for name, topic in topics.items():
@@ -395,11 +395,11 @@ async def _check(robot: Robot, request: PlayRequest, topics: Mapping[str, Stored
         subscribers = [subscriber.node for subscriber in present.subscribers if subscriber.node not in own]
         if subscribers and topic.type in MOTION_TYPES:
             driven.append(f"{subscribers[0]} listens to {destination}")
-    hint = "Use remaps, choose topics, or give force."
+    hint = "Give remaps, choose other topics, or set force."
     if busy and not request.force:
         raise Refused(f"These topics have a live publisher: {', '.join(busy)}.", hint)
     if driven and not request.force:
-        raise Refused(f"It would move the robot: {', '.join(driven)}.", hint)
+        raise Refused(f"Playing would move the robot: {', '.join(driven)}.", hint)
     await robot.values.learn(*(topic.type for topic in topics.values()))
 
 

@@ -32,7 +32,7 @@ from ros2_mcp.model.errors import BadInput, BridgeLost, LinkError, NotFound, Ref
 from ros2_mcp.model.graph import TopicRow
 from ros2_mcp.model.qos import QoS
 from ros2_mcp.model.samples import Counts, Sample
-from ros2_mcp.model.text import named
+from ros2_mcp.model.text import counted, named
 from ros2_mcp.model.times import Outage
 from ros2_mcp.ops.memory.bag_store import BLACK_BOX, BagStore
 from ros2_mcp.ops.results import HIDDEN, IF_ANY, SAID, iso_time
@@ -122,8 +122,8 @@ class TopicCounts:
         name = named(self.topic_name)
         if not self.error:
             others = ", ".join(map(named, self.other_types))
-            return f"Of {name} only {self.topic_type} is recorded, not what is sent as {others}." if others else ""
-        what = f"{name} is not recorded any more" if self.written else f"Nothing of {name} is recorded"
+            return f"{name}: only {self.topic_type} is recorded, not {others}." if others else ""
+        what = f"{name} is no longer recorded" if self.written else f"{name} is not recorded"
         return f"{what}: {self.error}"
 
 
@@ -149,10 +149,10 @@ class RecordingState:
         lost = f", {self.why_dropped}" if self.why_dropped else ""
         troubles = [trouble for topic in self.topics if (trouble := topic.trouble())]
         recorded = sum(bool(topic.written or not topic.error) for topic in self.topics)
-        more = [f"{len(troubles) - _TOLD} more topics have an error."] if len(troubles) > _TOLD else []
+        more = [f"{counted(len(troubles) - _TOLD, 'more topic')} with an error."] if len(troubles) > _TOLD else []
         line = (
             f"{self.recording_id} {self.state} as bag {named(self.bag)}: {self.messages} messages of "
-            f"{recorded} topics, {self.bytes} bytes{lost} in {self.elapsed_s:.1f} s from {self.started_at} on."
+            f"{recorded} topics, {self.bytes} bytes{lost} in {self.elapsed_s:.1f} s since {self.started_at}."
         )
         reason = f"{self.reason.rstrip('.')}." if self.reason and troubles else self.reason
         return " ".join(filter(None, (line, reason, *troubles[:_TOLD], *more)))
@@ -279,7 +279,7 @@ class Recording(Job):
 
     def doing(self) -> str:
         """How many topics it writes, and where."""
-        return f"{len(self._topics)} topic(s) into {self._folder.name}" if self._folder else ""
+        return f"{counted(len(self._topics), 'topic')} into {self._folder.name}" if self._folder else ""
 
     def report(self) -> RecordingState:
         """How it stands."""
@@ -299,7 +299,7 @@ class Recording(Job):
             topics.append(replace(row, other_types=joined.other_types))
         if CALLS in written:
             topics.append(TopicCounts(CALLS, _TEXT, written[CALLS], discarded.get(CALLS, 0), 0))
-        absent = "nobody has published it so far; it joins within a second after somebody does."
+        absent = "nobody publishes it yet; recording begins within a second after somebody does."
         notes = [*self._notes, *(recorder.notes if recorder else ())]
         why_dropped = drops_in_words(busy, sum(discarded.values()), is_remote=self._robot.is_remote)
         notes += [f"{why_dropped}."] if why_dropped else []
@@ -332,7 +332,7 @@ class Recording(Job):
             if free < limits.free_floor_bytes:
                 folder.rmdir()
                 raise BadInput(
-                    f"The disk of {record_dir} has {free} bytes free; {limits.free_floor_bytes} must stay free.",
+                    f"The disk of {record_dir} has {free} bytes free, but {limits.free_floor_bytes} must stay free.",
                     "Delete old recordings, or start the server with another --record-dir.",
                 )
             return folder, Recorder(BagWriter(folder, folder.name, request.split_bytes), folder, limits)
@@ -352,7 +352,7 @@ class Recording(Job):
                 if not row.publishers or self._is_ending or not self._request.chooses(row.name):
                     continue
                 if row.name == CALLS:
-                    self._note(f"{CALLS} is not recorded from the robot: here it has what this server does.")
+                    self._note(f"{CALLS} records what this server does, not the topic of that name on the robot.")
                     continue
                 joined = self._topics.get(row.name)
                 if joined is None:
@@ -429,7 +429,7 @@ class Recording(Job):
                     sizes = [len(sample.data) for sample in samples]
                     if largest and (size := max(sizes, default=0)) > largest:
                         what = f"Left out: it has messages of {size} bytes, more than {largest}."
-                        raise Refused(what, "Name it to have it.")
+                        raise Refused(what, "Name the topic to record it.")
                     recorder.put(name, samples)
                     await anyio.sleep(_SHORT_TURN_S if sum(sizes) > _MUCH_BYTES else _TURN_S)
             except LinkError:
@@ -448,8 +448,8 @@ class Recording(Job):
             self._told = outage
             began_ns = self._robot.now_ns() - round((monotonic() - outage.began_at) * 1e9)
             self._note(
-                f"The robot was out of reach from {iso_time(began_ns)} on, for {outage.lasted_s:.1f} s: nothing of "
-                "this time is recorded."
+                f"The robot was out of reach for {outage.lasted_s:.1f} s from {iso_time(began_ns)} on; nothing was "
+                f"recorded then."
             )
 
     def _describe(self, listening: Listening, recorder: Recorder) -> None:
@@ -552,10 +552,10 @@ def _only_one(robot: Robot) -> Recording:
     begun = [job for job in robot.jobs.all(Recording) if not isinstance(job, BlackBox)]
     running = [job for job in begun if job.is_running]
     if not begun:
-        raise NotFound("No recording runs, and none has run.", "ros2_record_start begins one.")
+        raise NotFound("No recording has been started.", "Start one with ros2_record_start.")
     if not running:
         return begun[-1]
     if len(running) > 1:
         ids = ", ".join(recording.id for recording in running)
-        raise BadInput(f"{len(running)} recordings run: {ids}.", "Give the recording_id of one.")
+        raise BadInput(f"{len(running)} recordings are running: {ids}.", "Give the recording_id of one.")
     return running[0]

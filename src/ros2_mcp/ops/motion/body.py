@@ -25,7 +25,7 @@ async def body_of(robot: Robot, base_frame: str, beside: str = "") -> tuple[Mapp
     except RobotError as error:
         why = str(error).rstrip(".")
     assumed: Mapping[str, float] = dict.fromkeys(("front", "rear", "side", "radius"), ASSUMED_M)
-    return assumed, f"The robot's size is not known ({why}): {ASSUMED_M:g} m around its base were taken for it."
+    return assumed, f"The robot's size is not known ({why}): {ASSUMED_M:g} m around its base is assumed."
 
 
 async def _described(robot: Robot, base_frame: str, beside: str) -> tuple[Mapping[str, float], str]:
@@ -37,8 +37,8 @@ async def _described(robot: Robot, base_frame: str, beside: str) -> tuple[Mappin
     told_by = named(near[0]) if near else "the parameter robot_description"
     size = reach(outline(await described(robot, near[0] if near else ""), base_frame))
     if size is None:
-        raise NotFound(f"{told_by} tells no shapes of {named(base_frame)}")
+        raise NotFound(f"{told_by} has no shapes for {named(base_frame)}")
     side_m = max(size.left_m, size.right_m)
     body = {"front": size.front_m, "rear": size.rear_m, "side": side_m, "radius": size.radius_m}
     shape = f"{size.front_m:.2f} m ahead, {size.rear_m:.2f} m back, {side_m:.2f} m to the sides"
-    return body, f"The robot's size is that of {told_by}: {shape}."
+    return body, f"The robot's size comes from {told_by}: {shape}."

@@ -59,7 +59,7 @@ async def controller_for(robot: Robot, joints: Sequence[str], given: str = "") -
     if len(sure or fitting) == 1:
         return (sure or fitting)[0]
     shown = "; ".join(
-        f"{named(one.name)} moves {listed(one.joints, 8) or 'joints that it does not tell'}" for one in found.values()
+        f"{named(one.name)} moves {listed(one.joints, 8) or 'joints that it does not report'}" for one in found.values()
     )
     if not fitting:
         raise BadInput(f"No controller has all of {listed(joints, 8)}: {shown}.", "Move them with one call for each.")

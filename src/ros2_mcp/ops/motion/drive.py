@@ -78,7 +78,7 @@ class DriveRequest:
         if self.distance_m is not None:
             bounded("distance_m", self.distance_m, -MAX_M, MAX_M, "m")
             if self.radius_m:
-                raise BadInput("radius_m goes with angle_deg: an arc is told by its angle.", "Leave distance_m out.")
+                raise BadInput("radius_m needs angle_deg: an arc is given by its angle.", "Leave distance_m out.")
         bounded("angle_deg", self.angle_deg or 0.0, -MAX_DEG, MAX_DEG, "°")
         bounded("radius_m", self.radius_m or 0.0, 0.0, MAX_RADIUS_M, "m")
         if self.speed is not None and self.is_turn:
@@ -240,10 +240,10 @@ def _driven(
         ended_by(reason) if reason else "",
         moved.why,
         f"Corrected {corrections} time(s)." if corrections else "",
-        f"It stood for {told['paused_s']:g} s, as a topic was late." if told.get("paused_s") else "",
+        f"It paused for {told['paused_s']:g} s because a topic was late." if told.get("paused_s") else "",
         limited(sent.limited) if sent.limited else "",
         guarded(sent.stopper_s, sent.unguarded),
-        "" if scan else "Obstacles were not looked for: guard_m was not given.",
+        "" if scan else "Obstacles were not checked: guard_m was not given.",
         *notes,
     ]
     is_arc = bool(request.radius_m)

@@ -54,8 +54,8 @@ async def command_input(robot: Robot, given: str = "") -> Destination:
     destination = await robot.types.destination(given, "")
     if destination.type not in DRIVEN_TYPES:
         raise BadInput(
-            f"{named(destination.topic)} has the type {named(destination.type)}: this drives by Twist or TwistStamped.",
-            "ros2_topic_publish can send what that type takes.",
+            f"{named(destination.topic)} has the type {named(destination.type)}: a motion needs Twist or TwistStamped.",
+            "Send that type with ros2_topic_publish.",
         )
     return destination
 
@@ -80,9 +80,7 @@ async def first_message(robot: Robot, found: Found) -> Mapping[str, Any]:
     async with robot.listen(found.topic, found.type, max_samples=2) as listening:
         async for sample in listening.samples(_FIRST_S):
             return await robot.values.in_full(listening.type, sample.data)
-    raise NotFound(
-        f"Nothing came on {named(found.topic)} within {_FIRST_S:g} s.", "ros2_topic_info tells who publishes."
-    )
+    raise NotFound(f"No message on {named(found.topic)} within {_FIRST_S:g} s.", "ros2_topic_info shows who publishes.")
 
 
 async def mount_of(robot: Robot, scan_frame: str, base_frame: str) -> Mapping[str, Sequence[float]]:
@@ -98,8 +96,10 @@ async def mount_of(robot: Robot, scan_frame: str, base_frame: str) -> Mapping[st
     try:
         pose = (await pose_in(Live(robot), base_frame, scan_frame)).pose
     except RobotError as error:
-        problem = f"Where {named(scan_frame)} sits on the robot is not known, so that its scan guards nothing: {error}"
-        raise NotFound(problem, "ros2_tf_tree shows the frames. Without guard_m it drives unguarded.") from error
+        problem = f"The position of {named(scan_frame)} on the robot is unknown, so its scan cannot guard: {error}"
+        raise NotFound(
+            problem, "Look at the frames with ros2_tf_tree, or leave guard_m out to drive unguarded."
+        ) from error
     return {"translation": list(pose.translation), "rotation": list(pose.rotation)}
 
 
@@ -129,7 +129,9 @@ async def _published(
 def _only(what: str, argument: str, topics: Sequence[str], usual: Sequence[str]) -> str:
     """The only topic, or the only one that is called as usual."""
     if not topics:
-        raise NotFound(f"No {what} was found in the graph.", f"Give it as {argument}, or look with ros2_topic_list.")
+        raise NotFound(
+            f"No {what} was found in the graph.", f"Give it as {argument}; ros2_topic_list shows the topics."
+        )
     for name in usual:
         called = [topic for topic in topics if topic.endswith(f"/{name}")]
         if len(called) == 1:
@@ -137,4 +139,4 @@ def _only(what: str, argument: str, topics: Sequence[str], usual: Sequence[str])
     if len(topics) == 1:
         return topics[0]
     shown = listed(sorted(topics), _MOST_NAMED)
-    raise BadInput(f"{len(topics)} topics may be the {what}: {shown}.", f"Give the one that is meant as {argument}.")
+    raise BadInput(f"{len(topics)} topics may be the {what}: {shown}.", f"Give the right one as {argument}.")

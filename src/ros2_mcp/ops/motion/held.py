@@ -30,7 +30,8 @@ async def others_on(robot: Robot, topic: str) -> str:
     others = sorted({one.node for one in present.publishers if not one.ours})
     if not others:
         return ""
-    return f"{', '.join(map(named, others))} may publish on {named(topic)}, too: a robot obeys whoever spoke last."
+    who = ", ".join(map(named, others))
+    return f"{who} may publish on {named(topic)}, too: the robot follows the latest command, whoever sent it."
 
 
 async def why_it_stands(robot: Robot, topic: str, scan: str = "") -> Sequence[str]:

@@ -39,8 +39,8 @@ class Motion(Repetition):
         for job in running:
             if set(job.moves) & set(self.moves):
                 raise Refused(
-                    f"{job.id} drives by {named(self.moves[0])} already: both would pull the robot their own ways.",
-                    "Wait for its end, or end it with ros2_stop.",
+                    f"{job.id} already drives the robot by {named(self.moves[0])}: two motions would conflict.",
+                    "Wait until it ends, or end it with ros2_stop.",
                 )
 
     async def run(self) -> None:
@@ -74,7 +74,7 @@ async def run_motion(robot: Robot, command: Move, report: Report, line: Line) ->
     if motion.moved is None:
         if not motion.has_begun:
             raise Stopped(f"{ended_by(motion.stop_reason or 'a stop')} Nothing was sent on {named(command.name)}.")
-        raise LinkError(f"The motion by {named(command.name)} was stopped, and the bridge has not said how it ended.")
+        raise LinkError(f"The motion by {named(command.name)} was stopped; the bridge has not reported how it ended.")
     how = motion.moved.ended_by
     if not how:
         return motion.moved, ""

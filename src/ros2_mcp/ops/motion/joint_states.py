@@ -46,10 +46,10 @@ class JointStates:
                 await anyio.sleep(_LOOK_S)
             return
         missing = [joint for joint in joints if joint not in self.positions]
-        heard = f"heard of were {listed(sorted(self.positions), 12)}" if self.positions else "no joint was heard of"
+        heard = f"reported are {listed(sorted(self.positions), 12)}" if self.positions else "no joint is reported"
         raise NotFound(
-            f"Nothing tells where {listed(missing, 6)} is: {heard} on {listed(self.topics, 4) or 'no topic'}.",
-            "A joint state broadcaster publishes it; ros2_topic_info tells who does.",
+            f"Nothing reports the position of {listed(missing, 6)}: {heard} on {listed(self.topics, 4) or 'no topic'}.",
+            "Start the joint state broadcaster; ros2_topic_info shows who publishes.",
         )
 
     def age_s(self, joints: Sequence[str]) -> float:
@@ -68,7 +68,7 @@ async def joint_states(robot: Robot) -> AsyncGenerator[JointStates, None]:
     topics = sorted(row.name for row in rows if JOINT_STATE in row.types and row.publishers)[:_MOST_TOPICS]
     if not topics:
         raise NotFound(
-            f"Nobody publishes joint states ({JOINT_STATE}): it is not known where the joints are.",
+            f"Nobody publishes joint states ({JOINT_STATE}): the joints' positions are unknown.",
             "Start the robot's joint state broadcaster.",
         )
     states = JointStates(topics)

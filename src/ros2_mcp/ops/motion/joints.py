@@ -174,17 +174,17 @@ async def move_joints(robot: Robot, request: JointRequest, report: Report = sile
                 raise Stopped(
                     f"{ended_by(motion.stop_reason or 'a stop')} Nothing was sent to {named(controller.name)}."
                 )
-            raise LinkError(f"The move by {named(controller.name)} ended, and it is not known how.")
+            raise LinkError(f"The move by {named(controller.name)} ended; its outcome is unknown.")
         return motion.result()
 
 
 def check_request(request: JointRequest) -> None:
     """Raises `BadInput` for what is no move of joints."""
     if not request.joints:
-        raise BadInput("No joints are given.", 'Such as {"elbow_joint": 0.5}, in rad or m.')
+        raise BadInput("No joints are given.", 'Give joints such as {"elbow_joint": 0.5}, in rad or m.')
     bounded("joints", len(request.joints), 1, MAX_JOINTS, "joints")
     if request.speed is not None and request.duration_s is not None:
-        raise BadInput("Give either speed or duration_s.", "The one follows from the other.")
+        raise BadInput("Give either speed or duration_s.", "One follows from the other.")
     if request.speed is not None:
         bounded("speed", request.speed, MIN_SPEED, 1.0, "of the velocity limit")
     if request.duration_s is not None:
@@ -222,7 +222,7 @@ async def planned_move(
             least_s = max(least_s, _PEAK * gap / limits.velocity)
             planned_s = max(planned_s, _PEAK * gap / limits.velocity / (request.speed or DEFAULT_SPEED))
         elif request.duration_s is None and gap > request.tolerance:
-            raise BadInput(f"The URDF gives no velocity limit of {named(joint.name)}.", "Give duration_s.")
+            raise BadInput(f"The URDF gives no velocity limit for {named(joint.name)}.", "Give duration_s.")
     if request.duration_s is not None:
         planned_s = request.duration_s
         if planned_s < least_s - _ROUNDED:
@@ -230,7 +230,7 @@ async def planned_move(
                 f"{planned_s:g} s is faster than the joints' velocity limits.", f"Give at least {least_s:.2f} s."
             )
     if planned_s > MAX_S:
-        raise BadInput(f"At this speed it takes {planned_s:.0f} s, more than {MAX_S:g} s.", "Give more speed.")
+        raise BadInput(f"At this speed it takes {planned_s:.0f} s, more than {MAX_S:g} s.", "Give a higher speed.")
     return Plan(
         controller=controller,
         starts={name: here[name] for name in targets},
@@ -283,8 +283,8 @@ class JointMotion(Job):
         for job in running:
             if isinstance(job, JointMotion) and job._plan.controller.name == self._plan.controller.name:
                 raise Refused(
-                    f"{job.id} moves {named(job._plan.controller.name)} already.",
-                    "Wait for its end, or end it with ros2_stop.",
+                    f"{job.id} already moves {named(job._plan.controller.name)}.",
+                    "Wait until it ends, or end it with ros2_stop.",
                 )
 
     async def run(self) -> None:
@@ -342,7 +342,7 @@ class JointMotion(Job):
         self.has_left = True
         answer = await robot.fields_of(await robot.do(command))
         if not answer["accepted"]:
-            self._end("rejected", "The controller rejected the goal; ros2_log_read may tell why.")
+            self._end("rejected", "The controller rejected the goal; ros2_log_read may show why.")
             return
         async with anyio.create_task_group() as group:
             group.start_soon(self._await_result, action)
@@ -398,13 +398,15 @@ class JointMotion(Job):
             elif self._robot.graph.lapsed_at > began:
                 self._end("ended", ended_by(LEASE))
             elif age_s > _SILENT_S:
-                self._end("silent", f"Nothing was heard of the joints for {age_s:.1f} s: they were told to hold.")
+                self._end(
+                    "silent", f"No joint state was received for {age_s:.1f} s: the joints were commanded to hold."
+                )
             elif self._failed:
                 self._end("failed", f"{self._failed} {self._where()}")
             elif self._has_arrived(watched, names):
                 self._end("reached", "")
             elif monotonic() > deadline:
-                self._end("time_out", f"{self._where()} They were told to hold.")
+                self._end("time_out", f"{self._where()} The joints were commanded to hold.")
 
     def _has_arrived(self, watched: _Watched, names: Sequence[str]) -> bool:
         positions = self._states.of(names)
@@ -455,4 +457,4 @@ class JointMotion(Job):
                 await self._robot.zero([self._plan.controller.topic])
             await self._stood()
         except RobotError as error:
-            self.why = f"{self.why} NOT confirmed that the joints stand: {error}".strip()
+            self.why = f"{self.why} NOT confirmed that the joints have stopped: {error}".strip()

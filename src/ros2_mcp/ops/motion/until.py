@@ -106,7 +106,7 @@ async def move_until(robot: Robot, request: UntilRequest, report: Report = silen
     velocity = {name: speed for name, speed in request.velocity.items() if speed}
     if not velocity or not all(map(math.isfinite, velocity.values())):
         raise BadInput(
-            "No velocity is given.", "Give linear_x (m/s) or another one; ros2_wait_until waits without moving."
+            "No velocity is given.", "Give a velocity such as linear_x (m/s); ros2_wait_until waits without moving."
         )
     present = await robot.graph.endpoints(request.topic_name)
     topic_type = await robot.types.topic(present, "")
@@ -198,12 +198,12 @@ def _result(command: Move, moved: Moved, reason: str, known: str) -> MovedUntil:
     told, sent, asked = moved.report, moved.sent, command.controller
     notes = [ended_by(reason) if reason else moved.why]
     if told["met"] and not sent.sent:
-        notes.append("It was met already: nothing was sent.")
+        notes.append("The condition was met already: nothing was sent.")
     if told["undecided"]:
         of = f"Of {told['undecided']} of {told['looked_at']} message(s) it cannot be said"
         notes.append(f"{of}: {quoted(told['why_undecided'])}." if told["why_undecided"] else f"{of}.")
     if told["paused_s"]:
-        notes.append(f"It stood for {told['paused_s']:.1f} s, while a topic was late.")
+        notes.append(f"It paused for {told['paused_s']:.1f} s while a topic was late.")
     if sent.limited:
         notes.append(limited(sent.limited))
     notes.append(known)

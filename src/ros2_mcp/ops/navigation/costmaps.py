@@ -77,7 +77,7 @@ async def costmap_now(
         try:
             kept = await robot.last_costmaps.last(topic, updates_topic, wait_s, first_s=FIRST_S, newer_s=newer_s)
         except RobotError as error:  # such as: their type is not known where the bridge runs
-            unheard = f"What changes in {named(topic)} is not known: {error.message}"
+            unheard = f"Updates of {named(topic)} are unknown: {error.message}"
         else:
             if kept.grid is None or kept.whole is None:
                 raise TimedOut(f"No message on {topic} (live, {wait_s:g} s).")
@@ -124,7 +124,7 @@ async def costmap_recorded(source: Source, topic: str, type_name: str, updates_t
     note = _ages(topic, found.sample, last, count, until_ns)
     is_complete = not holes and (source.began_ns or 0) <= sent_ns(found.sample)
     if not is_complete:
-        note += " Some of what changed since was not recorded."
+        note += " Some later updates were not recorded."
     return Costmap(grid, found.sample, refused, note, sent_ns(last or found.sample), is_complete)
 
 
@@ -132,14 +132,14 @@ def _known(kept: LastCostmap, whole: Sample, now_ns: int) -> str:
     ages = _ages(kept.topic, whole, kept.update, kept.updates, now_ns)
     if kept.is_complete:
         return ages
-    return f"{ages} What changed before it was first listened to, {_ago(kept.since_ns, now_ns)}, is not known."
+    return f"{ages} Updates from before this server first listened, {_ago(kept.since_ns, now_ns)}, are unknown."
 
 
 def _ages(topic: str, whole: Sample, update: Sample | None, count: int, now_ns: int) -> str:
     sent = f"The costmap {named(topic)} was sent whole {_ago(sent_ns(whole), now_ns)}"
     if update is None:
-        return f"{sent}; no change of it came since."
-    return f"{sent}; changes of it since: {count}, the last {_ago(sent_ns(update), now_ns)}."
+        return f"{sent}; no update since."
+    return f"{sent}; updates since: {count}, the last {_ago(sent_ns(update), now_ns)}."
 
 
 def _ago(at_ns: int, now_ns: int) -> str:

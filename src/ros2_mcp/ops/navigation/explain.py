@@ -125,11 +125,11 @@ def judged(
         found.add(f"{known.meaning}{said}.", known.helps)
     told = _told(situation.lines, failure)
     if told and not found.causes:
-        found.add(told, "Ask for more of the log: ros2_log_read.")
+        found.add(told, "Read more of the log with ros2_log_read.")
     if known and not found.helps:
         found.helps.append(known.helps)
     if not found.causes:
-        found.add("Nothing was found that explains it.", "Ask for more of the log: ros2_log_read.")
+        found.add("No cause was found.", "Read more of the log with ros2_log_read.")
     first = found.causes[0]
     return Explanation(
         cause=f"{first[0].upper()}{first[1:]}",
@@ -167,8 +167,8 @@ def _localisation(
     where = situation.where
     if where.trouble:
         found.add(
-            f"it is not known where the robot is: {where.trouble.rstrip('.')}.",
-            "Bring localisation up, or give it an initial pose; ros2_tf_lookup shows when it is there.",
+            f"the robot's place is unknown: {where.trouble.rstrip('.')}.",
+            "Start localisation, or give it an initial pose; ros2_tf_lookup shows when the transform exists.",
         )
     elif not is_goal_known:
         found.add(
@@ -180,7 +180,7 @@ def _localisation(
             f"{situation.uncertain}.", "Give localisation an initial pose, or let the robot turn where it sees walls."
         )
     if failure.code in _TF_CODES and not found.causes:
-        found.add("a transform was missing or late for the server that failed; now it is there.", "Try again.")
+        found.add("a transform was missing or late for the server that failed; now it exists.", "Try again.")
 
 
 def _places(
@@ -194,7 +194,7 @@ def _places(
     start_cost, goal_cost = costs
     at, on = f"({goal[0]:.2f}, {goal[1]:.2f})", named(situation.grid_topic)
     near = (reach.x_m, reach.y_m) if reach else grid.nearest_free(*goal)
-    nearest = f"the nearest place to get to is ({near[0]:.2f}, {near[1]:.2f})" if near else "there is no free place"
+    nearest = f"the nearest free place is ({near[0]:.2f}, {near[1]:.2f})" if near else "there is no free place"
     if goal_cost is None:
         found.add(
             f"the goal {at} is outside of {on}, which covers {grid.extent()} m.",
@@ -207,17 +207,20 @@ def _places(
             f"Choose another goal: {nearest}. If nothing stands there, clear the costmap.",
         )
     if situation.where.is_known and start_cost is None:
-        found.add(f"the robot is outside of {on}: it is localised wrongly, or off the map.", "Localise it anew.")
+        found.add(
+            f"the robot is outside of {on}: it is localised wrongly, or off the map.", "Localise the robot again."
+        )
     elif start_cost is not None and start_cost >= OCCUPIED:
         found.add(
             f"the robot stands in an occupied cell of {on} (cost {start_cost}).",
-            "Drive it away from what is there; if nothing is, clear the costmap or localise it anew.",
+            "Drive the robot away from the obstacle; if there is none, clear the costmap or localise the robot again.",
         )
     if reach and not reach.is_reached and goal_cost is not None and goal_cost < TOUCHING:
         found.add(
-            f"there is no free way from the robot to the goal on {on}: one gets to ({reach.x_m:.2f}, {reach.y_m:.2f}), "
+            f"there is no free path from the robot to the goal on {on}: the nearest reachable place is "
+            f"({reach.x_m:.2f}, {reach.y_m:.2f}), "
             f"{reach.short_m:.2f} m short of it.",
-            "Open the way, or choose a goal on this side; if what blocks it has gone, clear the costmap.",
+            "Open the path, or choose a goal on this side; if the obstacle is gone, clear the costmap.",
         )
 
 
@@ -228,7 +231,7 @@ def _sensors(found: _Findings, situation: Situation, failure: Failure) -> None:
             "Restart the driver of that sensor; ros2_health_check shows its state.",
         )
     elif failure.code in _COSTMAP_LATE:
-        found.add("the costmap was not updated in time; its sensors send now.", "Try again.")
+        found.add("the costmap was not updated in time; its sensors publish now.", "Try again.")
 
 
 def _motion(found: _Findings, situation: Situation, failure: Failure) -> None:
@@ -241,22 +244,22 @@ def _motion(found: _Findings, situation: Situation, failure: Failure) -> None:
         found.beside += [*said, *base.sends, *base.others, *base.limits]
         return
     for one in said:
-        found.add(one, "See what that component needs; ros2_health_check tells more.")
+        found.add(one, "Check that component with ros2_health_check.")
     for one in base.limits:
         found.add(one, "Set it to more than 0: ros2_parameter_set.")
     others = [line for line in situation.lines if not is_of_navigation(line)]
     for line in others[-2:]:
         found.add(f"{line_in_words(line)}.")
     for one in base.sends:
-        found.add(one, "Let nobody else command the base while Nav2 drives it.")
+        found.add(one, "Stop other nodes from commanding the base while Nav2 drives it.")
     found.beside += base.others
     is_near = local is not None and local.cost is not None and local.cost >= TOUCHING
     if is_near:
-        found.add(f"{str(local)[0].lower()}{str(local)[1:]}.", "Take away what stands there, or clear it.")
+        found.add(f"{str(local)[0].lower()}{str(local)[1:]}.", "Remove the obstacle, or clear the costmap.")
     says_why = failure.code == _NO_VALID_CONTROL and failure.text
     if not (said or others or situation.silent or says_why or base.limits or base.sends or is_near):
         near = [f"{local}."] if local and local.away_m is not None else []
-        why = "the robot was told to drive and did not get on; no component says why."
+        why = "the robot was commanded to drive but made no progress; no component reports why."
         found.add(" ".join([why, *near, *base.others]))
 
 
@@ -273,8 +276,9 @@ def _feasibility(situation: Situation, reach: Reach | None) -> str:
         return "unknown"
     on = named(situation.grid_topic)
     if reach.is_reached:
-        return f"there is a free way from the robot to the goal on {on}"
-    return f"no free way on {on}: one gets to ({reach.x_m:.2f}, {reach.y_m:.2f}), {reach.short_m:.2f} m short"
+        return f"there is a free path from the robot to the goal on {on}"
+    nearest = f"({reach.x_m:.2f}, {reach.y_m:.2f}), {reach.short_m:.2f} m short"
+    return f"no free path on {on}: the nearest reachable place is {nearest}"
 
 
 def _health(situation: Situation, more: Sequence[str]) -> list[str]:

@@ -43,15 +43,15 @@ async def _within(part: Awaitable[list[str]], what: str) -> list[str]:
     try:
         return await asyncio.wait_for(part, _PART_S)
     except asyncio.TimeoutError:
-        return [f"{what} could not be told within {_PART_S:g} s."]
+        return [f"{what} could not be determined within {_PART_S:g} s."]
     except RobotError as error:
-        return [f"{what} could not be told: {error.message}"]
+        return [f"{what} could not be determined: {error.message}"]
 
 
 async def _localisation(robot: Robot) -> list[str]:
     where = await whereabouts(robot, MAP_FRAME)
     if where.trouble:
-        return [f"It is not known where the robot is: {where.trouble.rstrip('.')}."]
+        return [f"The robot's place is unknown: {where.trouble.rstrip('.')}."]
     age = "" if where.age_s is None else f", {where.age_s:.2f} s old"
     return [f"Localised: {named(where.base)} is at ({where.x_m:.2f}, {where.y_m:.2f}) in {named(where.frame)}{age}."]
 

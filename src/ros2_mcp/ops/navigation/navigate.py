@@ -164,7 +164,7 @@ class Navigation(Job):
         self._goal = robot.jobs.get(Goal, sent.goal_id)
         self.begun()
         if self._goal is None:
-            raise NotFound("The goal is not known here any more.", "ros2_action_status shows it.")
+            raise NotFound("This server no longer knows the goal.", "ros2_action_status shows it.")
         ended = await follow(robot, self._goal, heard=self._hear)
         await self._judge(target, ended)
 
@@ -177,7 +177,7 @@ class Navigation(Job):
             away_m = self.legs[self.now].away_m
             far = away_m is not None and away_m > _FAR_M
             note = (
-                f"Nav2 says that it was reached, but by its transforms the robot is {away_m:.2f} m away." if far else ""
+                f"Nav2 reports the goal reached, but by its transforms the robot is {away_m:.2f} m away." if far else ""
             )
             self._note(outcome="reached", remaining_m=None, note=note)
         elif ended.status == "CANCELED":
@@ -186,7 +186,7 @@ class Navigation(Job):
         else:
             self._note(outcome="failed")
             if await self._is_replaced(ended):
-                self._note(note="Another goal has replaced it: one that this or another client has sent.")
+                self._note(note="Another goal, from this or another client, replaced it.")
                 return
             result = ended.result or {}
             failure = Failure(False, int(result.get("error_code", 0)), str(result.get("error_msg", "")))
@@ -247,7 +247,7 @@ class Navigation(Job):
             outcome = "canceled"
         note = ""
         if outcome == "under way":
-            note = f'It goes on: wait for it with ros2_navigate(job_id="{self.id}"); ros2_stop ends it.'
+            note = f'The robot is still under way: wait with ros2_navigate(job_id="{self.id}"); ros2_stop ends it.'
         elif outcome == "canceled" and self.stop_reason:
             note = ended_by(self.stop_reason)
         legs = list(self.legs)
@@ -290,11 +290,11 @@ async def navigate(
     bounded("timeout_sec", timeout_s, 0.0, MAX_DURATION_S, "s")
     if job_id:
         if to is not None:
-            raise BadInput("A job_id waits for what is under way: with it there is no new place.", "Give one of both.")
+            raise BadInput("job_id waits for a navigation under way: it takes no new place.", "Give one of both.")
         job = robot.jobs.find(Navigation, job_id)
     else:
         if to is None:
-            raise BadInput("Where to is not said.", "Give a place, a pose, or a list of them.")
+            raise BadInput("to, the place to go to, is not given.", "Give a place, a pose, or a list of them.")
         targets = targets_of(to, robot.places)
         job = Navigation(robot, await action_of(robot, NAVIGATE, action), targets)
         await robot.jobs.start(job)

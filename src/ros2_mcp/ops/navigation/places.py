@@ -122,7 +122,7 @@ async def set_place(robot: Robot, request: PlaceRequest) -> PlaceKept:
 async def _place(robot: Robot, request: PlaceRequest) -> NamedPlace:
     frame = request.frame.strip().lstrip("/")
     if (request.x_m is None) != (request.y_m is None):
-        raise BadInput("Only one of x and y is given.", "Give both, or none for where the robot is now.")
+        raise BadInput("Only one of x and y is given.", "Give both, or neither for the robot's present place.")
     yaw = None if request.yaw_deg is None else math.radians(math.remainder(request.yaw_deg, 360.0))
     if request.x_m is not None and request.y_m is not None:
         if max(abs(request.x_m), abs(request.y_m)) > _FARTHEST_M:
@@ -130,7 +130,7 @@ async def _place(robot: Robot, request: PlaceRequest) -> NamedPlace:
         return NamedPlace(request.name.strip(), frame, request.x_m, request.y_m, yaw)
     where = await whereabouts(robot, frame)
     if where.x_m is None or where.y_m is None or where.trouble:
-        raise NotFound(f"Where the robot is now is not known: {where.trouble}", "Give x and y.")
+        raise NotFound(f"The robot's place is unknown: {where.trouble}", "Give x and y.")
     heading = where.yaw_rad if yaw is None else yaw
     return NamedPlace(request.name.strip(), frame, round(where.x_m, 4), round(where.y_m, 4), heading)
 

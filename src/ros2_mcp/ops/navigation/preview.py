@@ -75,12 +75,12 @@ class Preview(WithPictures):
             dearest = f"; its dearest place is {self.dearest}" if self.dearest else ""
             narrowest = f" {self.narrowest[0].upper()}{self.narrowest[1:]}." if self.narrowest else ""
             return [
-                f"A way of {self.length_m:.2f} m ({self.straight_m:.2f} m straight), {self.turns} turn(s){dearest}."
+                f"A path of {self.length_m:.2f} m ({self.straight_m:.2f} m straight), {self.turns} turn(s){dearest}."
                 f"{narrowest} Nothing moved. {self.note}".rstrip()
             ]
         why = self.explanation
         told = f" Cause: {why.cause} What would help: {' '.join(why.helps)}" if why else ""
-        return [f"There is no way. {self.note}{told}".rstrip()]
+        return [f"There is no path. {self.note}{told}".rstrip()]
 
 
 async def preview(
@@ -163,7 +163,7 @@ async def _picture(
 def _one(to: object, robot: Robot) -> Target:
     found = targets_of(to, robot.places)
     if len(found) != 1:
-        raise BadInput("A way leads to one place.", "Give one; ask for each leg by itself, with start.")
+        raise BadInput("A preview takes one place.", "Give one place; preview each leg by itself, with start.")
     return found[0]
 
 

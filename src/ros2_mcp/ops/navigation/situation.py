@@ -59,7 +59,7 @@ class Local:
     bearing_deg: float | None = None
 
     def __str__(self) -> str:
-        here = f"On {named(self.topic)} the robot's middle is {cost_in_words(self.cost)}"
+        here = f"On {named(self.topic)} the robot's centre is {cost_in_words(self.cost)}"
         if self.away_m is None or self.bearing_deg is None:
             return f"{here}, and nothing stands on it"
         side = "left" if self.bearing_deg > 0 else "right"

@@ -97,7 +97,7 @@ def _target(to: object, places: Places) -> Target:
 
 def _number(key: str, value: object) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise BadValue(key, "a finite number is meant.", _HINT)
+        raise BadValue(key, "a finite number is expected.", _HINT)
     if abs(value) > _FARTHEST_M:
         raise BadValue(key, f"{value:g} is farther than any robot goes.", _HINT)
     return float(value)

@@ -11,7 +11,7 @@ from typing import Any
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import NotFound, RobotError
 from ros2_mcp.model.graph import NamedTypes, NodeEndpoints
-from ros2_mcp.model.text import named
+from ros2_mcp.model.text import counted, named
 from ros2_mcp.ops.nodes.list import list_nodes
 from ros2_mcp.ops.nodes.own_services import ask_node, service_of
 from ros2_mcp.ops.results import SAID
@@ -71,8 +71,9 @@ class NodeInfo:
         """One line."""
         has = "" if self.parameters is None else f" It has {self.parameters} parameters."
         state = f" Its lifecycle state is {named(self.lifecycle_state)}." if self.lifecycle_state else ""
-        hidden = f" Left out: {self.left_out} for its parameters and parts of actions; ros2_service_list shows them."
-        unsettled = " Discovery had not settled yet: there may be more, ask again."
+        services = counted(self.left_out, "service")
+        hidden = f" Left out: {services} for its parameters and actions; ros2_service_list lists them."
+        unsettled = " Discovery had not settled: the lists may be incomplete. Ask again."
         who = f"{self.node} (this server)" if self.ours else self.node
         return (
             f"{who} publishes {len(self.publishes)} and subscribes to {len(self.subscribes)} topics, "

@@ -43,7 +43,7 @@ class LifecycleStates:
 
     def summary(self) -> list[str]:
         """A line for each node."""
-        return [node.summary() for node in self.nodes] or ["There is no lifecycle node."]
+        return [node.summary() for node in self.nodes] or ["No lifecycle node is running."]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,7 +80,7 @@ async def change(robot: Robot, node: str, transition: str) -> Transition:
     node = names.absolute(node, "node")
     before = await _state(robot, node)
     if transition not in before.transitions:
-        problem = f"{node} is {named(before.state)}: {transition!r} is not possible."
+        problem = f"{node} is {named(before.state)}, where the transition {transition!r} is not possible."
         raise BadInput(problem, f"Possible now: {_listed(before.transitions)}.")
     available = (await _response(robot, node, "GetAvailableTransitions"))["available_transitions"]
     labelled = [entry["transition"] for entry in available if entry["transition"]["label"] == transition]
@@ -135,4 +135,4 @@ async def _response(robot: Robot, node: str, kind: str) -> dict[str, Any]:
 async def _not_found(robot: Robot, node: str) -> NotFound:
     known = await _lifecycle_nodes(robot)
     hint = names.did_you_mean(node, known, f"Lifecycle nodes: {', '.join(known) or 'none'}.")
-    return NotFound(f"{node} is not a lifecycle node that is running.", hint)
+    return NotFound(f"{node} is not a running lifecycle node.", hint)

@@ -46,4 +46,4 @@ async def fields_of_answer(
     except NotFound as error:
         raise await not_found(robot, node) from error
     except TimedOut as error:
-        raise TimedOut(f"{node} did not answer within {timeout_s:g} s: it is busy or hangs.") from error
+        raise TimedOut(f"{node} did not answer within {timeout_s:g} s: it is busy, or it hangs.") from error

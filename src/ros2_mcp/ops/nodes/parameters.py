@@ -13,7 +13,7 @@ from typing import Any, cast
 from ros2_mcp.model import names, parameters
 from ros2_mcp.model.commands import SetParameters
 from ros2_mcp.model.errors import BadInput, BadValue, NotFound
-from ros2_mcp.model.text import in_quotes, listed, named, quoted
+from ros2_mcp.model.text import counted, in_quotes, listed, named, quoted
 from ros2_mcp.ops.nodes.list import list_nodes
 from ros2_mcp.ops.nodes.own_services import APPEAR_S, TIMEOUT_S, ask_node, fields_of_answer, service_of
 from ros2_mcp.ops.results import EXACT, HIDDEN, IF_ANY, SAID, list_note, or_error
@@ -26,8 +26,8 @@ _SHORT_BYTES = 1000
 """As JSON. A value of that size is always shown: there are hundreds of them at most; of longer ones as many as fit."""
 _MAX_NAMED = 5
 """Parameters that are named in a summary, which is one line."""
-_LONG_HINT = "left_out says how long; ros2_parameter_get gives one by its name with whole=true."
-_WHOLE_HINT = "Ask for it by its name with whole=true."
+_LONG_HINT = "left_out gives the length; ros2_parameter_get with its name and whole=true returns it."
+_WHOLE_HINT = "Name it and give whole=true to read it."
 _OF_EVERY_NODE: Mapping[str, Any] = {"use_sim_time": False, "start_type_description_service": True}
 """What rclcpp and rclpy declare for each node, with its default."""
 _OVERRIDES = "qos_overrides."
@@ -72,7 +72,7 @@ class ParameterList:
 
     def summary(self) -> list[str]:
         """A line for each node."""
-        lines = [f"{n.node}: {n.error or f'{len(n.parameters)} parameter(s)'}" for n in self.nodes]
+        lines = [f"{n.node}: {n.error or counted(len(n.parameters), 'parameter')}" for n in self.nodes]
         return [*lines, self.note] if self.note else lines
 
 
@@ -92,12 +92,14 @@ class Dump:
 
     def summary(self) -> str:
         """One line."""
-        line = f"{self.node}: {len(self.parameters)} parameter(s), {len(self.read_only)} of them read-only. {self.note}"
+        line = (
+            f"{self.node}: {counted(len(self.parameters), 'parameter')}, {len(self.read_only)} read-only. {self.note}"
+        )
         line = line.rstrip()
         if not self.left_out:
             return line
         long = ", ".join(f"{named(name)} ({size})" for name, size in list(self.left_out.items())[:_MAX_NAMED])
-        return f"{line} {len(self.left_out)} too long to be shown: {long}. {_WHOLE_HINT}"
+        return f"{line} Too long to show: {long}. {_WHOLE_HINT}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +141,7 @@ class SetResult:
             if not one.successful
         ]
         return [
-            f"{self.node}: {len(taken)} of {len(self.parameters)} parameter(s) set{now}. {self.note}".rstrip(),
+            f"{self.node}: {len(taken)} of {counted(len(self.parameters), 'parameter')} set{now}. {self.note}".rstrip(),
             *refused,
         ]
 
@@ -204,10 +206,10 @@ async def describe(robot: Robot, nodes: Sequence[str], pattern: str = "", limit:
         left = max(left - len(node.parameters), 0)
     long = [one.name for node in shown for one in node.parameters if one.left_out]
     notes = [await shared_names(robot, [node.node for node in shown]), list_note(total, limit)]
-    notes += [f"{len(long)} value(s) are too long to be shown: {_LONG_HINT}"] if long else []
+    notes += [f"Too long to show: {counted(len(long), 'value')}; {_LONG_HINT}"] if long else []
     if left_out:
         usual = ", ".join((*(f"{name} at its default" for name in _OF_EVERY_NODE), f"{_OVERRIDES}*"))
-        notes.append(f"Left out: {left_out} that every node may have ({usual}); a pattern shows them.")
+        notes.append(f"Left out: {left_out} standard parameters ({usual}); give a pattern to show them.")
     return ParameterList(shown, " ".join(filter(None, notes)))
 
 
@@ -303,7 +305,7 @@ async def _messages(
             _check_range(name, parameters.value_of(message), parameter.range)
             messages.append({"name": name, "value": message})
         elif value != parameter.value:
-            raise BadValue(name, "it is read-only.", "It can be set only when the node starts.")
+            raise BadValue(name, "it is read-only.", "Set it when you start the node.")
     return messages, {name: parameter.value for name, parameter in current.items()}
 
 
@@ -320,7 +322,7 @@ async def shared_names(robot: Robot, nodes: Sequence[str]) -> str:
     shared = [node for node in nodes if counts[node] > 1]
     most = max((counts[node] for node in shared), default=0)
     how_many = f"{most} nodes have" if len(shared) < 2 else "Several nodes each have"
-    return f"{how_many} the name {listed(shared, _MAX_NAMED)}: which of them answers is not known." if shared else ""
+    return f"{how_many} the name {listed(shared, _MAX_NAMED)}; it is unknown which one answered." if shared else ""
 
 
 def _near(name: str, declared: Sequence[str]) -> str:
@@ -375,6 +377,6 @@ async def _response(robot: Robot, node: str, kind: str, request: Mapping[str, An
 async def _not_found(robot: Robot, node: str) -> NotFound:
     known = (await list_nodes(robot, include_hidden=True)).nodes
     if node in known:
-        hint = "It was started without them, or has only just come up: then try again."
-        return NotFound(f"{node} shows no parameter services.", hint)
+        hint = "The node was started without them, or has just started: try again."
+        return NotFound(f"{node} offers no parameter services.", hint)
     return NotFound(f"There is no node {node}.", await robot.graph.near(node, known, "ros2_node_list"))

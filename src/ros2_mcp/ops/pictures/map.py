@@ -102,7 +102,7 @@ async def _map(robot: Robot, source: Source, topic: str, report: Report) -> Next
         return await next_message(source, topic, OCCUPANCY_GRID, report)
     if not (source.is_live or source.from_end):  # what changed up to the start may lie before it, and is not looked for
         found = await next_message(source, topic, OCCUPANCY_GRID, report)
-        return replace(found, note=f"{found.note} What changed in it since it was sent is not shown.".lstrip())
+        return replace(found, note=f"{found.note} Later updates are not shown.".lstrip())
     async with reporting(report, source.duration_s, f"waiting for {topic}"):
         grid = await costmap_of(robot, source, names.absolute(topic), OCCUPANCY_GRID, source.duration_s)
     note = " ".join(filter(None, (grid.skipped, grid.note)))

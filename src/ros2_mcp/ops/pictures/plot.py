@@ -173,7 +173,9 @@ def _drawn(title: str, found: Sequence[tuple[Capture[Columns], str]], request: P
     series = [_series(value) for value in values]
     notes += [f"{topic} was silent." for topic, capture in captures.items() if not capture.kept.seen]
     notes += [
-        f"{topic}: {one.dropped} messages were too much to keep." for topic, one in captures.items() if one.dropped
+        f"{topic}: {one.dropped} messages were dropped: too many to keep."
+        for topic, one in captures.items()
+        if one.dropped
     ]
     figure = curves.against_each_other(values, title) if is_xy else curves.over_time(values, first, title)
     height = min(MAX_SIDE, max(request.height, 120 + _PANEL_PIXELS * len(figure.panels)))

@@ -16,9 +16,9 @@ NONE = (
     "No policy is in force: whatever fits its definition is sent. Start small and slow. (The operator can have one: "
     "ros2-mcp policy init.)"
 )
-_READ_ONLY = "This server is read-only: nothing that acts is allowed."
+_READ_ONLY = "This server is read-only: no command is allowed."
 _ALWAYS = "Reading, ros2_stop and cancelling your own goals are always allowed; whatever no line allows is refused."
-_LATCHED = "A stop is latched: nothing that acts is done until the operator resets it."
+_LATCHED = "A stop is latched: commands are refused until an operator resets it."
 _MODES = {
     "observe": "Mode observe: only reading and stopping, until the operator changes it.",
     "confirm": "Mode confirm: a person approves each command that acts; the refusal says how.",

@@ -68,17 +68,17 @@ async def call(
     if absent := await robot.types.absent_service(service):
         if not waits:
             raise absent
-        await report(0.0, timeout_s, f"{service} is not there yet; waiting for it. {absent.hint}")
+        await report(0.0, timeout_s, f"Waiting for the service {service}. {absent.hint}")
     await robot.values.learn(service_type)
     missing = robot.values.missing_fields(f"{service_type}_Request", request or {})
     if missing and force_call and request is None:
-        hint = "Give them in fields; {} calls with the defaults of all."
-        raise BadInput(f"No fields are given, and the request has {', '.join(missing)}.", hint)
+        hint = "Give them in fields; {} uses the default of each."
+        raise BadInput(f"The request needs fields: {', '.join(missing)}.", hint)
     request = request or {}
     if missing and not force_call:
         # Not an error: models leave fields out by mistake, and a default value may be a command that nobody meant.
         note = (
-            f"Missing request fields: {', '.join(missing)}. Give them, or set force_call to true to call without. "
+            f"Missing request fields: {', '.join(missing)}. Give them, or set force_call to true to use defaults. "
             + left_at_default(robot.values.definitions, f"{service_type}_Request", request)
         )
         return ServiceAnswer(
@@ -96,7 +96,7 @@ async def call(
         await robot.types.service(service, service_type)  # raises TypeConflict if it came back with another type
         raise NotFound(error.message, error.hint or await robot.types.near_service(service)) from error
     except TimedOut as error:
-        hint = "It may still be working on it; a longer timeout_sec waits for longer."
+        hint = "The server may still be working on it; give a longer timeout_sec."
         raise TimedOut(error.message, error.hint or hint) from error
     shown = await robot.values.render(answer.type, answer.body)
     notes = [left_at_default(robot.values.definitions, f"{service_type}_Request", request)]

@@ -117,7 +117,7 @@ class BagSource(Source):
         self.began_ns = None if self.is_ring else self.covers[0]
         from_on = f"from {recorded_time(self.span.start_ns, self.began_ns)} on"
         growing = ", still being recorded" if self.is_growing and not self.is_ring else ""
-        later = " (it begins later than start)" if self.begins_later else ""
+        later = " (the recording begins after start)" if self.begins_later else ""
         self.words = f"bag {named(self.name)}{growing}, {self.duration_s:.4g} s {from_on}{later}"
         self._codec = self.opened.codec  # this one also when the bag's definitions change while it is read
 
@@ -168,7 +168,7 @@ class BagSource(Source):
         stored = await self._learn(topic)
         if type_name and not names.is_type(type_name, stored.type):
             raise TypeConflict(
-                f"{stored.name} has the type {named(stored.type)}, not {type_name}.", "Leave the type out."
+                f"{stored.name} has the type {named(stored.type)}, not {type_name}.", "Leave out the type."
             )
         stream = self._stream(stored, limited=limit is not None)
         stream.batches = self._batches(stream, stored, limit, every_n, latched)
@@ -314,8 +314,8 @@ async def open_bag(
         start_ns, end_ns = max(asked.start_ns, first_ns), min(asked.end_ns, last_ns + 1)
         if end_ns <= start_ns:
             if not may_be_empty:
-                covers = f"It goes from {iso_time(first_ns)} to {recorded_time(last_ns, first_ns)}."
-                raise BadValue(names[0 if start else 1], f"{named(bag)} has nothing in that time.", covers)
+                covers = f"It covers {iso_time(first_ns)} to {recorded_time(last_ns, first_ns)}."
+                raise BadValue(names[0 if start else 1], f"{named(bag)} has no messages in that time.", covers)
             end_ns = start_ns
         return BagSource(
             opened=opened,
@@ -341,9 +341,9 @@ class Bags(SourceKind):
         name = request.name or store.subject_name
         if not name and (request.start or request.end):
             if BLACK_BOX not in store.own:
-                hint = f"Name it with bag. {await asyncio.to_thread(store.which)}"
+                hint = f"Name the recording with bag. {await asyncio.to_thread(store.which)}"
                 asked = " and ".join(request.names)
-                raise BadInput(f"{asked} are times in a recording, and none is named.", hint)
+                raise BadInput(f"{asked}: no recording is named.", hint)
             name = BLACK_BOX
         if not name:
             return None
@@ -397,7 +397,9 @@ async def definitions_of(topic: StoredTopic, robot: Robot | None) -> dict[str, D
         if found := definitions_in(topic.type, "ros2msg", text):
             return found
     if robot is None:
-        raise UnknownInterface(f"The bag has no definition of {named(topic.type)}.", "It was recorded without.")
+        raise UnknownInterface(
+            f"The definition of {named(topic.type)} is missing in the bag.", "The recording does not contain it."
+        )
     await robot.values.learn(topic.type)
     return definitions_in(topic.type, "ros2msg", schema_text(robot.values.definitions.interface(topic.type)))
 
@@ -432,7 +434,7 @@ def times_of(store: BagStore, bag: Bag) -> tuple[int, int]:
 def end_note(source: Source, *texts: str) -> str:
     """What `last 30 s` counted from, where that was asked for."""
     if isinstance(source, BagSource) and any(is_relative(text) for text in texts):
-        return f"Counted from its end, {recorded_time(source.covers[1], source.began_ns)}."
+        return f"Times count from the end of the recording, {recorded_time(source.covers[1], source.began_ns)}."
     return ""
 
 

@@ -50,7 +50,7 @@ class Sources:
         for kind in self.kinds:
             if source := await kind.named(self.robot, self.store, request):
                 return source
-        raise NotFound(f"There is no source {name!r}.", "ros2_bag_list shows what can be read.")
+        raise NotFound(f"There is no source {name!r}.", "ros2_bag_list lists what can be read.")
 
     async def of_the_past(self, request: SourceRequest) -> AsyncGenerator[Source | RobotError, None]:
         """One source after the other that may have earlier messages, or the error why it cannot be opened."""

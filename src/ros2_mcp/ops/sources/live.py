@@ -16,7 +16,7 @@ from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.pictures import COMPRESSED_IMAGE, IMAGE
 from ros2_mcp.model.qos import Endpoint
 from ros2_mcp.model.samples import STAMP_END, Counts, Sample
-from ros2_mcp.model.text import listed
+from ros2_mcp.model.text import counted, listed
 from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.nodes.own_services import ask_node, service_of
 from ros2_mcp.ops.results import Report, iso_time, reporting, silent
@@ -126,7 +126,11 @@ class _LiveStream(Stream):
     @property
     def left_behind(self) -> str:
         left = self.counts.dropped if self.robot.is_remote else 0
-        return f"{left} message(s) were left on the robot: more than the link could carry in this time." if left else ""
+        return (
+            f"Not received: {counted(left, 'message')}, more than the link to the robot could carry in this time."
+            if left
+            else ""
+        )
 
     @property
     def counts(self) -> Counts:
@@ -153,16 +157,18 @@ class _LiveStream(Stream):
         now = await self.robot.graph.endpoints(self.topic)
         if last is not None:
             left = len(self.publishers) - len(now.publishers)
-            gone = f" {left} publisher(s) left during the read." if left > 0 else ""
+            gone = f" {counted(left, 'publisher')} left during the read." if left > 0 else ""
             at = iso_time(last.received_ns)
-            return f"The time ended before all the messages came; the last came at {at}.{gone}"
+            return f"The time ended before all messages came; the last one came at {at}.{gone}"
         if not now.publishers:
-            return "Nobody publishes on it now." if not self.publishers else "Its publisher left during the read."
+            return (
+                "Nobody publishes on this topic now." if not self.publishers else "Its publisher left during the read."
+            )
         if self.type not in {publisher.type for publisher in now.publishers}:
-            return f"It is published with the type {', '.join(now.types)}."
+            return f"The topic is published with the type {', '.join(now.types)}."
         nodes = ", ".join(sorted({publisher.who for publisher in now.publishers}))
-        far = " Over this link a large message takes longer: give more time." if self.robot.is_remote else ""
-        return f"{len(now.publishers)} publisher(s) there, but no message came while this listened: {nodes}.{far}"
+        far = " Give a longer time: large messages take longer over this link." if self.robot.is_remote else ""
+        return f"No message came in this time from {counted(len(now.publishers), 'publisher')}: {nodes}.{far}"
 
     async def take_until(self, deadline: float, *, ends: bool = False) -> AsyncGenerator[Sequence[Sample], None]:
         """What comes before that steady time; nothing more is listened to then if it `ends` so."""
@@ -397,7 +403,7 @@ class Live(Source):
         graph, topic = self._robot.graph, present.topic
         near = await graph.near_topic(topic)
         if self._waits or not present.settled:
-            await self._report(0.0, self.duration_s, f"{topic} is not there yet; waiting for it. {near}".rstrip())
+            await self._report(0.0, self.duration_s, f"Waiting for the topic {topic}. {near}".rstrip())
             return
         if not near:
             present = await graph.wait_for(topic, publishers=1, timeout_s=_APPEARING_S, present=present)

@@ -24,12 +24,12 @@ async def only_topic(source: Source, topic: str, type_name: str, argument: str =
     found = await source.publishing(type_name)
     maps = [name for name in found if "costmap" not in name]
     if not found:
-        raise NotFound(f"Nobody publishes {type_name} ({source.words}).", "ros2_topic_list shows what there is.")
+        raise NotFound(f"Nobody publishes {type_name} ({source.words}).", "ros2_topic_list lists the topics.")
     if len(found) > 1 and len(maps) != 1:
         raise BadInput(
             f"{len(found)} topics are {type_name}: {listed(found, _MAX_NAMED)}.", f"Name one of them: {argument}."
         )
     if len(found) == 1:
-        return found[0], f"{named(found[0])} is the only {type_name} there is."
+        return found[0], f"{named(found[0])} is the only topic of type {type_name}."
     others = [name for name in found if name != maps[0]]
-    return maps[0], f"{named(maps[0])} was taken; there are also {listed(others, _MAX_NAMED)}."
+    return maps[0], f"{named(maps[0])} was used; other topics of this type: {listed(others, _MAX_NAMED)}."

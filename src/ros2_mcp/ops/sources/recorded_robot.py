@@ -29,8 +29,8 @@ def recorded_robot(store: BagStore, result_bytes: int) -> Robot:
     """The store's subject as a robot: it has topics and their types, and refuses to do anything."""
 
     def no_ros() -> NoReturn:
-        started = "This server was started with --bag: its robot is a recording."
-        raise RosNotFound(started, "Start it without, for a robot.")
+        started = "This server was started with --bag: it reads a recording, not a robot."
+        raise RosNotFound(started, "Start the server without --bag to use a robot.")
 
     bridge = Bridge(no_ros)
     graph = RecordedGraph(bridge, store)

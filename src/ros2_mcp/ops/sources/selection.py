@@ -11,7 +11,7 @@ from weakref import WeakSet
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model.errors import BadData, BadValue
 from ros2_mcp.model.samples import STAMP_END, Sample
-from ros2_mcp.model.text import named
+from ros2_mcp.model.text import counted, named
 from ros2_mcp.model.times import iso_time
 
 if TYPE_CHECKING:
@@ -200,7 +200,9 @@ class Fitted:
         """In words, what is not shown although it was read."""
         notes: list[str] = []
         if self.left_out:
-            notes.append(f"{self.left_out} more do not fit, evenly left out: choose fields, or every_n.")
+            notes.append(
+                f"{counted(self.left_out, 'more message')} left out, evenly, to fit: choose fields, or give every_n."
+            )
         if self.undecodable:
             notes.append(undecodable(self.undecodable, self.trouble))
         return " ".join(notes)
@@ -270,7 +272,9 @@ def message_times(source: Source, samples: Sequence[Sample]) -> tuple[str, list[
 
 def undecodable(count: int, trouble: str = "") -> str:
     """What is said of messages that are skipped because their bytes do not fit their type."""
-    return f"{count} message(s) are not what their type says and are left out{': ' if trouble else '.'}{trouble}"
+    return (
+        f"Left out: {counted(count, 'message')} that cannot be decoded as this type{': ' if trouble else '.'}{trouble}"
+    )
 
 
 def spread_indices(count: int, most: int) -> list[int]:

@@ -74,12 +74,12 @@ def span_of(
 def _outside(name: str, text: str, at_ns: int, covers: tuple[int, int]) -> BadValue:
     """The error of a time that is not in the recording, with what may have been meant."""
     first_ns, last_ns = covers
-    meant = f'Write "{text} s in" for that long after its beginning. ' if _UNIX.fullmatch(text) else ""
+    meant = f'To count from its beginning, write "{text} s in". ' if _UNIX.fullmatch(text) else ""
     until = recorded_time(last_ns, first_ns)
     return BadValue(
         name,
         f"{text} is {iso_time(at_ns)}, which is not in the recording.",
-        f"{meant}It goes from {iso_time(first_ns)} to {until}.",
+        f"{meant}The recording covers {iso_time(first_ns)} to {until}.",
     )
 
 
@@ -124,12 +124,12 @@ def taken_as(text: str) -> str:
     text = text.strip()
     relative = _RELATIVE.fullmatch(text)
     if relative and (relative["before"] or "").lower() == "first":
-        return f"{text} is the moment so long after the beginning, which itself is 0 s in"
+        return f"{text} means the time that long after the beginning (0 s in)"
     if _UNIX.fullmatch(text) or _YEAR.fullmatch(text):
         return f"{text} is {iso_time(min(absolute_ns('', text), FOREVER))}"
     with suppress(ValueError):
         if _date(text, _FRACTION.search(text)).tzinfo is None:
-            return f"{text} has no time zone, UTC was taken"
+            return f"{text} has no time zone and was read as UTC"
     return ""
 
 
@@ -141,9 +141,9 @@ def _relative_ns(name: str, relative: re.Match[str], first_ns: int | None, last_
     if not words & {"first", "in"}:
         return last_ns - away_ns
     if words & {"last", "ago"}:
-        raise BadValue(name, f"{relative[0]!r} counts from the beginning and from the end.", _HINT)
+        raise BadValue(name, f"{relative[0]!r} counts from both the beginning and the end.", _HINT)
     if first_ns is None:
-        unknown = f"{relative[0]!r} counts from a beginning that is not known."
+        unknown = f"{relative[0]!r} counts from the beginning, which is not known here."
         raise BadValue(name, unknown, 'Give a time, or "last 30 s".')
     return first_ns + away_ns
 
@@ -162,7 +162,7 @@ def absolute_ns(name: str, text: str, hint: str = _HINT) -> int:
     try:
         date = _date(text, fraction)
     except ValueError as error:
-        raise BadValue(name, f"{text!r} is not a moment.", hint) from error
+        raise BadValue(name, f"{text!r} is not a time.", hint) from error
     date = date if date.tzinfo else date.replace(tzinfo=timezone.utc)
     return round(date.timestamp()) * 1_000_000_000 + int((fraction[1] if fraction else "").ljust(9, "0"))
 

@@ -50,7 +50,7 @@ def footprint_in_words(
     if (size is None or meshes) and (of_costmap := _of_costmap(tree, base, published, frame)):
         return of_costmap
     if size is None:
-        return f"unknown: of {_first(meshes)} there is a mesh alone" if meshes else "unknown"
+        return f"unknown: {_first(meshes)} has only a mesh" if meshes else "unknown"
     long_m, wide_m = size.front_m + size.rear_m, size.left_m + size.right_m
     least = f", without the mesh{'es' if len(meshes) > 1 else ''} of {_first(meshes)}" if meshes else ""
     stands = " with what it stands on" if urdf and _stands_on(urdf, root) else ""

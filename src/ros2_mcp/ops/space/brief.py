@@ -74,7 +74,7 @@ class RobotInBrief:
         """A line: the rest stands in the values."""
         health = "" if self.unhealthy else " Nothing unhealthy seen."
         not_read = f" Not read: {', '.join(self.not_read)}." if self.not_read else ""
-        left_out = f" {self.left_out} left out: whole=true tells all." if self.left_out else ""
+        left_out = f" {self.left_out} left out: whole=true shows all." if self.left_out else ""
         return f"{quoted(self.name)}: {self.kind}. {self.place}{health}{not_read}{left_out}"
 
 

@@ -37,8 +37,8 @@ def link_in_words(urdf: Urdf, frame: str) -> str:
         return ""
     joint = urdf.above(frame)
     if joint is None:
-        return f"The description has the link {named(frame)}, but no state publisher tells its transforms."
+        return f"The description has the link {named(frame)}, but no state publisher publishes its transforms."
     where = f"The description has {named(frame)} on {named(joint.parent)}, by the joint {named(joint.name)}"
     if joint.kind == "fixed":
-        return f"{where}, which is fixed: no state publisher tells it on /tf_static."
-    return f"{where}, which moves: a state publisher tells it once /joint_states says where the joint is."
+        return f"{where}, which is fixed: no state publisher publishes it on /tf_static."
+    return f"{where}, which moves: a state publisher publishes it once /joint_states has the joint's position."

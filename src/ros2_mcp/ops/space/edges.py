@@ -114,7 +114,7 @@ def _who_tells(tree: FrameTree, edge: Edge, tellers: Tellers | None) -> list[str
     if edge.two_parents:
         parents = [f"{named(one)}{tellers.by_whom(edge, one) if tellers else ''}" for one in edge.parents]
         circle = tree.circle_by(edge.child)
-        wrong = f"; by {named(circle[1])} it is in a circle" if len(circle) > 1 else ""
+        wrong = f"; {named(circle[1])} closes a loop" if len(circle) > 1 else ""
         parts.append(f"{_TWO_PARENTS}: {' and '.join(parents)}{wrong}")
     if edge.on_both:
         parent = edge.moving[-1].parent
@@ -124,14 +124,14 @@ def _who_tells(tree: FrameTree, edge: Edge, tellers: Tellers | None) -> list[str
     is_told_twice = len(edge.writers) > 1 and not edge.two_parents
     if is_told_twice:
         who = tellers.of(edge) if tellers else ""
-        parts.append(f"is published by several nodes{f' ({who})' if who else ''}, so that it may jump between them")
+        parts.append(f"is published by several nodes{f' ({who})' if who else ''}, so it may jump between them")
     if (apart := edge.apart) and (apart[0] > _SAME_M or apart[1] > _SAME_DEG):
         is_said = len(edge.writers) > 1 or edge.on_both
-        where = "" if is_said else "is published differently by two nodes, or by one that began again: "
+        where = "" if is_said else "is published differently by two nodes, or by one that restarted: "
         far, turned = (0 if size <= least else size for size, least in zip(apart, (_SAME_M, _SAME_DEG), strict=True))
-        parts.append(f"{where}what they tell is {far:.3g} m and {turned:.3g}° apart")
+        parts.append(f"{where}their transforms are {far:.3g} m and {turned:.3g}° apart")
     if edge.on_both:
-        parts.append("listeners keep it as fixed or as moving, by which came first: end one of both publishers")
+        parts.append("listeners take it as fixed or moving, whichever came first: end one of the two publishers")
     return parts
 
 
@@ -141,7 +141,7 @@ def _how_told(edge: Edge, at_ns: int, publisher: str) -> list[str]:
     by = f", by {publisher}" if publisher else ""
     if edge.refused and _is_refused_since(edge):
         good = at_ns - edge.last_received_ns
-        last = f"; the last good one came {seconds_in_words(good)} ago, and since then only such" if edge.newest else ""
+        last = f"; the last valid one came {seconds_in_words(good)} ago" if edge.newest else ""
         parts.append(f"is refused: {edge.refused}{last}{by}")
     elif edge.refused:
         parts.append(f"is refused: {edge.refused}")
@@ -152,8 +152,8 @@ def _how_told(edge: Edge, at_ns: int, publisher: str) -> list[str]:
         parts.append("has no stamp (header.stamp is 0: not set, or use_sim_time without a /clock)")
     if edge.slashed:
         parts.append(
-            f"is published with a leading slash ({quoted(edge.slashed)}): tf2 takes it off here, and refuses such a "
-            "name where it is looked up"
+            f"is published with a leading slash ({quoted(edge.slashed)}): tf2 removes the slash here, but rejects such "
+            "a name in a lookup"
         )
     if edge.jumps:
         last = edge.jumps[-1]
@@ -161,9 +161,9 @@ def _how_told(edge: Edge, at_ns: int, publisher: str) -> list[str]:
         times = f", the last of {len(edge.jumps)} jumps" if len(edge.jumps) > 1 else ""
         cause = "its clock was set, or a bag or simulation restarted"
         if len(edge.writers) > 1 and len(edge.jumps) > _IN_TURN:
-            cause = "its publishers stamp by two clocks, in turn: a bag is played beside the robot?"
+            cause = "its publishers use two clocks: is a bag played beside the robot?"
         ago = seconds_in_words(max(at_ns - last.received_ns, 0))
-        parts.append(f"had its stamps jump {step}, {ago} ago{times} ({cause})")
+        parts.append(f"has stamps that jumped {step}, {ago} ago{times} ({cause})")
     return parts
 
 
@@ -182,7 +182,7 @@ def _leaps(edge: Edge, at_ns: int) -> list[str]:
     many = f", the last of {len(leaps)} such jumps" if len(leaps) > 1 else ""
     ago = seconds_in_words(max(at_ns - last.received_ns, 0))
     what = "odometry" if edge.newest and edge.newest.parent.rpartition("/")[2] == "odom" else "its source"
-    cause = "a localisation that changes its mind" if corrects else f"{what} was reset, or is at fault"
+    cause = "the localisation corrected itself" if corrects else f"{what} was reset, or is at fault"
     return [
         f"jumped by {last.far_m:.3g} m and {turned:.3g}° within {seconds_in_words(last.within_ns)}, {ago} "
         f"ago{many} ({cause})"
@@ -207,28 +207,28 @@ def _when_told(tree: FrameTree, edge: Edge, at_ns: int, publisher: str, *, is_ot
         limit_ns = max(limit_ns, _LATE_PAUSES * bursts.pause_ns)
         pause = f"about {bursts.pause_ns / 1e9:.2g} s"
         parts.append(
-            f"comes in bursts{by}: some {bursts.count} messages at once, then a pause of {pause}, so that what is "
-            f"looked up is up to {pause} late, whatever its stamps"
+            f"comes in bursts{by}: about {bursts.count} messages at once, then a pause of {pause}: a lookup is up to "
+            f"{pause} late, whatever the stamps say"
         )
     if age_ns > limit_ns and not (edge.refused and _is_refused_since(edge)):
         if edge.received == 1:
-            rarely = "too rarely for what moves; what does not move belongs on /tf_static"
+            rarely = "too rarely for a moving frame; a fixed frame belongs on /tf_static"
             parts.append(f"was published once, {seconds_in_words(age_ns)} ago{by}: {rarely}")
         elif silent_ns > limit_ns:
             usual = f", after {edge.rate_hz:.3g} Hz" if edge.rate_hz else ""
             is_one = publisher and GONE not in publisher and not publisher.startswith("one of")
-            still = ", which is still in the graph, but sends nothing of it" if is_one else ""
+            still = ", which is still in the graph but no longer publishes it" if is_one else ""
             parts.append(f"is stale: last published {seconds_in_words(age_ns)} ago{usual}{by}{still}")
         elif edge.frozen > _FROZEN:
             again = f"the same stamp again and again, now {seconds_in_words(age_ns)} old"
-            parts.append(f"is published now with {again}: tf2 ignores what repeats")
+            parts.append(f"is published now with {again}: tf2 ignores repeated stamps")
         else:
             old = f"stamps that are {seconds_in_words(age_ns)} old"
             parts.append(f"is published now with {old}: a delay, or the clock of another computer")
     elif edge.rate_hz and edge.rate_hz < _RARELY_HZ:
         every = f"every {1 / edge.rate_hz:.3g} s ({edge.rate_hz:.2g} Hz)"
-        late = "what is looked up is as old, and not there for now"
-        parts.append(f"is published too rarely for what moves, {every}: {late}")
+        late = "a lookup is that old, and fails for the present time"
+        parts.append(f"is published too rarely for a moving frame, {every}: {late}")
     if ahead_ns > _AHEAD_NS and not is_other_clock:
         parts.append(
             f"is stamped {seconds_in_words(ahead_ns)} ahead, in the future (by the clock of another computer?)"

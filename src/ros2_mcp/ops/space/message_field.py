@@ -79,7 +79,9 @@ async def given_in(source: Source, text: str, most: int, report: Report) -> Give
         raise BadData(f"{named(text)} has numbers that are not finite.") from error
     stamp = header.stamp if header else None
     note = (
-        f"Of {named(topic)}, in {named(frame)}." if frame else f"{named(topic)} has no header: source says its frame."
+        f"From {named(topic)}, in the frame {named(frame)}."
+        if frame
+        else f"{named(topic)} has no header: source gives its frame."
     )
     note += f" Only the first {most} are transformed." if len(flat) > most else ""
     stamp_ns = stamp.sec * 1_000_000_000 + stamp.nanosec if stamp else 0

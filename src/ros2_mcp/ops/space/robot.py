@@ -134,7 +134,7 @@ async def in_brief(robot: Robot, source: Source, *, whole: bool = False) -> Robo
     await load("ros2_mcp.codec.cdr", "ros2_mcp.codec.select")  # with numpy: not before it is needed
     graph = await source.graph()
     if graph.absence:
-        raise NotFound(graph.absence, "ros2_status tells domain and middleware.")
+        raise NotFound(graph.absence, "ros2_status shows domain and middleware.")
     seen = _Seen(graph, most_sensors=_MOST_HEARD if whole else _MOST_SENSORS, asked_at=asked_at)
     given_up_at = max(asked_at + _GIVEN_UP_S, monotonic() + _LEAST_S) if source.is_live else math.inf
     if is_young:
@@ -507,10 +507,13 @@ def _place(source: Source, seen: _Seen, base: str) -> tuple[str, list[str]]:
         return _pose_in_words(seen.urdf.root, pose.translation, pose.yaw_rad, "URDF, fixed there", None), []
     is_silent = source.is_live and bool(seen.odometry_topic)
     if _misses_frames(seen) or is_silent or "odometry" in seen.not_read:
-        return "Where it is was not read in time.", []
+        return "The robot's place was not read in time.", []
     if not seen.tree.frames:
-        return "Where it is is not known: no transforms, no odometry.", []
-    return f"Where it is is not known: no transform leads from {named(base or 'its base')} to a map, odom or world.", []
+        return "The robot's place is unknown: no transforms, no odometry.", []
+    return (
+        f"The robot's place is unknown: no transform leads from {named(base or 'its base')} to a map, odom or world.",
+        [],
+    )
 
 
 def _fixed_in_world(urdf: Urdf, base: str) -> Mount | None:
@@ -561,7 +564,7 @@ def _unhealthy(source: Source, seen: _Seen) -> list[str]:
         ]
         if unknown and "positions of the joints" not in seen.not_read:
             more = f" and {len(unknown) - 3} more" if len(unknown) > 3 else ""
-            found.append(f"Nobody tells the position of {', '.join(map(named, unknown[:3]))}{more}.")
+            found.append(f"Nothing reports the position of {', '.join(map(named, unknown[:3]))}{more}.")
     elif not seen.problems and "description" not in seen.not_read:
         found.append("No description (URDF) was found: kind, size and joints are guessed or unknown.")
     low = [share for share in seen.batteries.values() if share is not None and share < 0.2]
@@ -587,7 +590,7 @@ def _not_localised(seen: _Seen) -> str:
     is_told = any(seen.tree.newest(frame, seen.tree.base) for frame in _maps_of(seen)) if seen.tree.base else False
     if not localisers or is_told or not seen.tree.base:
         return ""
-    return f"Not localised: {named(localisers[0])} is there, but nobody tells where the robot is in the map."
+    return f"Not localised: {named(localisers[0])} runs, but nothing reports where the robot is in the map."
 
 
 def _maps_of(seen: _Seen) -> list[str]:

@@ -196,7 +196,7 @@ class Gathered:
 
     def _first(self, what: str, found: Sequence[str], most: int) -> Sequence[str]:
         if len(found) > most:
-            self.missing.append(f"Of {len(found)} {what} these are not shown: {listed(found[most:], 8)}.")
+            self.missing.append(f"Not shown, of {len(found)} {what}: {listed(found[most:], 8)}.")
         return found[:most]
 
     # ── frames ─────────────────────────────────────────────────────────────────────────────────────────────────
@@ -222,7 +222,7 @@ class Gathered:
         else:
             self.robot = await robot_place(self.source, self.frame)
         if self.robot is None:
-            self.missing.append(f"The robot is not shown: nobody says where it is in {named(self.frame)}.")
+            self.missing.append(f"The robot is not shown: nothing reports its place in {named(self.frame)}.")
 
     def _choose_frame(self, request: SceneRequest) -> None:
         of_messages = self._frames_of_messages()
@@ -289,7 +289,8 @@ class Gathered:
         age_s = age_of(scan, self.at_ns)
         if age_s is not None and age_s > _LATE_S:
             self.missing.append(
-                f"The scan {named(name)} is {age_s:.1f} s old: where the robot has turned since, the sides are others."
+                f"The scan {named(name)} is {age_s:.1f} s old: if the robot has turned since, its directions no longer "
+                "hold."
             )
 
     def _place_grid(self, grid: Costmap, now_ns: int) -> None:
@@ -373,9 +374,9 @@ class Gathered:
             age_s = since_s(min(told, default=None), self.at_ns)
             self.layers.append(SceneLayer("links", name, age_s=age_s))
             if age_s is not None and age_s > _OLD_S:
-                self.missing.append(f"Where the links that joints move are was told {age_s:.1f} s ago.")
+                self.missing.append(f"The positions of the moving links are {age_s:.1f} s old.")
         if unknown := [link for link, found in places.items() if not found]:
-            self.missing.append(f"No transform tells where these links are: {listed(unknown, 4)}.")
+            self.missing.append(f"No transform gives the position of these links: {listed(unknown, 4)}.")
 
     def place_goal(self, name: str, message: Any, pose: Pose, age_s: float | None) -> None:
         """Where it is."""

@@ -32,14 +32,14 @@ async def standing_time(source: Source, tree: FrameTree, at_ns: int) -> str:
     newest_ns = max(edge.stamps[-1] for edge in tree.edges.values() if edge.moving and edge.moving[-1].stamp_ns)
     is_told = any(at_ns - edge.last_received_ns < _TOLD_NS for edge in tree.edges.values() if edge.moving)
     if source.transforms is None:
-        said = "transforms are told with the same stamps again and again" if is_told else ""
+        said = "transforms repeat the same stamps" if is_told else ""
     else:
         said = await _clock_in_words(source, newest_ns, is_told=is_told)
     if not said:
         return ""
     return (
-        f"Simulated time stands still since {seconds_in_words(stood_ns)} ago, at {stamp_in_words(newest_ns)}, and all "
-        f"stamps with it: {said}."
+        f"Simulated time stopped {seconds_in_words(stood_ns)} ago, at {stamp_in_words(newest_ns)}, and so did all "
+        f"stamps: {said}."
     )
 
 
@@ -65,7 +65,7 @@ async def other_clock(source: Source, tree: FrameTree) -> list[str]:
         is_wall = all(edge.stamps[-1] >= UNIX_FROM_NS for edge in tree.edges.values() if edge.moving)
         wrong = "clocks that are set wrong" if is_wall else "the time since a machine started, never synchronised"
         what = f"nobody publishes {_CLOCK}: a bag that is played without it, or {wrong}"
-    return [f"Stamps are {away} ({what}): ages are by receipt."]
+    return [f"Stamps are {away} ({what}): ages count from receipt."]
 
 
 async def _clock_in_words(source: Source, newest_ns: int, *, is_told: bool) -> str:
@@ -73,7 +73,7 @@ async def _clock_in_words(source: Source, newest_ns: int, *, is_told: bool) -> s
     assert source.transforms
     publishers = await source.transforms.clock_publishers()
     if not publishers:
-        return f"nobody publishes {_CLOCK} any more, and what is told has the time it told last" if is_told else ""
+        return f"nobody publishes {_CLOCK} any more, so transforms keep its last time" if is_told else ""
     who = " and ".join(map(named, publishers[:2]))
     times: list[int] = []
     with suppress(RobotError):

@@ -192,9 +192,9 @@ def silent_in_words(tellers: Tellers, since_s: float, *, harmless: bool | None =
         many = f"{count} of {who}" if count < len(names) else who
         waits = ""
         if not tellers.has_localisation and any(_role_of_name(name) == _LOCALISATION for name in names):
-            waits = " A localisation tells nothing before it knows where it is."
+            waits = " A localisation publishes nothing until it knows where the robot is."
         elif not is_missed and not has_reason:
-            waits = " No edge lacks for that: a controller may have its odometry transform switched off."
+            waits = " No edge is missing because of it: a controller may have its odometry transform switched off."
         verb = "publish" if len(names) > 1 and count == len(names) else "publishes"
         found.append(f"{many} {verb} on {topic} and has sent nothing in {since_s:.0f} s of listening.{waits}")
     return found

@@ -178,13 +178,13 @@ async def tf_lookup(source: Source, request: LookupRequest, report: Report = sil
         at_ns = found.stamp_ns if not request.time and found.stamp_ns else None
         notes += [found.note] if found.note else []
     if not frame:
-        raise BadInput("Which frame is asked for is not said.", "Give source, such as base_link.")
+        raise BadInput("source, the frame to look up, is not given.", "Give source, such as base_link.")
     target = request.target.strip().lstrip("/")
     slashed = [name for name in (request.target.strip(), request.frame.strip()) if name.startswith("/")]
     if slashed:
         notes.append(
-            f"tf2 refuses names with a leading slash, as in {' and '.join(map(quoted, slashed))}: nodes have to ask "
-            f"without it, as it is answered here."
+            f"tf2 rejects names with a leading slash, such as {' and '.join(map(quoted, slashed))}: this lookup leaves "
+            "the slash out, and nodes must do so, too."
         )
     if request.duration_s is not None:
         tree, located, spread = await _over(source, target, frame, request, report)
@@ -205,7 +205,7 @@ def _given(number: int, point: Sequence[float]) -> Pose:
     try:
         return Pose(at, normalised((point[3], point[4], point[5], point[6])))
     except ValueError as error:
-        raise BadValue(path, "its quaternion has no length.", "No rotation is 0, 0, 0, 1.") from error
+        raise BadValue(path, "its quaternion has length 0.", "Write 0, 0, 0, 1 for no rotation.") from error
 
 
 def _carried(pose: Pose, given: Sequence[Pose] | None, sizes: Sequence[int]) -> Sequence[Sequence[float]] | None:
@@ -278,7 +278,7 @@ async def _more_of(source: Source, error: NoTransform, tree: FrameTree, names: S
     if listener := source.transforms:
         more += silent_in_words(tellers, listener.listened_s)
     more += [
-        f"What is published of {named(edge.refused_parent)} → {named(edge.child)} is refused: {edge.refused}."
+        f"The transform {named(edge.refused_parent)} → {named(edge.child)} is published but rejected: {edge.refused}."
         for edge in tree.edges.values()
         if edge.refused and edge.refused not in error.message
     ][:_MOST_TOLD]
@@ -318,7 +318,7 @@ def _not_simulated(tree: FrameTree, names: Sequence[str], tellers: Tellers, reas
     found: list[str] = []
     for edge in wall if len(wall) < len(edges) else ():
         who = tellers.of(edge) or f"whoever publishes {edge_in_words(edge)}"
-        found.append(f"/clock is published, and {who} does not use it: use_sim_time is not set there.")
+        found.append(f"/clock is published, but {who} does not use it: use_sim_time is not set there.")
     return found
 
 
@@ -345,7 +345,7 @@ async def _over(
         return tree, first, _spread([first.pose])
     if source.is_live:
         if request.time:
-            raise BadInput("time and duration are both given.", "Live, the duration begins now. Leave one out.")
+            raise BadInput("time and duration are both given.", "Leave one out: live, the duration begins now.")
         poses = await _listened(source, tree, first, request.duration_s, report)
     else:
         poses = _poses(tree, first, first.stamp_ns - length_ns, first.stamp_ns)
@@ -472,9 +472,9 @@ def _gaps(located: Located, began_ns: int | None) -> list[str]:
         before_ns, after_ns = edge.around(at_ns) or (at_ns, at_ns)
         if after_ns - before_ns > _LONG_GAP_NS:
             found.append(
-                f"Nothing of {edge_in_words(edge)} was published for {seconds_in_words(after_ns - before_ns)} around "
-                f"then, from {stamp_in_words(before_ns, began_ns)} to {stamp_in_words(after_ns, began_ns)}: "
-                f"the nearest are {seconds_in_words(at_ns - before_ns)} before and "
-                f"{seconds_in_words(after_ns - at_ns)} after it, and this pose is interpolated between both."
+                f"{edge_in_words(edge)} was not published for {seconds_in_words(after_ns - before_ns)} around that "
+                f"time, from {stamp_in_words(before_ns, began_ns)} to {stamp_in_words(after_ns, began_ns)}: "
+                f"the nearest transforms are {seconds_in_words(at_ns - before_ns)} before and "
+                f"{seconds_in_words(after_ns - at_ns)} after it, and this pose is interpolated between them."
             )
     return found

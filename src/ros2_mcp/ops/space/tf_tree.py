@@ -62,7 +62,7 @@ class Tree(WithPictures):
         trees = f"{count} trees" if count != 1 else "one tree"
         health = f"{len(self.problems)} problem(s)" if self.problems else "healthy"
         more = len(self.lines) - _MOST_LINES
-        left_out = [f"… and {more} frames more: name one with frame to see what is below it."] if more > 0 else []
+        left_out = [f"… and {more} more frames: give one as frame to see what is below it."] if more > 0 else []
         lines = [f"{self.frames} frames in {trees}, {health}.", *self.problems, *self.lines[:_MOST_LINES], *left_out]
         return [*lines, *([self.note] if self.note else [])]
 
@@ -85,7 +85,7 @@ async def tf_tree(
     if not tree.frames:
         absence = (await source.graph()).absence
         found = [*unheard, *wrong, *harmless, *([absence] if absence else [])]
-        said = " ".join(found) or "Nothing came on /tf or /tf_static."
+        said = " ".join(found) or "Nothing was received on /tf or /tf_static."
         raise NoTransform("never published", f"No transform is known at all. {said}")
     top = frame.strip().lstrip("/")
     if top and top not in tree.frames:
@@ -191,7 +191,7 @@ def _problems(
 
     hidden = [tree.circle_by(name) for name in names if name in tree.edges and tree.edges[name].two_parents]
     circles = {frozenset(circle): circle for circle in [*map(tree.circle_of, names), *hidden] if circle}
-    found += [f"Frames go in a circle: {circle_in_words(circle, by)}." for circle in circles.values()]
+    found += [f"Frames form a loop: {circle_in_words(circle, by)}." for circle in circles.values()]
     for name in names:
         row = rows.get(name)
         if row and row.problem:
@@ -220,7 +220,7 @@ def _gaps(source: Source, tree: FrameTree, walk: Sequence[tuple[str, int]]) -> l
 def _note(tree: FrameTree) -> list[str]:
     notes = [undecodable(tree.damaged, tree.trouble)] if tree.damaged else []
     if tree.left_out:
-        notes.append(f"{tree.left_out} transform(s) of further frames, or of frames without a name, are left out.")
+        notes.append(f"{tree.left_out} transform(s) of further frames or frames without a name are left out.")
     return notes
 
 

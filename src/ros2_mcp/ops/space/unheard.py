@@ -37,9 +37,9 @@ def _elsewhere(topics: Sequence[str]) -> str:
     if len(spaces) < 2:
         return f"{there}: a namespace?"
     return (
-        f"{there}: frames of {len(spaces)} robots, each in its namespace ({', '.join(map(named, spaces))}). None of "
-        f"them can be chosen by an argument; where only one of them is there (a ROS domain for each robot), or where "
-        f"one is remapped to {TF} and {TF_STATIC}, its frames are followed."
+        f"{there}: frames of {len(spaces)} robots, each in its namespace ({', '.join(map(named, spaces))}). No "
+        f"argument chooses one of them: give each robot its own ROS domain, or remap one robot's topics to {TF} and "
+        f"{TF_STATIC}."
     )
 
 

@@ -31,9 +31,9 @@ class Ages:
     def trouble(self) -> str:
         """In words, what is wrong with all of them; empty where nothing is."""
         if self.min_s > OLD_S:
-            return f"All its stamps are old, {self.mean_s:.3g} s in the mean: it is delayed, or its clock is behind."
+            return f"Its stamps are {self.mean_s:.3g} s old on average: messages are late, or its clock is behind."
         if self.max_s < -OLD_S:
-            return f"All its stamps lie in the future, {-self.mean_s:.3g} s in the mean: its clock is ahead."
+            return f"Its stamps are {-self.mean_s:.3g} s in the future on average: its clock is ahead."
         return ""
 
 

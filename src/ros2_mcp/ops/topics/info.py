@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from ros2_mcp.model import names, qos
 from ros2_mcp.model.qos import Endpoint
-from ros2_mcp.model.text import named
+from ros2_mcp.model.text import counted, named
 from ros2_mcp.ops.results import SAID
 from ros2_mcp.robot import Robot
 
@@ -46,7 +46,7 @@ class TopicInfo:
     def summary(self) -> list[str]:
         """One line, and one for each mismatch."""
         publishers, subscribers = (
-            f"{len(side)} {what}(s){_of_these_ours(side)}"
+            f"{counted(len(side), what)}{_of_these_ours(side)}"
             for side, what in ((self.publishers, "publisher"), (self.subscribers, "subscriber"))
         )
         types = ", ".join(map(named, self.topic_types))

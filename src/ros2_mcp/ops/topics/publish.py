@@ -13,6 +13,7 @@ from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.commands import Move, Publish, Repeat
 from ros2_mcp.model.errors import BadInput, LinkError, Stopped
+from ros2_mcp.model.text import counted
 from ros2_mcp.ops.defaults import left_at_default
 from ros2_mcp.ops.endings import ended_by, guarded, limited, reason_of
 from ros2_mcp.ops.results import HIDDEN, SAID, Report, or_error, silent, unless_all_failed
@@ -64,10 +65,10 @@ class Published:
         if self.error:
             return f"{self.topic_name}: {self.error}"
         others = self.subscribers - self.ours
-        reached = f"reached {others} subscriber(s)" if others else "no subscriber was there"
+        reached = f"reached {counted(others, 'subscriber')}" if others else "no subscribers"
         if self.ours:
-            reached += ", and this server itself" if others else " but this server itself"
-        return f"{self.topic_name}: {self.sent} message(s) sent, {reached}. {self.note}".rstrip()
+            reached += ", and this server itself" if others else " except this server itself"
+        return f"{self.topic_name}: {counted(self.sent, 'message')} sent, {reached}. {self.note}".rstrip()
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +94,7 @@ async def publish(robot: Robot, request: PublishRequest, report: Report = silent
     rate_hz, duration_s = request.frequency, request.duration
     if (rate_hz is None) != (duration_s is None):
         given, missing = ("duration", "frequency") if rate_hz is None else ("frequency", "duration")
-        raise BadInput(f"{given} is given without {missing}.", "To repeat, give both; to publish once, give neither.")
+        raise BadInput(f"{given} needs {missing}.", "Give both to repeat, or neither to publish once.")
     if rate_hz is not None and duration_s is not None:
         bounded("frequency", rate_hz, MIN_RATE_HZ, MAX_RATE_HZ, "Hz")
         bounded("duration", duration_s, 0.0, MAX_DURATION_S, "s")
@@ -117,7 +118,8 @@ async def publish(robot: Robot, request: PublishRequest, report: Report = silent
         sent = await robot.do(command)
         robot.types.note_sent(to, request.message_type, sent.endpoints)
     definitions = robot.values.definitions
-    own = f"{sent.ours} of the {sent.matched} subscriber(s) are this server's own (it records, reads or relays it)."
+    subscribers = counted(sent.matched, "subscriber")
+    own = f"{sent.ours} of {subscribers} belong to this server (it records, reads or relays the topic)."
     notes = (
         await _note(robot, sent, reason),
         own if sent.ours else "",
@@ -196,8 +198,8 @@ async def _repeat(robot: Robot, command: Repeat, report: Report) -> tuple[Sent, 
     repetition = Repetition(robot, command)
     topic, duration_s = command.name, command.duration_s
 
-    awaited = "a subscriber, and for the stopper, which sends the zero if the bridge dies"
-    waits = f"{topic}: nothing is sent yet, it waits for {awaited if repetition.is_motion else 'a subscriber'}"
+    awaited = "a subscriber and for the stopper, which sends zero if the bridge dies"
+    waits = f"{topic}: nothing published yet; waiting for {awaited if repetition.is_motion else 'a subscriber'}"
     said = ""
 
     async def progress() -> None:
@@ -215,7 +217,7 @@ async def _repeat(robot: Robot, command: Repeat, report: Report) -> tuple[Sent, 
     if repetition.sent is None:
         if not repetition.has_begun:
             raise Stopped(f"{ended_by(repetition.stop_reason or 'a stop')} Nothing was published on {topic}.")
-        raise LinkError(f"Publishing on {topic} was stopped, and the bridge has not said in time what was sent.")
+        raise LinkError(f"Publishing on {topic} was stopped; the bridge did not report in time what it had sent.")
     sent = repetition.sent
     reason = ""
     if sent.ended_by:
@@ -237,22 +239,25 @@ async def _note(robot: Robot, sent: Sent, reason: str) -> str:
             near = names.nearest(sent.topic, subscribed)
             notes.append(f"Did you mean {near}?" if near else "")
     if sent.acked is False:
-        notes.append("Not every subscriber has acknowledged it in time.")
+        notes.append("Not every subscriber acknowledged it in time.")
     if sent.late:
-        notes.append(f"{sent.late} period(s) were missed.")
+        notes.append(f"Missed {counted(sent.late, 'period')}.")
     if sent.limited:
-        notes.append(f"{limited(sent.limited)} Repeat it (frequency, duration) to get faster.")
+        notes.append(f"{limited(sent.limited)} To reach the full speed, give frequency and duration.")
     notes.append(guarded(sent.stopper_s, sent.unguarded))
     if sent.stopped_with_zero:
         is_held = sent.type in HOLD_TYPES
         notes.append(f"A {'hold at the measured positions' if is_held else 'zero command'} was sent at the end.")
     elif sent.hold_s and sent.matched:
-        notes.append(f"It holds for {sent.hold_s:g} s: unless another one follows, the bridge then sends the zero.")
+        notes.append(
+            f"The robot keeps this velocity for {sent.hold_s:g} s; then the bridge sends zero unless another "
+            f"command has arrived."
+        )
     elif sent.type in HOLD_TYPES and sent.matched:
-        notes.append("ros2_stop, or the end of this client, holds the joints where they are measured to be then.")
+        notes.append("ros2_stop, or the end of this client, holds the joints at their measured positions.")
     elif sent.type in VELOCITY_TYPES and sent.matched:
         notes.append(
-            "No zero command follows while this client stays: unless this was one, the robot moves until its own "
-            "time-out. For a bounded move give frequency and duration."
+            "The robot keeps this velocity until its own time-out or ros2_stop. For a bounded move, give frequency "
+            "and duration."
         )
     return " ".join(filter(None, notes))

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from ros2_mcp.model.errors import BadInput, NotFound
 from ros2_mcp.model.graph import OF_EVERY_NODE
 from ros2_mcp.model.names import absolute, is_hidden
-from ros2_mcp.model.text import listed, named
+from ros2_mcp.model.text import counted, listed, named
 from ros2_mcp.model.times import both_times, recorded_time
 from ros2_mcp.ops.measure.flow import (
     GAP_FACTOR,
@@ -106,7 +106,7 @@ class TopicStats:
             facts.append(f"age {self.age_mean_s:.3g} s")
         if self.irregularity > _IRREGULAR:
             facts.append(f"gaps {self.gaps}, longest {'' if self.gaps else 'period '}{self.longest_s:.3g} s")
-        facts.append(f"{self.count} message(s)")
+        facts.append(counted(self.count, "message"))
         if self.publisher_nodes:
             further = len(self.publisher_nodes) - _MAX_NODES
             more = [f"{further} more"] if further > 0 else []
@@ -136,7 +136,7 @@ class Stats:
         if worst and worst.irregularity > _IRREGULAR and len(self.topics) > 1:
             usual_s = worst.longest_s / worst.irregularity
             longest = f"{worst.longest_s:.3g} s, {worst.irregularity:.3g} times its usual period of {usual_s:.3g} s"
-            lines.append(f"Least regular: {named(worst.topic_name)}, nothing for {longest}.")
+            lines.append(f"Least regular: {named(worst.topic_name)}, silent for {longest}.")
         return lines if self.is_live else [f"In {self.source}:", *lines]
 
 
@@ -190,7 +190,7 @@ async def _published(source: Source) -> tuple[list[str], str]:
     published.sort(key=lambda row: (not LARGE_TYPES.intersection(row.types), row.topic))
     found = [row.topic for row in published]
     left_out = found[MAX_TOPICS:]
-    note = f"Not measured, as {MAX_TOPICS} are the most: {listed(left_out, MAX_TOPICS)}." if left_out else ""
+    note = f"Not measured (at most {MAX_TOPICS} topics): {listed(left_out, MAX_TOPICS)}." if left_out else ""
     return found[:MAX_TOPICS], note
 
 
@@ -245,20 +245,20 @@ def _measured(source: Source, capture: Capture[AgedArrivals], publishers: Sequen
     if not publishers and not kept.count:
         notes = ["Nobody publishes on it."]
     elif not kept.count:
-        notes = [f"Published by {publishers[0].who}, but silent for {source.duration_s:g} s."]
+        notes = [f"{publishers[0].who} publishes it, but sent nothing for {source.duration_s:g} s."]
     else:
         notes = [_in_words(silence, capture.zero_ns)] if silence else []
         if kept.of_other_clock:
             whose = f"{kept.of_other_clock} of its stamps" if ages else "Its stamps"
-            notes.append(f"{whose} are not from this clock (simulated time?), so ages are left out.")
+            notes.append(f"{whose} come from another clock (simulated time?), so no ages are given.")
         if kept.unstamped:
             notes.append(f"{kept.unstamped} of {kept.count} stamps are empty (0).")
     notes += [ages.trouble] if ages and ages.trouble else []
     if kept.replayed:
-        notes.append(f"{kept.replayed} latched message(s) from before are not counted.")
+        notes.append(f"Not counted: {counted(kept.replayed, 'earlier latched message')}.")
     if not kept.all_kept:
         until = recorded_time(end_ns, capture.began_ns)
-        notes.append(f"Periods and gaps are those up to {until}: more times were too much to keep.")
+        notes.append(f"Periods and gaps cover the time up to {until}; later times did not fit in memory.")
     over_s = capture.duration_s if not source.is_live else source.duration_s
     rate = kept.rate_hz(holes)
     if rate and is_burst(kept.count, rate, over_s):
@@ -293,7 +293,7 @@ def _measured(source: Source, capture: Capture[AgedArrivals], publishers: Sequen
 def _in_words(silence: Silence, zero_ns: int) -> str:
     since = f"from {both_times(silence.from_ns, zero_ns)} on"
     if silence.is_end:
-        return f"It has stopped: nothing came in the last {silence.duration_s:.3g} s, {since}."
+        return f"It has stopped: no message in the last {silence.duration_s:.3g} s, {since}."
     return f"The longest silence is {silence.duration_s:.3g} s, {since}."
 
 

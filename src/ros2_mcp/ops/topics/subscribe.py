@@ -18,7 +18,7 @@ from ros2_mcp.model.meanings import Meaning
 from ros2_mcp.model.names import absolute
 from ros2_mcp.model.pictures import COMPRESSED_IMAGE, IMAGE, Picture
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.model.text import named
+from ros2_mcp.model.text import counted, named
 from ros2_mcp.model.times import seconds_in
 from ros2_mcp.model.values import summarised
 from ros2_mcp.ops.results import (
@@ -100,7 +100,7 @@ class Reading(WithPictures):
         shown = "" if self.count == self.received else f", {self.count} shown"
         where = "" if self.is_live else "in "
         said = f"{self.note} {self.meaning or ''}".strip()
-        return f"{self.topic_name}: {self.received} message(s) {where}{self.source}{shown}. {said}".rstrip()
+        return f"{self.topic_name}: {counted(self.received, 'message')} {where}{self.source}{shown}. {said}".rstrip()
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,17 +204,19 @@ async def collect(
         samples = list(collector.samples)
         counts, further = stream.counts, stream.further
         if others:
-            stream.note = f"{stream.note} {others} other message(s) have no such element.".lstrip()
+            stream.note = f"{stream.note} No such element in {counted(others, 'other message')}.".lstrip()
         was_limited = filtered and not source.is_live and len(samples) == limit
         dropped = 0 if filtered and len(samples) == limit else collector.dropped
         ended_early = not samples or (limit is not None and not (is_full or was_limited) and further is None)
         more = ""
         if was_limited and not source.from_end:
-            more = f"There may be later ones: for those, give {names[0]} {exact_time(samples[-1].received_ns + 1)}."
+            after = exact_time(samples[-1].received_ns + 1)
+            more = f"There may be later messages: to read them, give {names[0]} {after}."
         elif (was_limited and collector.dropped) or (further and stream.from_end):
-            more = f"There are earlier ones too: for those, give {names[1]} {exact_time(samples[0].received_ns - 1)}."
+            before = exact_time(samples[0].received_ns - 1)
+            more = f"There are earlier messages: to read them, give {names[1]} {before}."
         elif further:
-            more = f"There are later ones too: for those, give {names[0]} {exact_time(further.received_ns)}."
+            more = f"There are later messages: to read them, give {names[0]} {exact_time(further.received_ns)}."
         # Those between every n-th are counted where they stayed; the robot's count has those that were dropped, too.
         received = counts.received if stream.thinned else collector.seen
         received += 0 if stream.thinned and source.is_live else counts.dropped
@@ -305,7 +307,8 @@ def _told(reading: Reading, topic: str) -> Reading:
     """With a note, if another topic was read than the one that was asked for."""
     if reading.topic_name == absolute(topic):
         return reading
-    note = f"A network lies between: {named(reading.topic_name)} was read, the same pictures compressed. {reading.note}"
+    why = f"The robot is reached over a network, so the compressed pictures on {named(reading.topic_name)} were read."
+    note = f"{why} {reading.note}"
     return replace(reading, note=note.rstrip())
 
 
@@ -341,7 +344,8 @@ async def _shown(source: Source, collected: Collected, selection: Selection) -> 
     cut = collected.more if len(collected.samples) < (selection.enough or 0) else ""
     if collected.dropped and collected.samples and not collected.left_behind:
         since = exact_time(collected.samples[0].received_ns)
-        kept = f"Only the newest {len(collected.samples)} are looked at, from {since} on: more were too much to keep."
+        count = len(collected.samples)
+        kept = f"Only the newest {count} messages, from {since} on, were kept; earlier ones did not fit in memory."
         cut = f"{kept} {cut}".rstrip()
     notes = (stream.mixed, stream.note, collected.left_behind, collected.why_no_more, cut, fitted.note, hint, said)
     return Reading(
@@ -381,6 +385,6 @@ def pictures_of(type_name: str, fitted: Fitted) -> tuple[list[Picture], str]:
         return images, ""
     which = ", ".join(str(index + 1) for index in chosen)
     return images, (
-        f"Pictures of {len(chosen)} of the {len(fitted.messages)} messages are shown (numbers {which}), as each costs "
-        f"much to look at: a message_limit of {MAX_PICTURES} shows them all."
+        f"Pictures of {len(chosen)} of the {len(fitted.messages)} messages are shown (numbers {which}). For a picture "
+        f"of each, give a message_limit of at most {MAX_PICTURES}."
     )

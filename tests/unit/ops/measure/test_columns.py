@@ -48,7 +48,7 @@ def test_where_the_room_ends_is_said() -> None:
     assert (kept.count, kept.decoded, len(kept.times_ns), len(kept.read_ns)) == (1000, 1000, 20, 21)
     assert kept.columns[0].values.tolist() == list(range(21))
     assert kept.rate_hz() == pytest.approx(100.0)
-    assert kept.bounds("Drawn are those").startswith("Drawn are those of the first 21 of 1000 messages only, up to 20")
+    assert kept.bounds("Drawn are those").startswith("Drawn are those of only the first 21 of 1000 messages, up to 20")
 
 
 @pytest.mark.parametrize("room", [Room(), Room(times=20)], ids=["room", "little room"])
@@ -81,7 +81,7 @@ def test_a_message_that_is_not_what_its_type_says_is_counted_and_told() -> None:
     samples.insert(1, Sample(START_NS + 1, 0, None, b"\0\1\0\0no"))
     kept = columns(NUMBER, samples, Room())
     assert (kept.count, kept.decoded, kept.undecodable) == (4, 3, 1)
-    assert "1 message(s) are not what their type says" in kept.skipped
+    assert "1 message that cannot be decoded" in kept.skipped
 
 
 def test_a_column_without_a_message_is_empty() -> None:

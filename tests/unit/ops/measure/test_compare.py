@@ -68,8 +68,8 @@ def test_the_differences_agree_with_numpy(window: Make) -> None:
 def test_a_known_delay_is_found(window: Make, delay: float) -> None:
     found = evaluate(floats(window, "/a", TIMES, wave(TIMES)), floats(window, "/b", TIMES, wave(TIMES - delay)))
     assert found.delay_s == pytest.approx(delay, abs=0.003)
-    later = [reason for reason in found.reasons if "later" in reason]
-    whose = {-1: "By its values /a is", 1: "By its values /b is"}
+    later = [reason for reason in found.reasons if "ms behind" in reason]
+    whose = {-1: "By its values, /a is", 1: "By its values, /b is"}
     assert [reason.startswith(whose[1 if delay > 0 else -1]) for reason in later] == ([True] if delay else [])
 
 
@@ -80,7 +80,7 @@ def test_a_known_delay_is_found_between_different_rates_and_under_an_offset(wind
         floats(window, "/a", TIMES, wave(TIMES)), floats(window, "/b", slow, 3 + wave(slow - 0.25) + noise)
     )
     assert found.delay_s == pytest.approx(0.25, abs=0.02)
-    assert "200 messages have no partner (250 and 50 came)." in found.reasons
+    assert "200 messages without a partner (250 and 50 received)." in found.reasons
 
 
 def test_a_known_offset_is_the_mean_difference(window: Make) -> None:
@@ -107,9 +107,9 @@ def test_messages_are_paired_by_stamp_however_late_they_come(window: Make) -> No
 def test_stamps_that_cannot_pair_are_not_used(window: Make) -> None:
     a = points(window, "/a", TIMES, TIMES, wave(TIMES))
     other_clock = points(window, "/b", TIMES, TIMES + 5000, wave(TIMES))
-    assert evaluate(a, other_clock).paired_by == "nearest time of receipt: the stamps are of different times"
+    assert evaluate(a, other_clock).paired_by == "nearest time of receipt: the stamps do not overlap in time"
     unset = points(window, "/b", TIMES, np.zeros(len(TIMES)), wave(TIMES))
-    assert evaluate(a, unset).paired_by == "nearest time of receipt: the stamps do not rise"
+    assert evaluate(a, unset).paired_by == "nearest time of receipt: the stamps do not increase"
 
 
 @pytest.mark.promise("ros2_topic_compare", "The verdict is IDENTICAL, SIMILAR, DIFFERENT or VERY DIFFERENT")
@@ -133,7 +133,7 @@ def test_a_tolerance_widens_identical(window: Make) -> None:
 def test_lost_messages_are_no_identity(window: Make) -> None:
     found = evaluate(floats(window, "/a", TIMES, wave(TIMES)), floats(window, "/b", TIMES[::2], wave(TIMES[::2])))
     assert found.verdict == "SIMILAR"
-    assert found.reasons == ["125 messages have no partner (250 and 125 came)."]
+    assert found.reasons == ["125 messages without a partner (250 and 125 received)."]
 
 
 def test_nan_in_both_is_equal_and_in_one_is_told(window: Make) -> None:
@@ -167,7 +167,7 @@ def turned(window: Make, topic: str, angles, sign=1.0, kind="geometry_msgs/msg/Q
     return window(topic, kind, [(float(t), {"quaternion": q}) for t, q in zip(TIMES, found, strict=True)])
 
 
-@pytest.mark.promise("ros2_topic_compare", "Quaternions as rotations")
+@pytest.mark.promise("ros2_topic_compare", "Quaternions are compared as rotations")
 def test_a_quaternion_and_its_negative_are_the_same_rotation(window: Make) -> None:
     flips = np.where(np.arange(len(TIMES)) % 3 == 0, -1.0, 1.0)[:, None]
     found = evaluate(turned(window, "/a", wave(TIMES)), turned(window, "/b", wave(TIMES), flips))
@@ -178,7 +178,7 @@ def test_a_quaternion_and_its_negative_are_the_same_rotation(window: Make) -> No
     assert field.delay_s == pytest.approx(0.0, abs=0.001)
 
 
-@pytest.mark.promise("ros2_topic_compare", "Quaternions as rotations")
+@pytest.mark.promise("ros2_topic_compare", "Quaternions are compared as rotations")
 def test_rotations_differ_by_the_angle_between_them(window: Make) -> None:
     a, b = turned(window, "/a", wave(TIMES)), turned(window, "/b", wave(TIMES) + 0.3, -1.0)
     found = evaluate(a, b)
@@ -224,7 +224,7 @@ def poses(window: Make, topic: str, thetas):
     )
 
 
-@pytest.mark.promise("ros2_topic_compare", "angles (by name: yaw, heading, ...) modulo a turn")
+@pytest.mark.promise("ros2_topic_compare", "angles (by name: yaw, heading, ...) modulo one turn")
 def test_an_angle_on_the_other_side_of_a_turn_is_near(window: Make) -> None:
     heading = math.pi + 0.2 * wave(TIMES)
     wrapped = (heading + 0.01 + math.pi) % math.tau - math.pi
@@ -308,7 +308,7 @@ def test_what_spreads_little_beside_its_offset_is_compared_by_its_spread(window:
 def test_the_largest_difference_stands_beside_what_is_identical(window: Make) -> None:
     constant = np.full(len(TIMES), 10.0)
     found = evaluate(floats(window, "/a", TIMES, constant), floats(window, "/b", TIMES, constant + 0.005))
-    assert found.reasons == ["All 1 fields of 250 pairs agree within 0.1 %; most differs data, by 0.005."]
+    assert found.reasons == ["All 1 fields of 250 pairs agree within 0.1 %; the largest difference is in data: 0.005."]
 
 
 def joints(window: Make, topic: str, **lists):
@@ -329,7 +329,7 @@ def test_fields_of_which_there_is_nothing_agree_in_nothing(window: Make) -> None
 
 def test_a_rotation_that_was_never_set_is_not_said_to_be_missing(window: Make) -> None:
     found = evaluate(turned(window, "/a", wave(TIMES)), turned(window, "/b", wave(TIMES), 0.0))
-    assert found.reasons == ["250 rotations are missing or were never set in one of them only."]
+    assert found.reasons == ["250 rotations missing, or never set, on one topic only."]
     assert found.verdict == "VERY DIFFERENT"
 
 

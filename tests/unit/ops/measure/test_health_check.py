@@ -60,9 +60,9 @@ async def test_what_was_published_in_this_session_and_has_no_publisher_any_more_
     found = await check_health(Recorded([], GraphSnapshot({}, ["/nav"], [], left=left)), Expectations())
     assert found.verdict == "CRITICAL"
     assert [(row.severity, row.subject, row.problem) for row in found.findings] == [
-        ("critical", "/lidar", "/lidar has left: nobody publishes any more on /imu, /scan."),
-        ("critical", "/nav", "/nav is there, but nobody publishes any more on /pose."),
-        ("warning", "/camera", "It was there earlier in this session, and has left."),
+        ("critical", "/lidar", "/lidar has left: nobody publishes any longer on /imu, /scan."),
+        ("critical", "/nav", "/nav is there, but nobody publishes any longer on /pose."),
+        ("warning", "/camera", "It was running earlier in this session, and has left."),
     ]
 
 
@@ -118,7 +118,7 @@ async def test_a_sensor_that_stopped_degrades_and_an_expected_one_is_critical(wi
     stopped = window("/scan", SCAN, at(20, 3.0), 6.0)
     found = await check([LIDAR], [stopped])
     assert (found.verdict, found.topics[0].state) == ("DEGRADED", "STOPPED")
-    assert found.findings[0].problem.startswith("It has stopped: nothing in the last 3.0 s, from ")
+    assert found.findings[0].problem.startswith("It has stopped: no message in the last 3.0 s, from ")
     assert (await check([LIDAR], [stopped], topics=["scan"])).verdict == "CRITICAL"
     assert (await check([LIDAR], [window("/scan", SCAN, at(20, 5.1), 6.0)])).verdict == "HEALTHY"
 
@@ -139,7 +139,7 @@ async def test_a_sensor_with_old_stamps_degrades(window: Make, age_s: float, ver
     assert (found.verdict, state_of(found, "/scan")) == (verdict, state)
     if state != "OK":
         assert found.topics[0].age_s == pytest.approx(age_s)
-    assert ("47 s in the mean" in found.summary()[-1]) == (age_s == 47.0)
+    assert ("47 s old on average" in found.summary()[-1]) == (age_s == 47.0)
 
 
 async def test_one_young_message_among_old_ones_is_no_fault_of_the_clock(window: Make) -> None:
@@ -152,7 +152,7 @@ async def test_a_sensor_that_was_interrupted_degrades_and_it_is_told_when(window
     times = [at / 20 for at in (*range(1, 40), *range(100, 200))]
     found = await check([LIDAR], [window("/scan", SCAN, [(at, {}) for at in times], 10.0)])
     assert (found.verdict, found.topics[0].state) == ("DEGRADED", "INTERRUPTED")
-    assert found.findings[0].problem.startswith("It was interrupted: nothing for 3.0 s from ")
+    assert found.findings[0].problem.startswith("It was interrupted: no message for 3.0 s from ")
 
 
 async def test_a_sensor_that_stopped_has_stopped_although_it_was_interrupted_for_longer_before(window: Make) -> None:
@@ -171,7 +171,7 @@ async def test_of_a_recording_it_is_told_what_a_component_said_that_is_well_agai
     found = await check_health(source, Expectations())
     assert (found.verdict, found.diagnostics[0].level) == ("DEGRADED", "OK")
     problem = found.findings[0].problem
-    assert "said ERROR at 2023-11-14T22:13:22.000000Z (62 s in)" in problem and "no data" in problem
+    assert "reported ERROR at 2023-11-14T22:13:22.000000Z (62 s in)" in problem and "no data" in problem
 
 
 async def test_a_silent_sensor_degrades_and_an_expected_one_is_critical(window: Make) -> None:
@@ -261,7 +261,7 @@ async def test_what_has_one_cause_is_one_finding_of_that_node(window: Make) -> N
     [finding] = found.findings
     assert (finding.severity, finding.subject, found.counts["findings"]) == ("critical", "/lidar", 1)
     assert finding.problem == (
-        "«lidar: status»: Diagnostics say ERROR: «no data». /scan: Published by /lidar, but nothing came."
+        "«lidar: status»: Diagnostics report ERROR: «no data». /scan: /lidar publishes it, but no message came."
     )
 
 
@@ -272,8 +272,8 @@ async def test_a_node_that_left_is_one_finding_with_what_is_missing_without_it(w
     found = await check_health(Recorded([], gone), Expectations(topics=["/scan"], nodes=["/lidar", "/other"]))
     assert [finding.subject for finding in found.findings] == ["/lidar", "/other"]
     problem = found.findings[0].problem
-    assert problem.startswith("/lidar has left: nobody publishes any more on /scan. /scan: Nobody publishes on")
-    assert "The expected node is not there." in problem and "/nav waits for it" in problem
+    assert problem.startswith("/lidar has left: nobody publishes any longer on /scan. /scan: Nobody publishes on")
+    assert "The expected node is missing." in problem and "/nav subscribes to it" in problem
 
 
 class Hanging(Recorded):
@@ -294,7 +294,7 @@ async def test_whether_nodes_answer_is_asked_also_where_no_rates_are_checked(win
 async def test_a_burst_is_no_rate_and_slow(window: Make) -> None:
     found = await check([LIDAR], [window("/scan", SCAN, [(1.0, {}), (1.00002, {})], 3.0)])
     assert (state_of(found, "/scan"), found.topics[0].rate_hz) == ("SLOW", None)
-    assert "too few messages came to tell its rate" in found.findings[0].problem
+    assert "too few messages came to measure its rate" in found.findings[0].problem
 
 
 async def test_a_mismatch_of_qos_degrades(window: Make) -> None:
@@ -306,7 +306,7 @@ async def test_a_mismatch_of_qos_degrades(window: Make) -> None:
 
 async def test_a_node_that_waits_for_a_sensor_that_nobody_publishes_degrades(window: Make) -> None:
     found = await check([topic("/scan", (), [endpoint("/nav", SCAN)])], [window("/x", SCAN, [], 3.0)])
-    assert (found.verdict, found.findings[0].problem) == ("DEGRADED", "/nav waits for it, but nobody publishes.")
+    assert (found.verdict, found.findings[0].problem) == ("DEGRADED", "/nav subscribes to it, but nobody publishes.")
     assert found.subscribers_without_publishers == ["/scan"]
 
 
@@ -354,7 +354,7 @@ async def test_the_newest_diagnostics_count(window: Make, level: bytes, verdict:
 async def test_a_source_that_knows_no_nodes_misses_none(window: Make) -> None:
     source = Recorded([window("/scan", SCAN, at(10), 3.0)], GraphSnapshot({"/scan": LIDAR}, None, None))
     found = await check_health(source, Expectations(nodes=["/lidar"], services=["/reset"]))
-    assert (found.verdict, found.note) == ("HEALTHY", "Nodes and services are not known here.")
+    assert (found.verdict, found.note) == ("HEALTHY", "A recording does not say which nodes and services ran.")
 
 
 def test_costly_topics_are_measured_only_up_to_a_bound_but_always_if_expected() -> None:

@@ -85,7 +85,7 @@ def test_what_was_latched_before_is_measured_and_in_no_rate(window: Make) -> Non
     found = evaluate(floats(window, [-60.0, 1.0, 2.0, 3.0, 4.0], [7, 1, 1, 1, 1]))
     assert (found.count, found.rate_hz, found.period_median_s) == (5, pytest.approx(1.0), pytest.approx(1.0))
     assert found.fields[0].max == 7.0
-    assert found.note == "1 latched message(s) from before this time are measured, but not in the rate."
+    assert found.note == "1 earlier latched message measured, but not counted in the rate."
 
 
 def test_a_steady_topic_has_no_gap(window: Make) -> None:
@@ -211,7 +211,7 @@ async def test_a_field_that_no_topic_has_is_refused_before_measuring(window: Mak
 
 def test_a_silent_topic_says_so(window: Make) -> None:
     found = evaluate(floats(window, [], [], publishers=["/node"]))
-    assert (found.count, found.rate_hz, found.note) == (0, None, "Silent in this time.")
+    assert (found.count, found.rate_hz, found.note) == (0, None, "No message in this time.")
 
 
 def test_a_flood_of_fields_is_bounded_and_says_so(window: Make) -> None:
@@ -224,7 +224,7 @@ def test_numbers_at_the_end_of_their_range_are_measured(window: Make) -> None:
     assert (found.count, found.max, found.std) == (10, 1.7e308, None)
 
 
-@pytest.mark.promise("ros2_topic_statistics", "Trends too")
+@pytest.mark.promise("ros2_topic_statistics", "Also trends")
 def test_a_drift_under_noise_stands_in_a_line(window: Make) -> None:
     times = np.arange(0, 60, 0.1)
     noise = np.random.default_rng(2).normal(0, 0.2, len(times))
@@ -270,7 +270,7 @@ def test_the_extremes_of_few_fields_stand_in_lines_of_their_own(window: Make) ->
 
 def test_a_burst_has_no_rate(window: Make) -> None:
     found = evaluate(floats(window, [1.0, 1.00002], [1.0, 2.0], duration_s=5.0))
-    assert found.rate_hz is None and "Its 2 messages came within 0.02 ms: too few to tell a rate." in found.note
+    assert found.rate_hz is None and "Only 2 messages came, within 0.02 ms: too few to measure a rate." in found.note
 
 
 def test_of_a_recording_times_count_from_its_beginning(window: Make) -> None:

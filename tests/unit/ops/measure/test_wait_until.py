@@ -19,7 +19,7 @@ def ramp(window: Make) -> Recorded:
 
 
 @pytest.mark.promise("ros2_wait_until", "Wait until a message of a topic meets a condition")
-@pytest.mark.promise("ros2_wait_until", "In a recording: the first one that met it")
+@pytest.mark.promise("ros2_wait_until", "In a recording, returns the first that met it")
 async def test_the_first_message_that_meets_the_condition_is_returned(window: Make) -> None:
     found = await wait_until(ramp(window), "/x", "data > 400")
     assert (found.met, found.looked_at, found.message, dict(found.values)) == (
@@ -93,7 +93,7 @@ async def test_why_a_message_has_no_answer_is_told_with_the_indices_that_there_a
     source = Recorded([window("/scan", "sensor_msgs/msg/LaserScan", scans)])
     found = await wait_until(source, "/scan", "ranges[5] < 1.0")
     assert (found.met, found.undecided) == (False, 4)
-    said = "Of 4 of 4 message(s) it cannot be said: ranges[5]: there is no element [5], only [0] to [2]."
+    said = "4 of 4 messages could not be checked: ranges[5]: there is no element [5], only [0] to [2]."
     assert found.note == said
     empty = Recorded([window("/scan", "sensor_msgs/msg/LaserScan", [(0.0, {})])])
     assert (await wait_until(empty, "/scan", "ranges[0] < 1.0")).note.endswith("there is no element [0], it is empty.")
@@ -116,7 +116,8 @@ async def test_a_time_in_a_recording_also_counts_from_its_beginning(window: Make
     assert found.seconds_in == 2.401
     assert "is met in made, at 2023-11-14T22:13:20.401000Z (2.401 s in) (data = 401)." in found.summary()
     assert (
-        "the last at 2023-11-14T22:13:20.999000Z (2.999 s in)" in (await wait_until(source, "/x", "data < 0")).summary()
+        "last message at 2023-11-14T22:13:20.999000Z (2.999 s in)"
+        in (await wait_until(source, "/x", "data < 0")).summary()
     )
 
 

@@ -108,7 +108,7 @@ async def test_the_black_box_of_a_former_server_is_silent_until_it_is_opened(
 ) -> None:
     make_bag(tmp_path / BLACK_BOX, COUNT, number_at(1))
     agent = asker()
-    with pytest.raises(NotFound, match="Nobody has kept"):
+    with pytest.raises(NotFound, match="No messages of"):
         await agent.get()
     await agent.open("black box")
     assert "the bag" in (await agent.get()).source
@@ -124,7 +124,7 @@ async def test_how_messages_could_be_kept_is_told_as_far_as_it_is_not_so_already
     box = agent.records(tmp_path / BLACK_BOX)
     with pytest.raises(NotFound) as refused:
         await agent.get("/other")
-    assert "The black box of this server is on and has none of it" in refused.value.hint
+    assert "The black box of this server does not keep this topic" in refused.value.hint
     box.stop()
 
 
@@ -183,7 +183,7 @@ async def test_earlier_messages_that_were_not_read_are_told_and_how_to_get_them(
     while True:
         answer = await agent.get("/raw", **asked)
         seen += answer.found
-        if "earlier ones" not in answer.note:
+        if "There are earlier" not in answer.note:
             break
         assert answer.found == 31
         asked = {"end": re.findall(r"time_end (\S+)\.", answer.note)[0]}
@@ -191,7 +191,7 @@ async def test_earlier_messages_that_were_not_read_are_told_and_how_to_get_them(
     assert "earlier" not in (await agent.get("/raw", number=2)).note
 
     read = await agent.read("robot", "/raw", limit=60)
-    end = re.findall(r"There are earlier ones too: for those, give end (\S+)\.", read.note)[0]
+    end = re.findall(r"There are earlier messages: to read them, give end (\S+)\.", read.note)[0]
     assert "There are earlier" in (await agent.read("robot", "/raw", end=end, limit=10)).note
     assert "There are earlier" not in (await agent.read("robot", "/raw", end=end, limit=60, every_n=2)).note
 
@@ -200,7 +200,7 @@ async def test_a_bag_is_read_on_from_where_the_answer_says(tmp_path: Path, asker
     make_bag(tmp_path / "robot", COUNT, *(number_at(value, value / 7) for value in range(10)))
     agent = asker("robot")
     first = await agent.read("robot", "/count", start="first 0 s", limit=6)
-    start = re.findall(r"There are later ones too: for those, give start (\S+)\.", first.note)[0]
+    start = re.findall(r"There are later messages: to read them, give start (\S+)\.", first.note)[0]
     rest = await agent.read("robot", "/count", start=start, limit=6)
     assert values(first) + values(rest) == list(range(10)) and rest.note == ""
 
@@ -213,12 +213,12 @@ async def test_only_the_messages_that_are_shown_are_decoded(tmp_path: Path, aske
     make_bag(tmp_path / "robot", COUNT, *samples)
     answer = await asker("robot").get()
     assert values(answer)[0] == 0 and values(answer)[-1] == 9_998 and 5 < answer.count < 1000
-    assert "1 message(s) are not what their type says" in answer.note
+    assert "1 message that cannot be decoded" in answer.note
 
 
 async def test_messages_of_which_none_can_be_read_are_an_error(tmp_path: Path, asker: Callable[..., Asker]) -> None:
     make_bag(tmp_path / "robot", COUNT, Sample(START_NS, 0, 1, b"\0\1\0\0"))
-    with pytest.raises(BadData, match="has 1 messages of /count, but none"):
+    with pytest.raises(BadData, match="has 1 message of /count, but none"):
         await asker("robot").get()
 
 

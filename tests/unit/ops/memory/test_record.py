@@ -115,9 +115,9 @@ async def test_a_topic_with_two_types_is_told_in_words_at_start_in_status_and_at
     tmp_path: Path, bridge: MadeBridge, robot: Robot
 ) -> None:
     bridge.topics, bridge.sent = lambda: [["/scan", ["a/msg/One", "a/msg/Other"], 2, 0]], ("a/msg/One", "a/msg/Other")
-    told = "Nothing of /scan is recorded: It has several types: a/msg/One, a/msg/Other."
+    told = "/scan is not recorded: It has several types: a/msg/One, a/msg/Other."
     begun = await recording.start(robot, BagStore(tmp_path), RecordRequest(topics=["/scan"]))
-    assert begun.summary().endswith(f"on. {told}") and " 0 messages of 0 topics" in begun.summary()
+    assert begun.summary().endswith(f"Z. {told}") and " 0 messages of 0 topics" in begun.summary()
     assert (await recording.status(robot)).summary()[0].endswith(told)
     assert (await recording.stop(robot, begun.recording_id)).summary().endswith(f"stopped. {told}")
 
@@ -136,7 +136,7 @@ async def test_a_topic_of_the_robot_with_the_name_of_our_own_is_told_as_not_reco
 ) -> None:
     bridge.topics = lambda: [["/agent/calls", [NUMBER], 1, 0]]
     begun = await recording.start(robot, BagStore(tmp_path), RecordRequest())
-    assert begun.notes == ["/agent/calls is not recorded from the robot: here it has what this server does."]
+    assert begun.notes == ["/agent/calls records what this server does, not the topic of that name on the robot."]
 
 
 async def test_the_only_recording_that_runs_is_stopped_without_its_id_and_never_the_black_box(
@@ -144,7 +144,7 @@ async def test_the_only_recording_that_runs_is_stopped_without_its_id_and_never_
 ) -> None:
     store = BagStore(tmp_path)
     await keep_black_box(robot, store, Settings(black_box=()))
-    with pytest.raises(NotFound, match="No recording runs"):
+    with pytest.raises(NotFound, match="No recording has been started"):
         await recording.stop(robot)
     first, second = [await recording.start(robot, store, RecordRequest(name=name)) for name in ("one", "two")]
     with pytest.raises(BadInput, match=f"{first.recording_id}, {second.recording_id}"):
@@ -197,7 +197,7 @@ async def test_a_recording_that_runs_goes_on_until_now_however_long_nothing_came
 
 async def test_a_named_topic_that_nobody_publishes_is_told(tmp_path: Path, robot: Robot) -> None:
     state = await recording.start(robot, BagStore(tmp_path), RecordRequest(topics=["/later"]))
-    assert state.notes == ["/later: nobody has published it so far; it joins within a second after somebody does."]
+    assert state.notes == ["/later: nobody publishes it yet; recording begins within a second after somebody does."]
 
 
 async def test_what_is_still_being_recorded_is_not_called_damaged(tmp_path: Path, robot: Robot) -> None:

@@ -71,14 +71,14 @@ async def test_a_controller_that_does_not_tell_its_joints_gets_those_that_are_as
 
 async def test_without_a_velocity_limit_a_time_is_asked_for() -> None:
     urdf = parse(description().replace(' velocity="1.5"', ""))
-    with pytest.raises(BadInput, match="no velocity limit of elbow_joint"):
+    with pytest.raises(BadInput, match="no velocity limit for elbow_joint"):
         await planned({"elbow_joint": 0.0}, urdf=urdf)
     assert (await planned({"elbow_joint": 0.0}, urdf=urdf, duration_s=5)).planned_s == 5
 
 
 async def test_joints_of_which_nothing_is_heard_are_named_with_those_that_are() -> None:
     heard = JointStates(["/joint_states"], {"elbow_joint": At(0.0, monotonic())})
-    with pytest.raises(NotFound, match="where wrist_1_joint is: heard of were elbow_joint on /joint_states"):
+    with pytest.raises(NotFound, match="of wrist_1_joint: reported are elbow_joint on /joint_states"):
         await heard.wait_for(["elbow_joint", "wrist_1_joint"], within_s=0.05)
 
 

@@ -48,13 +48,21 @@ def line(node, text, level="ERROR"):
 @pytest.mark.parametrize(
     ("case", "cause", "helps"),
     [
-        ({"code": 206, "goal": (3.05, 0.55)}, "The goal (3.05, 0.55) is occupied on /global_costmap", "nearest place"),
-        ({"code": 206, "goal": (1.85, 0.55)}, "so near to an obstacle that the robot would touch it", "nearest place"),
+        (
+            {"code": 206, "goal": (3.05, 0.55)},
+            "The goal (3.05, 0.55) is occupied on /global_costmap",
+            "free place",
+        ),
+        (
+            {"code": 206, "goal": (1.85, 0.55)},
+            "so near to an obstacle that the robot would touch it",
+            "free place",
+        ),
         ({"code": 204, "goal": (9.0, 0.5)}, "outside of /global_costmap/costmap, which covers x 0.00", "on it"),
-        ({"code": 208, "goal": (3.5, 1.5)}, "no free way from the robot to the goal", "Open the way"),
-        ({"code": 0, "goal": (3.5, 1.5)}, "no free way from the robot to the goal", "Open the way"),
+        ({"code": 208, "goal": (3.5, 1.5)}, "no free path from the robot to the goal", "Open the path"),
+        ({"code": 0, "goal": (3.5, 1.5)}, "no free path from the robot to the goal", "Open the path"),
         ({"rejected": True, "inactive": ["/bt_navigator is inactive"]}, "/bt_navigator is inactive", "Activate"),
-        ({"rejected": True, "where": LOST}, "not known where the robot is: There is no frame map", "localisation"),
+        ({"rejected": True, "where": LOST}, "robot's place is unknown: There is no frame map", "localisation"),
         ({"rejected": True, "frame": "mapp"}, "no transform from the goal's frame mapp", "ros2_tf_tree"),
         (
             {"rejected": True, "frame": "dock", "why_not": "Two trees: …"},
@@ -65,9 +73,9 @@ def line(node, text, level="ERROR"):
         ({"code": 107, "silent": ["/scan"]}, "/scan is silent", "driver"),
         ({"code": 102}, "a transform was missing or late", "Try again"),
         ({"code": 207}, "Planning took too long", "nearer goal"),
-        ({"code": 105}, "told to drive and did not get on; no component says why", "motors"),
+        ({"code": 105}, "made no progress; no component reports why", "motors"),
         ({"code": 208, "uncertain": "localisation is uncertain: 1 m"}, "Localisation is uncertain", "initial pose"),
-        ({"code": 4711, "has_grid": False}, "Nothing was found that explains it", "ros2_log_read"),
+        ({"code": 4711, "has_grid": False}, "No cause was found", "ros2_log_read"),
     ],
 )
 def test_the_cause_is_told_with_what_would_help(case, cause, helps):
@@ -85,9 +93,9 @@ def test_what_stands_on_the_local_costmap_is_told_and_is_the_cause_where_it_is_t
     assert str(ahead).endswith("free; the nearest obstacle is 1.00 m from it ahead")
     assert str(left).endswith("1.00 m from it, 90° to the left")
     far = explained(105, local=ahead)
-    assert "no component says why. On /local_costmap/costmap" in far.cause and far.local_costmap == str(ahead)
+    assert "no component reports why. On /local_costmap/costmap" in far.cause and far.local_costmap == str(ahead)
     touched = explained(104, local=local(1.85, 1.05, 0.0))
-    assert "the robot's middle is so near to an obstacle that the robot touches it" in touched.cause
+    assert "the robot's centre is so near to an obstacle that the robot touches it" in touched.cause
     assert "a recovery would touch it" in explained(714, local=ahead).cause
     assert "unknown" in explained(105).local_costmap
     assert "nothing stands on it" in str(Local(topic="/local_costmap/costmap", cost=None))
@@ -100,7 +108,7 @@ def test_who_else_drives_and_a_limit_of_0_are_causes_only_where_the_robot_did_no
     assert stuck.cause == "/base has the limit max_vel_x = 0.0." and any("/teleop" in line for line in stuck.health)
     assert "ros2_parameter_set" in stuck.helps[0]
     assert explained(105, base=Base([sends], [may])).cause == sends
-    assert explained(105, base=Base([], [may])).cause.endswith(f"no component says why. {may}"), (
+    assert explained(105, base=Base([], [may])).cause.endswith(f"no component reports why. {may}"), (
         "that it may is no cause"
     )
     beside = explained(206, (3.05, 0.55), base=base)
@@ -129,7 +137,7 @@ def test_costs_and_feasibility_are_told_whatever_the_cause_is():
     assert (found.goal_cost, found.start_cost, found.is_feasible) == ("free", "free", False)
     assert found.server == "planner_server" and "NO_VALID_PATH (208)" in found.error and "«no way»" in found.error
     free = explained(207)
-    assert free.is_feasible and "free way" in free.feasibility
+    assert free.is_feasible and "free path" in free.feasibility
     lost = explained(206, where=LOST)
     assert lost.is_feasible is None and "unknown" in lost.start_cost
 

@@ -43,7 +43,7 @@ class Listed(Source):
 
 async def test_the_only_one_is_taken_and_said() -> None:
     topic, said = await only_topic(Listed(floor=OCCUPANCY_GRID, points=POINT_CLOUD), "", OCCUPANCY_GRID)
-    assert topic == "/floor" and "/floor is the only nav_msgs/msg/OccupancyGrid" in said
+    assert topic == "/floor" and "/floor is the only topic of type nav_msgs/msg/OccupancyGrid" in said
 
 
 async def test_a_name_is_never_second_guessed() -> None:

@@ -99,8 +99,8 @@ async def read_of(
     return [message["data"] for message in found.messages], found.note
 
 
-@pytest.mark.promise("ros2_topic_subscribe", "from start on, else the last seconds or messages")
-@pytest.mark.promise("ros2_topic_echo_wait", "the next one from start on, else the last one")
+@pytest.mark.promise("ros2_topic_subscribe", "from start on, or without start the last seconds or messages")
+@pytest.mark.promise("ros2_topic_echo_wait", "the next message from start on, or without start the last message")
 @pytest.mark.promise("ros2_bag_read", "the first ones from start on, or without start the last ones")
 @pytest.mark.parametrize(
     ("start", "end", "duration_s", "limit", "expected"),
@@ -208,7 +208,7 @@ async def test_answers_about_a_bag_give_times_and_seconds_from_its_beginning(sto
     source = await open_bag(store, "run", "2 s in", "5 s in")
     assert source.words == "bag run, 3.001 s from 2023-11-14T22:13:22.000000Z (2 s in) on"
     early = await open_bag(store, "run", "2020-01-01")
-    assert early.words.endswith("(0 s in) on (it begins later than start)")
+    assert early.words.endswith("(0 s in) on (the recording begins after start)")
     drawn = await plot(source, PlotRequest(["/count:data"]))
     assert (drawn.started_at, drawn.seconds_in) == ("2023-11-14T22:13:22.000000Z", 2.0)
     met = await wait_until(source, "/count", "data == 33")
@@ -316,9 +316,9 @@ async def test_what_is_read_between_the_times_that_were_shown_is_everything(tmp_
 @pytest.mark.parametrize(
     ("text", "what"),
     [
-        ("yesterday", "not a moment"),
-        ("last 2 min in", "from the beginning and from the end"),
-        ("first 2 min ago", "from the beginning and from the end"),
+        ("yesterday", "not a time"),
+        ("last 2 min in", "from both the beginning and the end"),
+        ("first 2 min ago", "from both the beginning and the end"),
     ],
 )
 def test_moments_that_could_mean_something_else_are_refused(text: str, what: str) -> None:
@@ -328,14 +328,14 @@ def test_moments_that_could_mean_something_else_are_refused(text: str, what: str
 
 @pytest.mark.parametrize("text", ["first 2 min", "2 min in"])
 def test_where_the_beginning_is_not_known_nothing_counts_from_it(text: str) -> None:
-    with pytest.raises(BadValue, match="beginning that is not known"):
+    with pytest.raises(BadValue, match="the beginning, which is not known"):
         parsed_ns("time_start", text, None, 100)
 
 
 async def test_messages_that_are_too_much_to_keep_are_told(store: BagStore, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bag_source, "MAX_BYTES", 80)  # ten messages of eight bytes
     found = await reading.read(await open_bag(store, "run"), "/count", "", Selection(message_limit=50))
-    assert found.received == 10 and found.note.startswith("There are earlier ones too: for those, give end ")
+    assert found.received == 10 and found.note.startswith("There are earlier messages: to read them, give end ")
 
 
 async def test_topics_of_one_bag_may_have_different_definitions_of_a_type(tmp_path: Path) -> None:

@@ -79,7 +79,7 @@ async def test_a_new_kind_of_source_is_one_class_and_one_line(tmp_path: Path, wi
 async def test_no_name_means_the_robot_and_moments_mean_a_recording(tmp_path: Path) -> None:
     robot, store = robot_of(MadeBridge()), BagStore(tmp_path)
     assert (await Sources(robot, store).open()).is_live
-    with pytest.raises(BadInput, match="none is named"):
+    with pytest.raises(BadInput, match="no recording is named"):
         await Sources(robot, store).open(start="last 1 s")
     with pytest.raises(NotFound, match="no bag"):
         await Sources(robot, store).open("nowhere")
@@ -105,7 +105,7 @@ async def damaged(tmp_path: Path) -> AsyncIterator[BagStore]:
 
 async def test_what_cannot_be_decoded_is_skipped_counted_and_told_by_whoever_reads(damaged: BagStore) -> None:
     robot = recorded_robot(damaged, 32_000)
-    six, told = Selection(message_limit=6), "2 message(s) are not what their type says"
+    six, told = Selection(message_limit=6), "2 messages that cannot be decoded"
     read = await reading.read(await open_bag(damaged, "run"), "/count", "", six)
     from_bag = await bags.read(robot, damaged, "run", "/count", six)
     await bags.info(damaged, "run")
@@ -122,9 +122,9 @@ async def test_what_cannot_be_decoded_is_not_measured(damaged: BagStore) -> None
     source = await open_bag(damaged, "run")
     (found,) = (await statistics.measure(source, ["/count"], Selection())).topics
     assert (found.count, found.fields[0].count, found.fields[0].max) == (6, 4, 4.0)
-    assert "2 message(s) are not what their type says" in found.note
+    assert "2 messages that cannot be decoded" in found.note
     drawn = await plotting.plot(source, plotting.PlotRequest(["/count:data"]))
-    assert drawn.series[0].count == 4 and "2 message(s) are not what their type says" in drawn.note
+    assert drawn.series[0].count == 4 and "2 messages that cannot be decoded" in drawn.note
 
 
 # ── decoding and collecting ──────────────────────────────────────────────────────────────────────────────────────────

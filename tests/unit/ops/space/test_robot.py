@@ -102,9 +102,9 @@ async def test_what_is_missing_is_said(window: Make, robot: Robot) -> None:
     assert any("No description (URDF) was found" in line for line in found.unhealthy)
     described = [one for one in windows(window, CART) if one.topic != "/joint_states"]
     found = await in_brief(robot, source(described))
-    assert "Nobody tells the position of left_wheel_joint, right_wheel_joint." in found.unhealthy
+    assert "Nothing reports the position of left_wheel_joint, right_wheel_joint." in found.unhealthy
     nothing = await in_brief(robot, source([]))
-    assert nothing.kind == "base driven by velocities" and "not known" in nothing.place
+    assert nothing.kind == "base driven by velocities" and "unknown" in nothing.place
 
 
 async def test_one_sensor_that_cannot_be_read_takes_nothing_else_away(window: Make, robot: Robot) -> None:
@@ -262,7 +262,7 @@ async def test_an_arm_that_its_description_fixes_in_the_world_is_there(window: M
     assert (found.frames, found.unhealthy) == ("none", [])
     free = urdf.replace('type="fixed"', 'type="floating"')
     described = window("/robot_description", "std_msgs/msg/String", [(0.0, {"data": free})])
-    assert "not known" in (await in_brief(robot, source([described]))).place
+    assert "unknown" in (await in_brief(robot, source([described]))).place
 
 
 async def test_a_base_with_a_name_of_its_own_is_told_in_its_chain_of_frames(window: Make, robot: Robot) -> None:
@@ -281,7 +281,7 @@ async def test_a_base_with_a_name_of_its_own_is_told_in_its_chain_of_frames(wind
 async def test_frames_that_did_not_come_are_not_said_to_be_none(window: Make, robot: Robot) -> None:
     made = [one for one in windows(window, CART) if one.topic != "/tf"]
     found = await in_brief(robot, source([*made, window("/tf", TF, [])]))
-    assert (found.frames, found.place) == ("not read", "Where it is was not read in time."), found
+    assert (found.frames, found.place) == ("not read", "The robot's place was not read in time."), found
 
 
 async def test_a_localiser_that_tells_no_place_is_told(window: Make, robot: Robot) -> None:
@@ -290,7 +290,7 @@ async def test_a_localiser_that_tells_no_place_is_told(window: Make, robot: Robo
     turn = {"translation": {"x": 0.0}, "rotation": {"w": 1.0}}
     tf = {"transforms": [{"header": header, "child_frame_id": "base_link", "transform": turn}]}
     found = await in_brief(robot, source([*made, window("/tf", TF, [(4.9, tf)])], "/amcl"))
-    assert any("Not localised: /amcl is there" in line for line in found.unhealthy), found.unhealthy
+    assert any("Not localised: /amcl runs" in line for line in found.unhealthy), found.unhealthy
 
 
 ARM = "/arm_controller/follow_joint_trajectory"
@@ -395,7 +395,7 @@ async def test_it_is_never_more_than_two_kilobytes(window: Make, robot: Robot, c
     made = source(windows(window, f'<robot name="{"x" * 500}">{BASE}{chain}</robot>'))
     found = await in_brief(robot, made)
     assert max(size_of(found), len(found.summary().encode())) <= MOST_BYTES
-    assert (found.left_out > 0) == (count > 12) == ("whole=true tells all" in found.summary())
+    assert (found.left_out > 0) == (count > 12) == ("whole=true shows all" in found.summary())
     whole = await in_brief(robot, made, whole=True)
     assert (len(whole.joints), whole.left_out) == (count + len(("the left wheel", "the right wheel")), 0)
     last = f"a_long_name_of_the_joint_{words(count - 1)}"

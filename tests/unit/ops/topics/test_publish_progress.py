@@ -49,7 +49,5 @@ async def test_progress_counts_from_the_first_message_and_repeats_no_line(robot:
     await ticks.wait()
     bridge.may_answer.set()
     await repeating
-    waits = (
-        "nothing is sent yet, it waits for a subscriber, and for the stopper, which sends the zero if the bridge dies"
-    )
+    waits = "nothing published yet; waiting for a subscriber and for the stopper, which sends zero if the bridge dies"
     assert told == [(0.0, f"/cmd_vel: {waits}"), (WHOLE_S, "/cmd_vel: publishing for 3 of 3 s")]

@@ -35,7 +35,7 @@ async def test_a_topic_that_has_stopped_is_told(window: Make) -> None:
     found = await only(window, [0.1, 0.2, 0.3, 0.4], 2.4)
     assert (found.gaps, found.longest_gap_s) == (1, pytest.approx(2.0))
     assert found.rate_hz == pytest.approx(10.0)
-    assert found.note == "It has stopped: nothing came in the last 2 s, from 0.400 s (2023-11-14T22:13:20.400Z) on."
+    assert found.note == "It has stopped: no message in the last 2 s, from 0.400 s (2023-11-14T22:13:20.400Z) on."
 
 
 @pytest.mark.parametrize(
@@ -53,7 +53,7 @@ async def test_a_few_messages_that_came_together_have_no_rate(
 ) -> None:
     found = await only(window, times, 5.0)
     assert found.rate_hz == (rate_hz and pytest.approx(rate_hz))
-    assert ("too few to tell a rate" in found.note) == (rate_hz is None) == ("rate unknown" in found.summary())
+    assert ("too few to measure a rate" in found.note) == (rate_hz is None) == ("rate unknown" in found.summary())
 
 
 class OfTwoTypes(Recorded):
@@ -101,7 +101,7 @@ async def test_what_is_irregular_is_said_and_the_worst_is_named(window: Make) ->
     assert "gaps" not in lines["/steady"]
     assert ", gaps 0, longest period 0.25 s, " in lines["/late"]
     assert ", gaps 1, longest 0.6 s, " in lines["/broken"]
-    assert found.summary()[-1] == "Least regular: /broken, nothing for 0.6 s, 6 times its usual period of 0.1 s."
+    assert found.summary()[-1] == "Least regular: /broken, silent for 0.6 s, 6 times its usual period of 0.1 s."
 
 
 async def test_figures_have_no_digits_of_chance(window: Make) -> None:
@@ -114,16 +114,16 @@ async def test_replayed_history_is_in_no_rate(window: Make) -> None:
     found = await only(window, [*before, 1.0, 2.0, 3.0, 4.0], 4.5)
     assert (found.count, found.replayed, found.rate_hz) == (4, 100, pytest.approx(1.0))
     assert found.bytes_per_second == 10.67  # 4 * 12 / 4.5
-    assert found.note == "100 latched message(s) from before are not counted."
+    assert found.note == "Not counted: 100 earlier latched messages."
 
 
 async def test_of_a_single_moment_no_bytes_per_second_are_told(window: Make) -> None:
     found = await only(window, [0.0], 1e-9)
     assert (found.rate_hz, found.bytes_per_second, found.mean_size_bytes) == (None, None, 12)
-    assert "rate unknown, bytes/s unknown, 1 message(s)" in found.summary()
+    assert "rate unknown, bytes/s unknown, 1 message" in found.summary()
 
 
-@pytest.mark.promise("ros2_topic_stats", "Measure how topics flow, several at once")
+@pytest.mark.promise("ros2_topic_stats", "Measure the traffic of topics, several at once")
 async def test_without_names_all_topics_are_measured_that_somebody_publishes(window: Make) -> None:
     here = Endpoint("/node", FLOAT, "", "", QoS())
     published = [f"/speed_{number:02}" for number in range(MAX_TOPICS + 2)]
@@ -134,7 +134,7 @@ async def test_without_names_all_topics_are_measured_that_somebody_publishes(win
     windows = [window("/z_camera", FLOAT, []), *(window(name, FLOAT, []) for name in published)]
     found = await measure(Recorded(windows, GraphSnapshot(topics, None, None)))
     assert sorted(row.topic_name for row in found.topics) == [*published[: MAX_TOPICS - 1], "/z_camera"]
-    assert found.note == f"Not measured, as 64 are the most: {', '.join(published[-3:])}." == found.summary()[-1]
+    assert found.note == f"Not measured (at most 64 topics): {', '.join(published[-3:])}." == found.summary()[-1]
 
 
 async def test_without_names_and_without_topics_it_says_so(window: Make) -> None:
@@ -156,9 +156,9 @@ def stamped(window: Make, topic: str, age_s: float, size: int = 0) -> Window:
     ("age_s", "note"),
     [
         (0.02, ""),
-        (47.0, "All its stamps are old, 47 s in the mean: it is delayed, or its clock is behind."),
-        (-3.0, "All its stamps lie in the future, 3 s in the mean: its clock is ahead."),
-        (1.7e9, "Its stamps are not from this clock (simulated time?), so ages are left out."),
+        (47.0, "Its stamps are 47 s old on average: messages are late, or its clock is behind."),
+        (-3.0, "Its stamps are 3 s in the future on average: its clock is ahead."),
+        (1.7e9, "Its stamps come from another clock (simulated time?), so no ages are given."),
     ],
 )
 async def test_the_first_line_tells_the_age(window: Make, age_s: float, note: str) -> None:
@@ -183,19 +183,19 @@ async def test_empty_stamps_are_counted_and_leave_the_ages_of_the_others(window:
     assert (found.age_mean_s, found.note) == (None, "30 of 30 stamps are empty (0).")
 
 
-@pytest.mark.promise("ros2_topic_stats", "The largest first")
+@pytest.mark.promise("ros2_topic_stats", "The largest come first")
 async def test_the_largest_comes_first_with_its_bytes(window: Make) -> None:
     windows = [stamped(window, f"/scan{size}", 0.0, size) for size in (0, 10_000, 100)]
     found = await measure(Recorded(windows, GraphSnapshot({}, None, None)), ["/scan0", "/scan10000", "/scan100"])
     assert [topic.topic_name for topic in found.topics] == ["/scan10000", "/scan100", "/scan0"]
-    assert found.summary()[1].startswith("/scan10000: 10.00 Hz, 387 kB/s, age 0 s, 29 message(s).")
+    assert found.summary()[1].startswith("/scan10000: 10.00 Hz, 387 kB/s, age 0 s, 29 messages.")
 
 
 async def test_publishers_are_named(window: Make) -> None:
     source = Recorded([stamped(window, "/scan", 0.0)], GraphSnapshot({}, None, None))
     source.is_live = True
     (line,) = (await measure(source, ["/scan"])).summary()
-    assert line.endswith("29 message(s), from /node.")
+    assert line.endswith("29 messages, from /node.")
 
 
 def test_a_line_says_that_several_publishers_are_measured_together() -> None:

@@ -91,7 +91,7 @@ async def test_the_text_says_once_what_all_messages_share_and_the_structured_con
     text: str = result.content[0].text  # type: ignore[union-attr]
     lines = text.splitlines()
     at = next(number for number, line in enumerate(lines) if line.startswith("messages (6), the first whole"))
-    assert "6 message(s)" in lines[0]
+    assert "6 messages" in lines[0]
     assert json.loads(lines[at + 1]) == read.messages[0]
     assert lines[at + 2] == "times_s | pose.pose.position.x"
     rows = [line.split(" | ") for line in lines[at + 3 : at + 9]]
@@ -109,11 +109,11 @@ async def test_messages_without_an_element_that_the_fields_ask_for_are_left_out_
     last = await reading.read(bag, "/tf", "", Selection(message_limit=2, fields=[f"{BASE}.header.frame_id"]))
     assert last.messages == [{f"{BASE}.header.frame_id": ["odom"]}] * 2
     assert (last.times_s, last.dropped) == ([1.5, 2.5], 0)
-    assert "3 other message(s) have no such element." in last.note
+    assert "No such element in 3 other messages." in last.note
     (whole,) = (await reading.read(bag, "/tf", "", Selection(fields=[BASE]))).messages
     assert [each["child_frame_id"] for each in whole[BASE]] == ["base_link"]
     nowhere = await reading.read(bag, "/tf", "", Selection(fields=['transforms[child_frame_id == "arm"]']))
-    assert nowhere.count == 0 and "6 other message(s)" in nowhere.note
+    assert nowhere.count == 0 and "6 other messages" in nowhere.note
     with pytest.raises(BadValue, match="cannot be asked of"):
         await reading.read(bag, "/tf", "", Selection(fields=["transforms[child_frame_id == 3]"]))
 
@@ -121,18 +121,18 @@ async def test_messages_without_an_element_that_the_fields_ask_for_are_left_out_
 async def test_reads_with_a_filter_and_a_limit_say_how_to_read_on(bag: BagSource, tmp_path: Path) -> None:
     asked = Selection(message_limit=2, fields=[BASE])
     last = await reading.read(bag, "/tf", "", asked)
-    assert last.note == "3 other message(s) have no such element."
+    assert last.note == "No such element in 3 other messages."
     store = BagStore(tmp_path, subject=tmp_path / "run")
     robot = recorded_robot(store, 32_000)
     first = await bags.read(robot, store, "run", "/tf", asked, start="0 s in")
     assert first.times_s == [0.5, 1.5]
-    assert "There may be later ones: for those, give start" in first.note and "no such element" in first.note
+    assert "There may be later messages: to read them, give start" in first.note and "No such element" in first.note
     past = await get_messages(Sources(robot, store), "/tf", "", SourceRequest(), replace(asked, message_limit=1))
     assert [each["child_frame_id"] for each in past.messages[0][BASE]] == ["base_link"]
     early = await get_messages(
         Sources(robot, store), "/tf", "", SourceRequest(end="2.2 s in"), replace(asked, message_limit=1)
     )
-    assert early.times_s == [1.5] and "1 other message(s)" not in early.note and "no such element" in early.note
+    assert early.times_s == [1.5] and "1 other message" not in early.note and "No such element" in early.note
     await store.close()
 
 
