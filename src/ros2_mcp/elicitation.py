@@ -28,7 +28,7 @@ from ros2_mcp.robot import Robot
 
 _SCHEMA: dict[str, Any] = {
     "type": "object",
-    "properties": {"approve": {"type": "boolean", "title": "Approve", "description": "Carry this out, once."}},
+    "properties": {"approve": {"type": "boolean", "title": "Approve", "description": "Allow this once."}},
     "required": ["approve"],
 }
 _ASKED_S = 45.0

@@ -48,12 +48,12 @@ _MESSAGE_PATHS = ("/mcp", MESSAGES.rstrip("/"))
 _MOST_BYTES = 1_000_000
 """Of a body: the SDK parses it once more on the event loop, which takes 0.01 to 0.13 s for so much, and 0.25 s at most
 over SSE. The link lease is 1 s."""
-_TOO_LARGE = f"A request over HTTP has at most {_MOST_BYTES:,} bytes: send less at a time, or use stdio."
+_TOO_LARGE = f"A request over HTTP has at most {_MOST_BYTES:,} bytes: send smaller requests, or use stdio."
 _SMALL_BYTES = 4000
 """A body up to this size is always read, and by one parser only (`incoming.LARGE`): a stop has some 200."""
 _MOST_HELD_BYTES = 64_000_000
 """Of bodies that are read or answered at the same time: 64 of the largest."""
-_BUSY = "Too many large requests are under way: send this one again in a second."
+_BUSY = "Too many large requests are being processed: repeat this one in 1 s."
 _CANCELLED = 0
 """The SDK's code for a request that its client has cancelled."""
 _Key = tuple[str, str]
@@ -144,7 +144,9 @@ class _KnownHosts:
         if scope["type"] == "http":
             request = Request(scope)
             if any(len(request.headers.getlist(name)) > 1 for name in ("host", "origin")):
-                answer = Response("Host or Origin is given twice", status_code=400)  # the SDK looks at the first alone
+                answer = Response(
+                    "The header Host or Origin is given twice.", status_code=400
+                )  # the SDK looks at the first alone
             else:
                 answer = await self._security.validate_request(request)
         await (answer or self._app)(scope, receive, send)

@@ -49,9 +49,9 @@ _LOOK_S = 0.05
 """Between two looks at the leases: how late the end of one may be noticed, of the 0.3 s that a zero may take."""
 _LATE_S = 0.5
 """A look that comes so much too late shows that this process did not run: the silence was its own."""
-_CLOSED = "The client closed the response that was to carry the result."
+_CLOSED = "The client closed the response before its result was sent."
 _GONE = "the end of its client, which closed its last open response"
-_UNHEARD = f"the client lease: nothing was heard of its client for {CLIENT_LEASE_S:g} s"
+_UNHEARD = f"the client lease: nothing was received from its client for {CLIENT_LEASE_S:g} s"
 MESSAGES = "/messages/"
 """Where the clients of SSE post to."""
 RESPONSE = "ros2_mcp.response"
@@ -351,7 +351,7 @@ class Leases:
             while reasons:
                 reason = reasons.pop()
                 for call in client.calls:
-                    call.end(f"This call was ended, and what it moved was stopped, by {reason}.")
+                    call.end(f"This call was ended and its motion stopped by {reason}.")
                 if ended := await robot.stop_owned(client.principal, reason):
                     _logger.warning("%s: ended by %s: %s", client.principal.name, reason, ", ".join(ended))
         except Exception:  # a fault in ending what one client moves must not end the watch over the others
@@ -373,8 +373,8 @@ def _connected(context: Context) -> Connected | None:
 async def _end_repeat(repeat: Repetition) -> None:
     try:
         await repeat.stop_for(
-            f"the server: over HTTP a repeat of motion lasts at most {UNRENEWED_REPEAT_S:g} s unless its client asks "
-            "for something or answers a ping meanwhile, and this one has not"
+            f"the server: over HTTP a repeat of motion lasts at most {UNRENEWED_REPEAT_S:g} s unless its client "
+            "sends a request or answers a ping meanwhile, and this client did neither"
         )
     except Exception as error:  # noqa: BLE001 - whatever keeps one from ending must not end the watch over others
         _logger.warning("%s did not end in good order: %s", repeat.id, error)

@@ -269,7 +269,9 @@ class _Compiler:
         if self.type_name != scans.LASER_SCAN or self.within:
             raise ConditionError(f"{name}() works only on a topic of type {scans.LASER_SCAN}.", _ALLOWED)
         if len(piece.args) != count:
-            raise ConditionError(f"{_excerpt(piece)}: {name}() takes {count} angle(s).", hint)
+            raise ConditionError(
+                f"{_excerpt(piece)}: {name}() takes {count} {'angle' if count == 1 else 'angles'}.", hint
+            )
         angles = [self._of_kind(argument, "number") for argument in piece.args]
 
         def evaluate(message: object) -> float:

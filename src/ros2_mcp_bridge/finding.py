@@ -285,8 +285,9 @@ def running(search: Search, env: Mapping[str, str], processes: Path = Path("/pro
                 words = [f"{name}={value}" for name, value in variables if _OF_THE_NETWORK.fullmatch(name)]
                 others = sum(environments.values()) - count
                 mixed = f" ({others} another one)" if others else ""
-                what = "running node(s)" if are_nodes else "running process(es)"
-                why = f"{count} {what} have it{mixed}: {', '.join(words) or 'default settings'}."
+                one, several = ("node", "nodes") if are_nodes else ("process", "processes")
+                found_in = f"1 running {one} has it" if count == 1 else f"{count} running {several} have it"
+                why = f"{found_in}{mixed}: {', '.join(words) or 'default settings'}."
                 return replace(found, kind="running", why=why)
     return None
 

@@ -21,7 +21,7 @@ from ros2_mcp.commands.serve import launch, show_log
 from ros2_mcp.commands.terminal import readable
 from ros2_mcp.commands.tool_help import found, of_call
 from ros2_mcp.model.errors import ApprovalNeeded, RobotError
-from ros2_mcp.model.text import visible
+from ros2_mcp.model.text import counted, visible
 from ros2_mcp.settings import Settings
 
 if TYPE_CHECKING:
@@ -191,7 +191,7 @@ async def _zeros(robot: Robot, topics: Sequence[str]) -> list[str]:
     except RobotError as error:
         return [f"NOT confirmed: whether {', '.join(topics)} got a zero command is not known: {error}"]
     return [
-        f"{zero['topic']}: the call has ended, and a zero command was sent to {zero['matched']} subscriber(s)."
+        f"{zero['topic']}: the call has ended, and a zero command was sent to {counted(zero['matched'], 'subscriber')}."
         f"{' NOT confirmed: not every one has acknowledged it.' if zero['matched'] and not zero['acked'] else ''}"
         for zero in sent
     ]

@@ -21,7 +21,7 @@ from ros2_mcp.link.refusals import by_doctor, by_hand
 from ros2_mcp.link.remote import ssh_words
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.model.names import did_you_mean
-from ros2_mcp.model.text import listed, visible
+from ros2_mcp.model.text import counted, listed, visible
 from ros2_mcp.ops.graph.status import NO_POLICY
 from ros2_mcp.programs import sandbox
 from ros2_mcp.robot.graph import Graph
@@ -97,7 +97,9 @@ async def _robot(graph: Graph) -> Finding:
     if absence := await graph.absence():
         return Finding(None, _ROBOT, absence)
     nodes = sorted({row.name for row in await graph.nodes() if is_of_robot(row.name)})
-    return Finding(True, _ROBOT, f"{len(nodes)} node(s) in domain {graph.domain_id}: {listed(nodes, _MAX_NODES)}")
+    return Finding(
+        True, _ROBOT, f"{counted(len(nodes), 'node')} in domain {graph.domain_id}: {listed(nodes, _MAX_NODES)}"
+    )
 
 
 def what_is_set(settings: Settings, env: Mapping[str, str]) -> Iterator[Finding]:

@@ -56,7 +56,7 @@ class Argument:
         except BadName as error:
             value, reason = None, error.message
         if value is None or (self.choices and value not in self.choices):
-            raise BadInput(f"Argument {self.name} is {text!r}.", f"{reason} Give {self.allowed()}.".strip())
+            raise BadInput(f"The argument {self.name} cannot be {text!r}.", f"{reason} Give {self.allowed()}.".strip())
         return value
 
     def allowed(self) -> str:
@@ -170,7 +170,7 @@ def values_of(
     declared = [argument.name for argument in arguments]
     for name in given:
         if name not in declared:
-            takes = f"It takes: {', '.join(declared)}." if declared else "It takes none."
+            takes = f"Its {word}s: {', '.join(declared)}." if declared else f"It has no {word}s."
             raise BadInput(f"{whose} has no {word} {name!r}.", names.did_you_mean(name, declared, takes))
     values: dict[str, Any] = {}
     for argument in arguments:

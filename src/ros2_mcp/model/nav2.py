@@ -51,13 +51,14 @@ _LOCALISE = "Check localisation: ros2_tf_lookup of the base in map; set the init
 _OCCUPIED_GOAL = "Choose a goal farther from obstacles; if nothing is there, clear the costmap."
 _OUTSIDE = "Give a pose on the map: ros2_get_map_as_image shows its extent."
 _FREE_START = "Drive the robot away from the obstacle; if nothing is there, clear the costmap."
-_NO_WAY = "Open the way, choose a goal on this side, or clear the costmap if what blocks it has gone."
-_MOVES = "See whether something blocks the base, whether its motors are on, and who else commands it."
+_NO_WAY = "Clear the way, choose a reachable goal, or clear the costmap if the obstacle has gone."
+_SERVERS_ACTIVE = "Check that all servers are active: ros2_lifecycle_state."
+_MOVES = "Check whether something blocks the base, its motors are on, and no other node commands it."
 
 _PLANNING: Mapping[int, ErrorCode] = {
     0: ErrorCode("UNKNOWN", "planning failed for a reason without a code", _SEE_LOG),
-    1: ErrorCode("INVALID_PLANNER", "there is no planner of that name", "Leave planner_id out."),
-    2: ErrorCode("TF_ERROR", "the planner did not get a transform that it needs", _LOCALISE),
+    1: ErrorCode("INVALID_PLANNER", "no planner has that name", "Leave planner_id out."),
+    2: ErrorCode("TF_ERROR", "the planner lacks a transform", _LOCALISE),
     3: ErrorCode("START_OUTSIDE_MAP", "the robot is outside the costmap", _LOCALISE),
     4: ErrorCode("GOAL_OUTSIDE_MAP", "the goal is outside the costmap", _OUTSIDE),
     5: ErrorCode("START_OCCUPIED", "the robot is in an occupied cell of the costmap", _FREE_START),
@@ -67,13 +68,17 @@ _PLANNING: Mapping[int, ErrorCode] = {
     9: ErrorCode("NO_VIAPOINTS_GIVEN", "no poses were given", "Give at least one pose."),
 }
 CODES: Mapping[int, ErrorCode] = {
-    1: ErrorCode("GOAL_REJECTED", "a server rejected the goal that it was sent", _SEE_LOG),
-    2: ErrorCode("SEND_GOAL_FAILURE", "a server could not be sent its goal", "See whether all servers are active."),
+    1: ErrorCode("GOAL_REJECTED", "a server rejected its goal", _SEE_LOG),
+    2: ErrorCode(
+        "SEND_GOAL_FAILURE",
+        "the goal could not be sent to a server",
+        _SERVERS_ACTIVE,
+    ),
     100: ErrorCode("UNKNOWN", "following the path failed for a reason without a code", _SEE_LOG),
-    101: ErrorCode("INVALID_CONTROLLER", "there is no controller of that name", "Check the behaviour tree."),
-    102: ErrorCode("TF_ERROR", "the controller did not get a transform that it needs", _LOCALISE),
+    101: ErrorCode("INVALID_CONTROLLER", "no controller has that name", "Check the behaviour tree."),
+    102: ErrorCode("TF_ERROR", "the controller lacks a transform", _LOCALISE),
     103: ErrorCode("INVALID_PATH", "the path to follow is not valid", _SEE_LOG),
-    104: ErrorCode("PATIENCE_EXCEEDED", "no valid velocity was found for too long", _MOVES),
+    104: ErrorCode("PATIENCE_EXCEEDED", "the controller found no valid velocity for too long", _MOVES),
     105: ErrorCode("FAILED_TO_MAKE_PROGRESS", "the robot made no progress", _MOVES),
     106: ErrorCode("NO_VALID_CONTROL", "every velocity would lead into an obstacle, or off the path", _MOVES),
     107: ErrorCode("CONTROLLER_TIMED_OUT", "the costmap was not updated in time", "Check whether the sensors publish."),
@@ -81,30 +86,38 @@ CODES: Mapping[int, ErrorCode] = {
     **{200 + code: meaning for code, meaning in _PLANNING.items()},
     **{300 + code: meaning for code, meaning in _PLANNING.items()},
     400: ErrorCode("UNKNOWN", "routing failed for a reason without a code", _SEE_LOG),
-    401: ErrorCode("TF_ERROR", "the route server did not get a transform that it needs", _LOCALISE),
-    402: ErrorCode("NO_VALID_GRAPH", "there is no valid graph of routes", "Load one into the route server."),
-    403: ErrorCode("INDETERMINANT_NODES_ON_GRAPH", "start or goal is not clear on the graph", "Name its nodes."),
+    401: ErrorCode("TF_ERROR", "the route server lacks a transform", _LOCALISE),
+    402: ErrorCode("NO_VALID_GRAPH", "the route server has no valid graph", "Load a graph into the route server."),
+    403: ErrorCode(
+        "INDETERMINANT_NODES_ON_GRAPH",
+        "start or goal matches no single node of the graph",
+        "Give the ids of the nodes.",
+    ),
     404: ErrorCode("TIMEOUT", "routing took too long", "Try a nearer goal."),
     405: ErrorCode("NO_VALID_ROUTE", "the graph has no route to the goal", _NO_WAY),
     500: ErrorCode("UNKNOWN", "smoothing failed for a reason without a code", _SEE_LOG),
-    501: ErrorCode("INVALID_SMOOTHER", "there is no smoother of that name", "Check the behaviour tree."),
+    501: ErrorCode("INVALID_SMOOTHER", "no smoother has that name", "Check the behaviour tree."),
     502: ErrorCode("TIMEOUT", "smoothing took too long", "Allow the smoother more time."),
     503: ErrorCode("SMOOTHED_PATH_IN_COLLISION", "the smoothed path touches an obstacle", _NO_WAY),
     504: ErrorCode("FAILED_TO_SMOOTH_PATH", "the path could not be smoothed", _SEE_LOG),
-    505: ErrorCode("INVALID_PATH", "the path that was to be smoothed is not valid", _SEE_LOG),
-    700: ErrorCode("UNKNOWN", "a turn on the spot failed for a reason without a code", _SEE_LOG),
-    701: ErrorCode("TIMEOUT", "a turn on the spot took too long", _MOVES),
-    702: ErrorCode("TF_ERROR", "a turn on the spot did not get a transform that it needs", _LOCALISE),
-    703: ErrorCode("COLLISION_AHEAD", "a turn on the spot would touch an obstacle", _FREE_START),
+    505: ErrorCode("INVALID_PATH", "the path to smooth is not valid", _SEE_LOG),
+    700: ErrorCode("UNKNOWN", "the turn on the spot failed for a reason without a code", _SEE_LOG),
+    701: ErrorCode("TIMEOUT", "the turn on the spot took too long", _MOVES),
+    702: ErrorCode("TF_ERROR", "the turn on the spot lacks a transform", _LOCALISE),
+    703: ErrorCode("COLLISION_AHEAD", "the turn on the spot would touch an obstacle", _FREE_START),
     711: ErrorCode("TIMEOUT", "backing up took too long", _MOVES),
-    712: ErrorCode("TF_ERROR", "backing up did not get a transform that it needs", _LOCALISE),
+    712: ErrorCode("TF_ERROR", "backing up lacks a transform", _LOCALISE),
     714: ErrorCode("COLLISION_AHEAD", "backing up would touch an obstacle", _FREE_START),
     721: ErrorCode("TIMEOUT", "driving on took too long", _MOVES),
     723: ErrorCode("COLLISION_AHEAD", "driving on would touch an obstacle", _FREE_START),
     9000: ErrorCode("UNKNOWN", "navigation failed for a reason without a code", _SEE_LOG),
     9001: ErrorCode("FAILED_TO_LOAD_BEHAVIOR_TREE", "the behaviour tree cannot be loaded", "Check its file."),
-    9002: ErrorCode("TF_ERROR", "the navigator did not get a transform that it needs", _LOCALISE),
-    9003: ErrorCode("TIMEOUT", "a server did not answer the navigator in time", "See whether all servers are active."),
+    9002: ErrorCode("TF_ERROR", "the navigator lacks a transform", _LOCALISE),
+    9003: ErrorCode(
+        "TIMEOUT",
+        "a server did not answer the navigator in time",
+        _SERVERS_ACTIVE,
+    ),
 }
 """Code → what it means. 0 is none."""
 

@@ -13,7 +13,7 @@ from anyio import to_thread
 from ros2_mcp.guard.chain import newest
 from ros2_mcp.guard.consent import Auditing
 from ros2_mcp.guard.policy import bounded
-from ros2_mcp.model.text import named, quoted
+from ros2_mcp.model.text import counted, named, quoted
 from ros2_mcp.ops.results import HIDDEN
 from ros2_mcp.robot import Robot
 
@@ -66,7 +66,7 @@ class AuditExcerpt:
 
     def summary(self) -> list[str]:
         """A line for each of the newest."""
-        return [f"{len(self.acts)} act(s) of this client in the audit, head {self.head}.", *self.shown]
+        return [f"{counted(len(self.acts), 'act')} of this client in the audit, head {self.head}.", *self.shown]
 
 
 async def read(robot: Robot, limit: int = 50) -> AuditExcerpt:

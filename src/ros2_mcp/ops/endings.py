@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from ros2_mcp.model.errors import LEASE, latch_set_by
+from ros2_mcp.model.text import counted
 from ros2_mcp.robot import Robot
 from ros2_mcp_bridge.protocol import EndedBy
 
@@ -29,14 +30,14 @@ def ended_by(reason: str) -> str:
 def held_back(count: int) -> str:
     """The sentence about messages that the bridge has not published."""
     return (
-        f"{count} message(s) were held back by the bridge: the policy does not let them out, or they are velocities "
-        "that are not finite or cannot be decoded."
+        f"The bridge held back {counted(count, 'message')}: forbidden by the policy, or velocities that are not finite "
+        "or cannot be decoded."
     )
 
 
 def limited(count: int) -> str:
     """The sentence about messages of which the bridge has published less."""
-    return f"{count} message(s) were sent slower than they were, to stay within the limits and ramps of the policy."
+    return f"The bridge reduced {counted(count, 'message')} to stay within the limits and ramps of the policy."
 
 
 def guarded(waited_s: float, problem: str) -> str:

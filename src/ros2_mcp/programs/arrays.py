@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast
 
 from ros2_mcp.model.aside import aside, load
 from ros2_mcp.model.errors import BadData, BadInput
+from ros2_mcp.model.text import counted
 from ros2_mcp.programs.declare import Use, function
 
 if TYPE_CHECKING:
@@ -212,8 +213,8 @@ async def unpack(
     needed = offset + (records - 1) * step + record.size
     if needed > size:
         raise BadInput(
-            f"robot.unpack: data has {size} bytes, and {needed} are needed: offset {offset}, {records} record(s) of "
-            f"{record.size} bytes, {step} apart."
+            f"robot.unpack: data has {size} bytes, and {needed} are needed: offset {offset}, "
+            f"{counted(records, 'record')} of {record.size} bytes, {step} apart."
         )
 
     def unpacked() -> list[Any]:

@@ -14,6 +14,7 @@ from ros2_mcp.guard.audit import called_through
 from ros2_mcp.model.errors import ApprovalNeeded, BadInput, Rehearsed, RobotError, Stopped
 from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.model.pictures import Picture
+from ros2_mcp.model.text import counted
 from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.results import Report, as_json, lines_of, silent
 from ros2_mcp.ops.sources.kinds import Sources
@@ -200,7 +201,7 @@ class Program(Job):
 
     def doing(self) -> str:
         """Its commands so far, and whose answer it waits for."""
-        told = "rehearsal" if self._is_rehearsal else f"{self.record.commands} command(s)"
+        told = "rehearsal" if self._is_rehearsal else counted(self.record.commands, "command")
         return f"{told}; {self.waits_for}" if self.waits_for else told
 
     async def end_own(self, reason: str = "its program") -> list[str]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, cast
 
 from ros2_mcp.model.errors import BadInput
-from ros2_mcp.model.text import quoted
+from ros2_mcp.model.text import counted, quoted
 from ros2_mcp.ops.results import HIDDEN, ON_REQUEST, SAID, Report, WithPictures, facts, silent
 from ros2_mcp.programs.crossing import crossed
 from ros2_mcp.programs.program import MOST_PRINTED, Done, Program, Programs, Record
@@ -68,7 +68,7 @@ class Ran(WithPictures):
         if self.error:  # of a program it may have what it read of the robot
             message = quoted(self.error.message) if self.outcome == "failed" else self.error.message
             why = f" at line {self.error.line}: {message}" if self.error.line else f": {message}"
-        did = f"{self.calls} call(s), {self.commands_given} command(s)"
+        did = f"{counted(self.calls, 'call')}, {counted(self.commands_given, 'command')}"
         return f"{self.outcome}{why} after {self.elapsed_s:g} s, {did}. {self.note}".rstrip()
 
 

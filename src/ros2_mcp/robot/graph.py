@@ -357,6 +357,12 @@ class Graph:
         hint = await self.near(topic, known, "ros2_topic_list")
         return NotFound(f"There is no topic {topic}: nobody publishes or subscribes to it.", hint)
 
+    async def missing(self, message: str, hint: str) -> NotFound:
+        """The error for a part of the robot that is not seen; where no robot is seen at all, it says that instead."""
+        if absence := await self.absence():
+            return NotFound(absence, "ros2_status shows domain and middleware.")
+        return NotFound(message, hint)
+
     async def near_topic(self, topic: str) -> str:
         """A hint for a topic that is not there: the one that was most likely meant; empty where none is near."""
         return names.did_you_mean(topic, _others(topic, [row.name for row in await self.topics()]))

@@ -64,18 +64,18 @@ class LocalPage:
             return _text(421, "This address is not served here.")
         origin = given.get(b"origin", [])
         if origin and origin != [b"http://" + host[0]]:
-            return _text(403, "Another page may not ask.")
+            return _text(403, "Requests from other pages are refused.")
         method, path = scope["method"], scope["path"]
         if method == "GET" and path == "/":
             policy = {b"content-security-policy": page().policy.encode("ascii")}
             return 200, page().html, {b"content-type": b"text/html; charset=utf-8", **policy}
         if path not in ("/call", "/stop"):
-            return _text(404, "There is nothing here.")
+            return _text(404, "Not found.")
         if method != "POST":
-            return _text(405, "This is asked by POST.")
+            return _text(405, "Use POST.")
         shown = given.get(TOKEN_HEADER, [])
         if len(shown) != 1 or not hmac.compare_digest(shown[0], self._token):
-            return _text(401, "This needs the token of the address that ros2-mcp view has printed.")
+            return _text(401, "Use the address with its token, as ros2-mcp view printed it.")
         if not origin or given.get(b"content-type") != [b"application/json"]:  # a form cannot send either
             return _text(403, "Only the page asks.")
         return await self._asked(path, receive)
@@ -83,7 +83,7 @@ class LocalPage:
     async def _asked(self, path: str, receive: Receive) -> Answer:
         body = await _body(receive)
         if body is None:
-            return _text(413, "A page asks for less.")
+            return _text(413, "The request is too large.")
         if path == "/stop":  # whatever the body is
             return _json(200, await self._views.stop())
         try:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from ros2_mcp.model.text import listed, named
+from ros2_mcp.model.text import counted, listed, named
 from ros2_mcp.ops.view.look import Content
 
 _MOST_NAMED = 5
@@ -75,9 +75,9 @@ def _space(content: Content) -> str:
     parts = [
         f"in {named(str(content['frame']))}",
         f"{cloud['count']} points of {named(str(cloud['name']))}" if cloud else "no cloud",
-        f"{len(content.get('scans') or ())} scan(s)",
+        counted(len(content.get("scans") or ()), "scan"),
         f"{model['shapes']} shapes of the robot" if model else "",
-        f"{content['markers']['count']} marker(s)" if content.get("markers") else "",
+        counted(content["markers"]["count"], "marker") if content.get("markers") else "",
     ]
     return ", ".join(filter(None, parts))
 

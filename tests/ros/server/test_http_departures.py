@@ -430,7 +430,7 @@ def test_a_repeat_of_a_stopped_client_stands_after_ten_seconds(field: Field, cli
 
 
 @pytest.mark.promise("README", "A repeat of motion lasts at most 10 s")
-@pytest.mark.promise("README", "unless its client asks for something or answers a ping meanwhile")
+@pytest.mark.promise("README", "unless its client sends a request or answers a ping meanwhile")
 @pytest.mark.promise("stopping", "and by an answered ping")
 @pytest.mark.promise("stopping", "a client over HTTP hangs with its connection open")
 async def test_a_repeat_outlasts_ten_seconds_only_where_its_client_answers_pings(

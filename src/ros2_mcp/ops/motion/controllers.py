@@ -48,8 +48,9 @@ async def controller_for(robot: Robot, joints: Sequence[str], given: str = "") -
     """
     found = await _all(robot)
     if not found:
-        raise NotFound(
-            f"There is no joint trajectory controller: no action is a {FOLLOW}, and nobody listens to a {TRAJECTORY}.",
+        raise await robot.graph.missing(
+            f"There is no joint trajectory controller: no action has the type {FOLLOW}, and no topic of type "
+            f"{TRAJECTORY} has a subscriber.",
             "ros2_list_actions and ros2_topic_list show what there is.",
         )
     if given:

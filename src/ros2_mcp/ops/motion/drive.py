@@ -10,7 +10,7 @@ from typing import Any, Literal, cast
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model.commands import Move, Moved
 from ros2_mcp.model.errors import BadInput
-from ros2_mcp.model.text import named
+from ros2_mcp.model.text import counted, named
 from ros2_mcp.ops.endings import ended_by, guarded, limited
 from ros2_mcp.ops.motion.body import body_of
 from ros2_mcp.ops.motion.find import Found, command_input, first_message, header_frame, mount_of, odometry_of, scan_of
@@ -239,7 +239,7 @@ def _driven(
     notes = [
         ended_by(reason) if reason else "",
         moved.why,
-        f"Corrected {corrections} time(s)." if corrections else "",
+        f"It made {counted(corrections, 'correction')}." if corrections else "",
         f"It paused for {told['paused_s']:g} s because a topic was late." if told.get("paused_s") else "",
         limited(sent.limited) if sent.limited else "",
         guarded(sent.stopper_s, sent.unguarded),

@@ -123,15 +123,15 @@ async def _published(
     within = f"{beside.rpartition('/')[0]}/" if beside else "/"
     near = [topic for topic in topics if topic.startswith(within)]
     beside_it = next((within + name for name in usual if within + name in near), "")
+    if not topics:
+        raise await robot.graph.missing(
+            f"No {what} was found in the graph.", f"Give it as {argument}; ros2_topic_list shows the topics."
+        )
     return Found(beside_it or _only(what, argument, near or topics, usual), type_name)
 
 
 def _only(what: str, argument: str, topics: Sequence[str], usual: Sequence[str]) -> str:
     """The only topic, or the only one that is called as usual."""
-    if not topics:
-        raise NotFound(
-            f"No {what} was found in the graph.", f"Give it as {argument}; ros2_topic_list shows the topics."
-        )
     for name in usual:
         called = [topic for topic in topics if topic.endswith(f"/{name}")]
         if len(called) == 1:

@@ -67,7 +67,7 @@ async def joint_states(robot: Robot) -> AsyncGenerator[JointStates, None]:
     rows = await robot.graph.topics()
     topics = sorted(row.name for row in rows if JOINT_STATE in row.types and row.publishers)[:_MOST_TOPICS]
     if not topics:
-        raise NotFound(
+        raise await robot.graph.missing(
             f"Nobody publishes joint states ({JOINT_STATE}): the joints' positions are unknown.",
             "Start the robot's joint state broadcaster.",
         )

@@ -200,8 +200,8 @@ def _result(command: Move, moved: Moved, reason: str, known: str) -> MovedUntil:
     if told["met"] and not sent.sent:
         notes.append("The condition was met already: nothing was sent.")
     if told["undecided"]:
-        of = f"Of {told['undecided']} of {told['looked_at']} message(s) it cannot be said"
-        notes.append(f"{of}: {quoted(told['why_undecided'])}." if told["why_undecided"] else f"{of}.")
+        undecided = f"The condition could not be evaluated for {told['undecided']} of {told['looked_at']} messages"
+        notes.append(f"{undecided}{f': {quoted(why)}' if (why := told['why_undecided']) else ''}.")
     if told["paused_s"]:
         notes.append(f"It paused for {told['paused_s']:.1f} s while a topic was late.")
     if sent.limited:

@@ -319,7 +319,7 @@ async def action_of(robot: Robot, kind: str, given: str = "") -> str:
     """The action of that type: the given one, or the only one.
 
     Raises:
-        NotFound: if there is none; tells what there is.
+        NotFound: if there is none; names the others, or says that there is no robot.
         TypeConflict: if the given one has another type, or there are several and none is given.
     """
     actions = await robot.types.actions()
@@ -332,8 +332,9 @@ async def action_of(robot: Robot, kind: str, given: str = "") -> str:
         return found[0]
     if found:
         raise TypeConflict(f"Several actions have the type {kind}: {listed(found, 5)}.", "Give action_name.")
-    others = f" There is {listed(sorted(actions), 5)}: ros2_send_action_goal." if actions else ""
-    raise NotFound(
-        f"There is no action of type {kind}: Nav2 does not run here, or is not configured yet.{others}",
+    others = f" Other actions: {listed(sorted(actions), 5)}; ros2_send_action_goal sends them goals." if actions else ""
+    raise await robot.graph.missing(
+        f"There is no action of type {kind}: no server of that type is seen. Nav2 is not running, or not configured."
+        f"{others}",
         "ros2_lifecycle_state shows whether its servers are configured.",
     )

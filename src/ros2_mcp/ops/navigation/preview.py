@@ -15,7 +15,7 @@ from ros2_mcp.model.costs import Narrowest, cost_in_words
 from ros2_mcp.model.errors import BadInput, RobotError
 from ros2_mcp.model.goals import STATUS, goal_id_bytes
 from ros2_mcp.model.nav2 import COMPUTE_PATH
-from ros2_mcp.model.text import named
+from ros2_mcp.model.text import counted, named
 from ros2_mcp.ops.actions.send_goal import send_goal
 from ros2_mcp.ops.navigation.explain import Explanation, Failure, error_in_words, explain
 from ros2_mcp.ops.navigation.navigate import action_of
@@ -75,7 +75,8 @@ class Preview(WithPictures):
             dearest = f"; its dearest place is {self.dearest}" if self.dearest else ""
             narrowest = f" {self.narrowest[0].upper()}{self.narrowest[1:]}." if self.narrowest else ""
             return [
-                f"A path of {self.length_m:.2f} m ({self.straight_m:.2f} m straight), {self.turns} turn(s){dearest}."
+                f"A path of {self.length_m:.2f} m ({self.straight_m:.2f} m straight), "
+                f"{counted(self.turns, 'turn')}{dearest}."
                 f"{narrowest} Nothing moved. {self.note}".rstrip()
             ]
         why = self.explanation

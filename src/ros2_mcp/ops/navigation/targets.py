@@ -9,7 +9,7 @@ from typing import Any, cast
 
 from ros2_mcp.model.errors import BadInput, BadValue
 from ros2_mcp.model.names import did_you_mean
-from ros2_mcp.model.text import quoted
+from ros2_mcp.model.text import excerpt, quoted
 from ros2_mcp.robot.places import Places
 
 MOST_TARGETS = 100
@@ -65,27 +65,27 @@ def targets_of(to: object, places: Places) -> Sequence[Target]:
     if isinstance(to, list):
         several = cast("list[object]", to)
         if not several or len(several) > MOST_TARGETS:
-            raise BadInput(f"A list of places has 1 to {MOST_TARGETS}, this one has {len(several)}.", _HINT)
+            raise BadInput(f"Give 1 to {MOST_TARGETS} places; this list has {len(several)}.", _HINT)
         return [_target(one, places) for one in several]
     return [_target(to, places)]
 
 
 def _target(to: object, places: Places) -> Target:
     if not isinstance(to, Mapping):
-        raise BadInput("That is no place to go to.", _HINT)
+        raise BadInput(f"{excerpt(to)} is not a place.", _HINT)
     given = cast("Mapping[str, object]", to)
     if isinstance(name := given.get("place"), str) and len(given) == 1:
         place = places.find(name)
         return Target(place.name, place.frame, place.x_m, place.y_m, place.yaw_rad)
     for key in given:
         if key not in _KEYS:
-            raise BadInput(f"A pose has no {quoted(str(key))}.", did_you_mean(str(key), list(_KEYS), _HINT))
+            raise BadInput(f"A pose has no field {quoted(str(key))}.", did_you_mean(str(key), list(_KEYS), _HINT))
     if "x" not in given or "y" not in given:
         raise BadInput("A pose needs x and y.", _HINT)
     yaw = given.get("yaw_deg")
     frame = given.get("frame", MAP_FRAME)
     if not isinstance(frame, str) or not frame.strip():
-        raise BadValue("frame", "it is the name of a coordinate frame.", _HINT)
+        raise BadValue("frame", "the name of a coordinate frame is expected.", _HINT)
     return Target(
         "",
         frame.strip().lstrip("/"),
@@ -99,5 +99,5 @@ def _number(key: str, value: object) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
         raise BadValue(key, "a finite number is expected.", _HINT)
     if abs(value) > _FARTHEST_M:
-        raise BadValue(key, f"{value:g} is farther than any robot goes.", _HINT)
+        raise BadValue(key, f"{value:g} m is too far: the limit is {_FARTHEST_M:g} m.", _HINT)
     return float(value)

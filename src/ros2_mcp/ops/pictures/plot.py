@@ -11,6 +11,7 @@ from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadInput, NotFound
 from ros2_mcp.model.pictures import MAX_SIDE
+from ros2_mcp.model.text import counted
 from ros2_mcp.model.times import seconds_in
 from ros2_mcp.ops.results import IF_ANY, SAID, Report, WithPictures, facts, iso_time, silent
 from ros2_mcp.ops.sources.source import Capture, Missing, Source, Stream
@@ -77,7 +78,7 @@ class Plot(WithPictures):
     def summary(self) -> list[str]:
         """A line for each series."""
         lines = [
-            f"{one.name}: {one.count} value(s), {_number(one.min)} to {_number(one.max)}, "
+            f"{one.name}: {counted(one.count, 'value')}, {_number(one.min)} to {_number(one.max)}, "
             f"mean {_number(one.mean)}, last {_number(one.last)} {one.unit}".rstrip()
             for one in self.series
         ]

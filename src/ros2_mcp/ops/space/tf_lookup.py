@@ -14,7 +14,7 @@ from ros2_mcp.codec.transforms import OTHER_CLOCK_NS, FrameTree, Located
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model.errors import BadInput, BadValue, NoTransform
 from ros2_mcp.model.poses import Pose, angle_between_rad, mean_of, normalised, product
-from ros2_mcp.model.text import named, quoted
+from ros2_mcp.model.text import counted, named, quoted
 from ros2_mcp.ops.results import EXACT, ON_REQUEST, SAID, Report, microseconds, reporting, silent
 from ros2_mcp.ops.sources.selection import undecodable
 from ros2_mcp.ops.sources.source import Source
@@ -283,7 +283,7 @@ async def _more_of(source: Source, error: NoTransform, tree: FrameTree, names: S
         if edge.refused and edge.refused not in error.message
     ][:_MOST_TOLD]
     if tree.nameless:
-        more.append(f"{tree.nameless} transform(s) came whose frame has no name (child_frame_id is empty).")
+        more.append(f"{counted(tree.nameless, 'transform')} came with an empty child_frame_id.")
     if error.reason == "two trees" and (pair := alike(tree, names[1], names[0])):
         concerned = [edge for edge in tree.edges.values() if {edge.child, *edge.parents} & set(pair)]
         who = [(edge, tellers.by_whom(edge, edge.parents[-1])) for edge in concerned if edge.parents]

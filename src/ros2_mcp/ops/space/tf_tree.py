@@ -13,7 +13,7 @@ from ros2_mcp.model.aside import load
 from ros2_mcp.model.errors import NotFound, NoTransform
 from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.model.pictures import BOUNDS, Picture
-from ros2_mcp.model.text import is_name, named
+from ros2_mcp.model.text import counted, is_name, named
 from ros2_mcp.ops.results import HIDDEN, IF_ANY, SAID, Report, WithPictures, facts, reporting, silent
 from ros2_mcp.ops.sources.selection import undecodable
 from ros2_mcp.ops.sources.source import Source
@@ -60,7 +60,7 @@ class Tree(WithPictures):
         """What is wrong, then the tree."""
         count = len(self.roots) - self.disputed
         trees = f"{count} trees" if count != 1 else "one tree"
-        health = f"{len(self.problems)} problem(s)" if self.problems else "healthy"
+        health = counted(len(self.problems), "problem") if self.problems else "healthy"
         more = len(self.lines) - _MOST_LINES
         left_out = [f"… and {more} more frames: give one as frame to see what is below it."] if more > 0 else []
         lines = [f"{self.frames} frames in {trees}, {health}.", *self.problems, *self.lines[:_MOST_LINES], *left_out]
@@ -86,7 +86,7 @@ async def tf_tree(
         absence = (await source.graph()).absence
         found = [*unheard, *wrong, *harmless, *([absence] if absence else [])]
         said = " ".join(found) or "Nothing was received on /tf or /tf_static."
-        raise NoTransform("never published", f"No transform is known at all. {said}")
+        raise NoTransform("never published", f"No transform has been received. {said}")
     top = frame.strip().lstrip("/")
     if top and top not in tree.frames:
         raise NotFound(f"No transform names the frame {named(top)}.", did_you_mean(top, list(tree.frames)))
@@ -220,7 +220,7 @@ def _gaps(source: Source, tree: FrameTree, walk: Sequence[tuple[str, int]]) -> l
 def _note(tree: FrameTree) -> list[str]:
     notes = [undecodable(tree.damaged, tree.trouble)] if tree.damaged else []
     if tree.left_out:
-        notes.append(f"{tree.left_out} transform(s) of further frames or frames without a name are left out.")
+        notes.append(f"Left out: {counted(tree.left_out, 'transform')} of further frames or frames without a name.")
     return notes
 
 

@@ -75,7 +75,7 @@ class StoppedAll:
             [one for one in self.servers if one.is_doubted],
         )
         if doubted and all(one.is_observed_still for one in doubted):
-            verdict = "The robot was seen to stand, but that is NOT confirmed"
+            verdict = "The robot appears to stand still, but this is NOT confirmed"
         elif doubted or len(answered) < len(self.servers):
             verdict = "The robot MAY STILL MOVE: look at it"
         else:

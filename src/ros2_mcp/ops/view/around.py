@@ -40,7 +40,7 @@ class MapPanel(Panel):
         request = SceneRequest(grid=look.chosen if look.chosen in grids else "")
         found = await gather(look.robot, look.source, request)
         if not found.frame:
-            return {"grids": grids, "why": "There is nothing to draw: no map, scan, path or transform comes."}
+            return {"grids": grids, "why": "There is nothing to draw: no map, scan, path or transform was received."}
         at = found.robot
         robot = at and {
             "x": round(at.x_m, 4),

@@ -27,7 +27,7 @@ class FramesPanel(Panel):
         left_out = len(tree.edges) - _MOST_EDGES
         notes = [tree.note] if tree.note else []
         if left_out > 0:
-            notes.append(f"{left_out} frames more are not shown.")
+            notes.append(f"{left_out} more frames are not shown.")
         return {
             "frames": tree.frames,
             "roots": list(tree.roots[:_MOST_EDGES]),

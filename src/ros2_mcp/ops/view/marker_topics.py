@@ -17,7 +17,7 @@ from ros2_mcp.codec.transforms import FrameTree
 from ros2_mcp.model.aside import aside
 from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.poses import Pose
-from ros2_mcp.model.text import named
+from ros2_mcp.model.text import counted, named
 from ros2_mcp.ops.view.look import Chunks, Look
 from ros2_mcp.ops.view.markers import MARKER, MARKER_ARRAY, Marker, MarkersOfTopic
 from ros2_mcp.robot import Robot
@@ -115,7 +115,7 @@ class MarkerTopics:
                     unplaced[marker.frame] = unplaced.get(marker.frame, 0) + 1
             for of_frame, count in list(unplaced.items())[:2]:
                 why = f"no transform leads from {named(of_frame)} to {named(frame)}."
-                missing.append(f"{named(topic.markers.topic)}: {count} marker(s) are not drawn: {why}")
+                missing.append(f"{named(topic.markers.topic)}: {counted(count, 'marker')} not drawn: {why}")
         received = [topic.markers.received_ns for topic in topics if topic.markers.received_ns]
         if not rows:
             return None
@@ -133,7 +133,7 @@ class MarkerTopics:
                     topic = self._topics[name] = _Followed(kind, MarkersOfTopic(name))
                 found.append(topic)
         for topic in found[_MOST_TOPICS:]:
-            missing.append(f"{named(topic.markers.topic)} is not shown: only {_MOST_TOPICS} topics of markers are.")
+            missing.append(f"{named(topic.markers.topic)} is not shown: the limit is {_MOST_TOPICS} marker topics.")
         for topic in found[:_MOST_TOPICS]:
             topic.looked_at = monotonic()
             if not look.source.is_live:

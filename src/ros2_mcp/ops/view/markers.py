@@ -84,7 +84,7 @@ class MarkersOfTopic:
         if len(self.refused) > len(found):
             found.append(f"{named(self.topic)}: {len(self.refused) - len(found)} more markers are not drawn.")
         if self.left_out:
-            found.append(f"{named(self.topic)}: of its markers only {MOST_MARKERS} are drawn.")
+            found.append(f"{named(self.topic)}: only {MOST_MARKERS} of its markers are drawn.")
         return found
 
     def _one(self, one: Any, received_ns: int) -> None:
@@ -98,7 +98,7 @@ class MarkersOfTopic:
         self._forget(key)
         if one.action == _DELETE:
             return
-        why = f"has the action {one.action}, which there is not" if one.action != _ADD else _why_not(one)
+        why = f"has the action {one.action}, which does not exist" if one.action != _ADD else _why_not(one)
         if why:
             if len(self.refused) < MOST_MARKERS:
                 self.refused[key] = why
@@ -119,13 +119,13 @@ def _called(key: tuple[str, int]) -> str:
 def _why_not(one: Any) -> str:
     """Why a marker cannot be drawn; empty where it can."""
     if not 0 <= one.type < len(KINDS):
-        return f"has the type {one.type}, which there is not"
+        return f"has the type {one.type}, which does not exist"
     place, turn = one.pose.position, one.pose.orientation
     numbers = (place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w, one.scale.x, one.scale.y, one.scale.z)
     if not all(math.isfinite(value) and abs(value) < _FARTHEST for value in numbers):
-        return "has a pose or size that is no number, or is too large"
+        return "has a pose or size that is not finite or is too large"
     if not all(math.isfinite(part) for part in (one.color.r, one.color.g, one.color.b, one.color.a)):
-        return "has a colour that is no number"
+        return "has a colour that is not finite"
     count = len(one.points)
     if count < _LEAST_POINTS.get(one.type, 0) or (one.type == 0 and count == 1):
         return f"({KINDS[one.type]}) has only {count} points"

@@ -92,10 +92,10 @@ def file_of(name: str, prefixes: Sequence[Path]) -> Path:
     """
     kind, _, rest = name.partition("://")
     if len(name) > _MOST_NAME or kind not in ("package", "file") or "\0" in name:
-        raise BadData("It is named in a way that is not read (package:// and file:// are).")
+        raise BadData("Only package:// and file:// addresses are read.")
     parts = PurePosixPath(unquote(rest)).parts
     if ".." in parts or not parts or Path(parts[-1]).suffix.lower() not in _SUFFIXES:
-        raise BadData(f"It is no path of a mesh ({', '.join(_SUFFIXES)}).")
+        raise BadData(f"It is not the path of a mesh ({', '.join(_SUFFIXES)}).")
     if kind == "file":
         path = Path(*parts)
         if not path.is_absolute() or not path.is_file():

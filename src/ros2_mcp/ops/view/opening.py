@@ -22,8 +22,8 @@ _PANELS: Mapping[str, str] = {
 """Type of a topic → the panel that shows it; any other is shown by its values."""
 _KINDS: Mapping[str, str] = {"image": "image", "pointcloud": "cloud", "plot": "plot"}
 _OTHERS = (
-    "It is a page of its own: {others} open already and not changed. What an open page shows its user changes by the "
-    "names in the heads of its panels."
+    "This is a new page: {others} open already and unchanged. On an open page, the user selects what it shows in the "
+    "heads of its panels."
 )
 
 
@@ -87,7 +87,7 @@ async def opened(
     if shows_pages:
         line = f"Your user sees the page beside the chat: {subject}{chosen}, with a stop button."
         note = _OTHERS.format(others="1 page is" if others == 1 else f"{others} pages are") if others else ""
-        return replace(told, lines=[line, "ros2_view_state tells what they look at and have picked."], note=note)
+        return replace(told, lines=[line, "ros2_view_state reports what they look at and have picked."], note=note)
     bag = f" --bag {shlex.quote(request.bag)}" if request.bag else ""
     how = f"This client shows no pages. Your user sees {subject} in a browser with: ros2-mcp view{bag}"
     where = "in a terminal of the server's machine, with the options of this server that say which robot."

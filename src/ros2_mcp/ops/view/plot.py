@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, cast
 from ros2_mcp.model.aside import aside
 from ros2_mcp.model.errors import BadData, NotFound
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.model.text import named
+from ros2_mcp.model.text import counted, named
 from ros2_mcp.ops.view.look import Content, Look, Panel, Shown
 from ros2_mcp.ops.view.values import first_topic
 
@@ -144,7 +144,7 @@ class PlotPanel(Panel):
     async def _take(self, codec: Codec, sample: Sample) -> None:
         await aside(sample.size, self._rows.add, codec, sample)
         if not self._rows.units:
-            raise NotFound(f"{named(self._rows.topic)} is a {named(self._rows.kind)}, which has no numbers to draw.")
+            raise NotFound(f"{named(self._rows.topic)} is a {named(self._rows.kind)}, which has no numbers to plot.")
 
     async def _recorded(self, look: Look, topic: str) -> Content:
         begin_ns, end_ns = look.source.covers_ns or (0, 0)
@@ -169,9 +169,9 @@ class PlotPanel(Panel):
                 await asyncio.sleep(0)
         self._rows.forget(begin_ns / 1e9)
         self._read_ns = begin_ns, end_ns
-        notes = [f"{damaged} message(s) cannot be decoded."] if damaged else []
+        notes = [f"{counted(damaged, 'message')} could not be decoded."] if damaged else []
         if not self._rows.times:
-            return {"topic": topic, "why": f"Nothing was recorded of {named(topic)} in the minute before."}
+            return {"topic": topic, "why": f"The recording has no message of {named(topic)} in the minute before."}
         return {**self._rows.told(), "whole": True, "rate_hz": None, "notes": notes}
 
 

@@ -68,7 +68,7 @@ class SpacePanel(Panel):
         try:
             tree = await frames_of(source, until=lambda tree: bool(tree.frames), patience_s=1.0)
         except RobotError as error:
-            missing.append(f"Without transforms only what is in one frame is shown: {error.message}")
+            missing.append(f"Without transforms, only data in one frame is shown: {error.message}")
             tree = FrameTree()
         frame = _frame_of(tree, [one.message.header.frame_id for one in found if one])
         placed = [
@@ -153,7 +153,7 @@ class SpacePanel(Panel):
         missing += _without(urdf, self._meshes) if self._is_read else ["The robot's meshes are being read."]
         if hidden := sum(1 for shape in shapes if shape["kind"] == _OUTLINE):
             links = "1 link" if hidden == 1 else f"{hidden} links"
-            missing.append(f"The robot's shape is missing of {links}: an outline stands where each is.")
+            missing.append(f"The shapes of {links} are missing: outlines are drawn instead.")
         of = hashlib.sha256(json.dumps(shapes).encode()).hexdigest()[:32]
         if self._model[0] != of or self._chunks.find(of) is None:
             self._chunks.keep(of, await asyncio.to_thread(_compressed, shapes), "model")

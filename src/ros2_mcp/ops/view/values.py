@@ -86,8 +86,8 @@ class LogPanel(Panel):
         try:
             lines = (await log.read_recorded(part, request, _MOST_LINE_BYTES)).lines
         except NotFound:
-            return {"lines": [], "why": "The recording has no /rosout: what nodes said was not recorded."}
-        why = {} if lines else {"why": "No node said anything of level INFO or above in the minute before this time."}
+            return {"lines": [], "why": "The recording has no /rosout: the log of the nodes was not recorded."}
+        why = {} if lines else {"why": "No node logged a line at INFO or above in the minute before this time."}
         return {"lines": as_json(lines), **why}
 
     async def _live(self, look: Look) -> list[log.LogLine]:
