@@ -9,16 +9,12 @@ Whatever cannot be judged fails: a field that is not there, a text where a numbe
 from __future__ import annotations
 
 import math
-import re
-import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, cast
+from typing import Any
 
-from .limits import MAX_JUDGED_ELEMENTS
+from .field_values import Unfit, at, fields_of, get, is_list, number_at, number_of, numbers, steps_of, with_frame_ids
 
-_FLOAT32 = struct.Struct("<f")
-_LARGE_INTEGER = re.compile(r"-?[0-9]{16,20}")
 # A scaled vector is this much shorter than its limit, so that rounding to float32 (6e-8) leaves it within.
 _WITHIN = 1 - 1e-6
 # The limits of a trajectory hold for rounded times, too: a nanosecond of one second.
@@ -69,10 +65,6 @@ class Checks:
         return not (self.norm or self.range or self.one_of or self.zero or self.count or self.zone or self.pace)
 
 
-class _Unfit(Exception):
-    """A value has no such field, or none that can be judged."""
-
-
 # ── judging ────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
@@ -80,7 +72,7 @@ def problem(checks: Checks, value: Any, zones: Mapping[str, Zone]) -> str:
     """What of a value is beyond its limits, in words that begin with the path; empty if nothing is."""
     try:
         return next(_problems(checks, value, zones), "")
-    except _Unfit as unfit:
+    except Unfit as unfit:
         return str(unfit)
 
 
@@ -90,7 +82,7 @@ def _problems(checks: Checks, value: Any, zones: Mapping[str, Zone]) -> Iterator
             for shown, found in at(value, path):
                 yield from judge(shown, found, bound)
     for path, name in checks.zone.items():
-        for shown, found, frame_id in _with_frame_ids(value, path):
+        for shown, found, frame_id in with_frame_ids(value, path):
             if reason := outside(found, frame_id, zones[name]):
                 yield f"{shown or 'the position'} {reason} (zone {name})"
 
@@ -127,7 +119,7 @@ def _none_of(shown: str, found: Any, allowed: tuple[Any, ...]) -> Iterator[str]:
 
 def _too_many(shown: str, found: Any, bounds: tuple[int, int]) -> Iterator[str]:
     fewest, most = bounds
-    many = len(found) if _is_list(found) else -1
+    many = len(found) if is_list(found) else -1
     if not fewest <= many <= most:
         yield f"{shown} has {many} elements, {fewest} to {most} are allowed"
 
@@ -158,7 +150,7 @@ def outside(position: Any, frame_id: str, zone: Zone) -> str:
             position = get(position, step)
     if "pose" in fields_of(position):  # of a pose with covariance
         position = get(get(position, "pose"), "position")
-    x, y = (_number(position, axis, axis) for axis in ("x", "y"))
+    x, y = (number_at(position, axis, axis) for axis in ("x", "y"))
     if not (math.isfinite(x) and math.isfinite(y)):
         return "is no finite position"
     if not _is_inside(x, y, zone.polygon):
@@ -191,15 +183,15 @@ def _distance(x: float, y: float, one: tuple[float, float], other: tuple[float, 
 
 
 def _too_fast(shown: str, points: Any, pace: Pace) -> Iterator[str]:
-    if not _is_list(points) or not len(points):
+    if not is_list(points) or not len(points):
         yield f"{shown} has no points"
         return
     before_s, before = 0.0, None
     for place, point in enumerate(points):
         here = f"{shown}[{place}]"
         start = get(point, "time_from_start")
-        now_s = _number(start, "sec", here) + _number(start, "nanosec", here) / 1e9
-        now = [_element(number, here) for number in get(point, "positions")]
+        now_s = number_at(start, "sec", here) + number_at(start, "nanosec", here) / 1e9
+        now = [number_of(number, here) for number in get(point, "positions")]
         if before is None:
             if not now_s * _ROUNDING >= pace.first_s:
                 yield f"{here} comes after {now_s:g} s, at least {pace.first_s:g} s is needed for the way there"
@@ -211,124 +203,6 @@ def _too_fast(shown: str, points: Any, pace: Pace) -> Iterator[str]:
                 if not abs(place_now - before[joint]) <= most:
                     yield f"{here}.positions[{joint}] is reached faster than {pace.most:g} per second"
         before_s, before = now_s, now
-
-
-# ── fields of JSON objects and of messages ─────────────────────────────────────────────────────────────────────────
-
-
-def fields_of(value: Any) -> Sequence[str]:
-    """The names of the fields of a JSON object or a message; none of anything else."""
-    if isinstance(value, Mapping):
-        return list(cast("Mapping[str, Any]", value))
-    return list(value.get_fields_and_field_types()) if hasattr(value, "get_fields_and_field_types") else ()
-
-
-def get(value: Any, name: str) -> Any:
-    """One field; raises `_Unfit` where there is none."""
-    if name not in fields_of(value):
-        raise _Unfit(f"there is no field {name}, which has a limit")
-    return cast("Mapping[str, Any]", value)[name] if isinstance(value, Mapping) else getattr(value, name)
-
-
-def _put(value: Any, name: str, changed: Any) -> None:
-    if isinstance(value, dict):
-        value[name] = changed
-    else:
-        setattr(value, name, changed)
-
-
-def at(value: Any, path: str) -> Iterator[tuple[str, Any]]:
-    """Every field that a path names, with its own path, in which each `[]` has its place: `points[3].velocities[0]`."""
-    return ((shown, found) for shown, found, _ in _with_frame_ids(value, path))
-
-
-def _with_frame_ids(value: Any, path: str) -> Iterator[tuple[str, Any, str]]:
-    """The same, each with the frame that the header nearest above it names; empty where there is none."""
-    steps = _steps(value, path)
-    found = [("", value, _frame_id_of(value))]
-    for step in steps:
-        found = [after for before in found for after in _after(*before, step)]
-    return iter(found)
-
-
-def _after(shown: str, value: Any, frame_id: str, step: str) -> Iterator[tuple[str, Any, str]]:
-    """What one step of a path leads to."""
-    if step == "[]":
-        if not _is_list(value):
-            raise _Unfit(f"{shown} is no list, and its elements have a limit")
-        for place, element in _elements(value, shown):
-            yield f"{shown}[{place}]", element, _frame_id_of(element) or frame_id
-        return
-    below = get(value, step)
-    yield f"{shown}.{step}".lstrip("."), _meant(value, step, below), _frame_id_of(below) or frame_id
-
-
-def _steps(value: Any, path: str) -> list[str]:
-    """The steps of a path from this value: `["points", "[]", "velocities"]`, with the one that may be left out."""
-    steps = [step for step in path.replace("[]", ".[]").split(".") if step]
-    present = fields_of(value)
-    if steps and steps[0] not in present and len(present) == 2 and "header" in present:
-        steps.insert(0, next(name for name in present if name != "header"))
-    return steps
-
-
-def _frame_id_of(value: Any) -> str:
-    if "header" not in fields_of(value):
-        return ""
-    header = get(value, "header")
-    return str(get(header, "frame_id")) if "frame_id" in fields_of(header) else ""
-
-
-def _is_list(value: Any) -> bool:
-    """Lists, and the arrays in which rclpy keeps numbers; a text is none, nor are bytes."""
-    return hasattr(value, "__len__") and hasattr(value, "__getitem__") and not isinstance(value, (str, bytes, Mapping))
-
-
-def numbers(value: Any, path: str) -> Iterator[tuple[str, float]]:
-    """Every number at or below a path, with its own; raises `_Unfit` for anything else."""
-    if names := fields_of(value):
-        for name in names:
-            yield from numbers(_meant(value, name, get(value, name)), f"{path}.{name}".lstrip("."))
-    elif _is_list(value):
-        for place, element in _elements(value, path):
-            yield from numbers(element, f"{path}[{place}]")
-    else:
-        yield path, _element(value, path)
-
-
-def _elements(value: Any, path: str) -> Iterator[tuple[int, Any]]:
-    """What is in a list, with its places; raises `_Unfit` for more than can be judged in time."""
-    if len(value) > MAX_JUDGED_ELEMENTS:
-        raise _Unfit(f"{path} has {len(value)} elements, more than the {MAX_JUDGED_ELEMENTS} that are judged")
-    return cast("Iterator[tuple[int, Any]]", enumerate(value))
-
-
-def _number(value: Any, name: str, path: str) -> float:
-    return _element(_meant(value, name, get(value, name)), path)
-
-
-def _element(value: Any, path: str) -> float:
-    """A number; a text that the server shows in the place of one is one, too, and NaN where it is not finite."""
-    if isinstance(value, str) and _LARGE_INTEGER.fullmatch(value):
-        return float(int(value))
-    if isinstance(value, str) and value in ("nan", "inf", "-inf"):
-        return math.nan
-    if isinstance(value, (bool, str)) or not hasattr(value, "__float__"):
-        raise _Unfit(f"{path} is no number, and has a limit")
-    return float(value)
-
-
-def _meant(message: Any, name: str, value: Any) -> Any:
-    """A float32 of a message as the number that was meant: 0.2, not 0.200000003, which is beyond a limit of 0.2."""
-    if not isinstance(value, float) or isinstance(message, Mapping):
-        return value
-    if message.get_fields_and_field_types().get(name) != "float" or not math.isfinite(value):
-        return value
-    for digits in range(6, 10):  # nine tell every float32 from every other
-        meant = float(f"{value:.{digits}g}")
-        if abs(meant) < 3.5e38 and _FLOAT32.unpack(_FLOAT32.pack(meant))[0] == value:
-            return meant
-    return value
 
 
 # ── bringing within ────────────────────────────────────────────────────────────────────────────────────────────────
@@ -352,12 +226,19 @@ def clamp(checks: Checks, value: Any) -> bool:
         _scale(checks, value)
         for path, (low, high) in checks.range.items():
             for parent, name in _places(value, path):
-                number = _number(parent, name, path)
+                number = number_at(parent, name, path)
                 if not low <= number <= high and not math.isnan(number):
                     _put(parent, name, type(get(parent, name))(min(high, max(low, number))))
-    except (_Unfit, TypeError, ValueError, AssertionError):  # the last ones are of messages that take no such value
+    except (Unfit, TypeError, ValueError, AssertionError):  # the last ones are of messages that take no such value
         return False
     return not problem(scaled, value, {})
+
+
+def _put(value: Any, name: str, changed: Any) -> None:
+    if isinstance(value, dict):
+        value[name] = changed
+    else:
+        setattr(value, name, changed)
 
 
 def _scale(checks: Checks, value: Any) -> None:
@@ -390,9 +271,9 @@ def _put_scaled(parent: Any, name: str, factor: float) -> None:
 
 def _places(value: Any, path: str) -> Iterator[tuple[Any, str]]:
     """Where the numbers at or below a path are: the object or message, and the name of the field. Not in lists."""
-    steps = _steps(value, path)
+    steps = steps_of(value, path)
     if "[]" in steps:
-        raise _Unfit(f"{path} cannot be changed")
+        raise Unfit(f"{path} cannot be changed")
     for step in steps[:-1]:
         value = get(value, step)
     yield from _leaves(value, steps[-1:] or fields_of(value))

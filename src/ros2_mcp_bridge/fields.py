@@ -8,7 +8,8 @@ from functools import lru_cache
 from operator import attrgetter
 from typing import Any
 
-from .checks import Checks, at, fields_of, get
+from .checks import Checks
+from .field_values import at, fields_of, get
 
 Numbers = Callable[[Any], Sequence[float]]
 

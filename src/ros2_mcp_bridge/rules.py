@@ -12,8 +12,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, cast
 
-from .checks import Checks, Pace, Zone, clamp, get
+from .checks import Checks, Pace, Zone, clamp
 from .checks import problem as problem_of
+from .field_values import get
 
 Verb = Literal["publish", "relay", "play", "call", "goal", "cancel", "set", "transition", "record", "read"]
 """What is done; `publish` once or repeatedly, `set` parameters, make a `transition` of a lifecycle node. `read` is a
