@@ -13,7 +13,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from .field_values import Unfit, at, fields_of, get, is_list, number_at, number_of, numbers, steps_of, with_frame_ids
+from .curves import extremes, segments
+from .field_values import Unfit, at, fields_of, get, is_list, number_at, numbers, steps_of, with_frame_ids
+from .trajectory_limits import CurveLimits, LookAtJoints, nobody_measures, seconds, states_at
+from .trajectory_limits import problem as problem_of_curve
 
 # A scaled vector is this much shorter than its limit, so that rounding to float32 (6e-8) leaves it within.
 _WITHIN = 1 - 1e-6
@@ -34,8 +37,8 @@ class Zone:
 class Pace:
     """A limit on a list of trajectory points (`positions`, `time_from_start`).
 
-    No joint moves faster than `most` (rad/s or m/s) from one point to the next, and the first point, whose way there is
-    not known, comes `first_s` after the start or later.
+    No joint moves faster than `most` (rad/s or m/s) anywhere between two points, and the first point, whose way there
+    is not known, comes `first_s` after the start or later.
     """
 
     most: float
@@ -58,25 +61,29 @@ class Checks:
     count: Mapping[str, tuple[int, int]] = field(default_factory=dict[str, "tuple[int, int]"])
     zone: Mapping[str, str] = field(default_factory=dict[str, str])
     pace: Mapping[str, Pace] = field(default_factory=dict[str, Pace])
+    curve: Mapping[str, CurveLimits] = field(default_factory=dict[str, CurveLimits])
 
     @property
     def is_empty(self) -> bool:
         """Whether every value passes."""
-        return not (self.norm or self.range or self.one_of or self.zero or self.count or self.zone or self.pace)
+        by_path = (self.norm, self.range, self.one_of, self.zero, self.count, self.zone, self.pace, self.curve)
+        return not any(by_path)
 
 
 # ── judging ────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def problem(checks: Checks, value: Any, zones: Mapping[str, Zone]) -> str:
-    """What of a value is beyond its limits, in words that begin with the path; empty if nothing is."""
+def problem(checks: Checks, value: Any, zones: Mapping[str, Zone], look: LookAtJoints = nobody_measures) -> str:
+    """What of a value is beyond its limits, in words that begin with the path; empty if nothing is. `look` is asked
+    where the joints of a trajectory are.
+    """
     try:
-        return next(_problems(checks, value, zones), "")
+        return next(_problems(checks, value, zones, look), "")
     except Unfit as unfit:
         return str(unfit)
 
 
-def _problems(checks: Checks, value: Any, zones: Mapping[str, Zone]) -> Iterator[str]:
+def _problems(checks: Checks, value: Any, zones: Mapping[str, Zone], look: LookAtJoints) -> Iterator[str]:
     for bounds, judge in _by_path(checks):
         for path, bound in bounds.items():
             for shown, found in at(value, path):
@@ -85,6 +92,10 @@ def _problems(checks: Checks, value: Any, zones: Mapping[str, Zone]) -> Iterator
         for shown, found, frame_id in with_frame_ids(value, path):
             if reason := outside(found, frame_id, zones[name]):
                 yield f"{shown or 'the position'} {reason} (zone {name})"
+    for path, limits in checks.curve.items():
+        for shown, found in at(value, path):
+            if reason := problem_of_curve(found, limits, look):
+                yield f"{shown or 'the trajectory'}: {reason}"
 
 
 def _by_path(checks: Checks) -> Sequence[tuple[Mapping[str, Any], Callable[[str, Any, Any], Iterator[str]]]]:
@@ -189,18 +200,20 @@ def _too_fast(shown: str, points: Any, pace: Pace) -> Iterator[str]:
     before_s, before = 0.0, None
     for place, point in enumerate(points):
         here = f"{shown}[{place}]"
-        start = get(point, "time_from_start")
-        now_s = number_at(start, "sec", here) + number_at(start, "nanosec", here) / 1e9
-        now = [number_of(number, here) for number in get(point, "positions")]
+        now_s = seconds(point, here)
+        now = states_at(point, len(get(point, "positions")), here)
         if before is None:
             if not now_s * _ROUNDING >= pace.first_s:
                 yield f"{here} comes after {now_s:g} s, at least {pace.first_s:g} s is needed for the way there"
         elif len(now) != len(before):
             yield f"{here} has {len(now)} positions, the one before has {len(before)}"
+        elif not now_s > before_s:
+            yield f"{here} comes no later than the point before: it is reached faster than {pace.most:g} per second"
         else:
             most = pace.most * (now_s - before_s) * _ROUNDING
-            for joint, place_now in enumerate(now):
-                if not abs(place_now - before[joint]) <= most:
+            for joint, states in enumerate(zip(before, now, strict=True)):
+                curves = [extremes(way.speed) for way in segments(*states, now_s - before_s)]
+                if not all(-most <= low and high <= most for low, high in curves):
                     yield f"{here}.positions[{joint}] is reached faster than {pace.most:g} per second"
         before_s, before = now_s, now
 

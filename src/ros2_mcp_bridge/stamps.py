@@ -18,21 +18,27 @@ NS_PER_S = 1_000_000_000
 _OF_TRAJECTORY = {"header", "joint_names", "points"}
 
 
-def acting_stamps(value: Any, shown: str = "") -> Iterator[tuple[str, Any]]:
-    """The stamps in a value that say when a trajectory begins, with their paths; also such as are zero."""
+def trajectories_in(value: Any, shown: str = "") -> Iterator[tuple[str, Any]]:
+    """The trajectories in a value, with their paths."""
     names = fields_of(value)
     if set(names) >= _OF_TRAJECTORY:
-        header = get(value, "header")
-        if "stamp" in fields_of(header):
-            yield f"{shown}.header.stamp".lstrip("."), get(header, "stamp")
+        yield shown, value
         return
     for name in names:
         below = get(value, name)
         if fields_of(below):
-            yield from acting_stamps(below, f"{shown}.{name}".lstrip("."))
+            yield from trajectories_in(below, f"{shown}.{name}".lstrip("."))
         elif is_list(below) and len(below) and fields_of(below[0]):
             for place, element in enumerate(below):
-                yield from acting_stamps(element, f"{shown}.{name}[{place}]".lstrip("."))
+                yield from trajectories_in(element, f"{shown}.{name}[{place}]".lstrip("."))
+
+
+def acting_stamps(value: Any) -> Iterator[tuple[str, Any]]:
+    """The stamps in a value that say when a trajectory begins, with their paths; also such as are zero."""
+    for shown, trajectory in trajectories_in(value):
+        header = get(trajectory, "header")
+        if "stamp" in fields_of(header):
+            yield f"{shown}.header.stamp".lstrip("."), get(header, "stamp")
 
 
 def time_ns(stamp: Any) -> int:

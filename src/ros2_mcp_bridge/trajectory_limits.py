@@ -25,7 +25,7 @@ _ROUNDING = 1 + 1e-9
 # Of a step of speed where none is allowed: the end of one polynomial and the beginning of the next, both rounded.
 _NO_STEP = 1e-6
 # More joints than any robot of one controller has; more would take too long to be judged.
-_MOST_JOINTS = 100
+MAX_JOINTS = 100
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,7 @@ def read(trajectory: Any) -> Path:
     points = get(trajectory, "points")
     if not is_list(points) or not len(points) or not names:
         raise Unfit("there are no points" if names else "there are no joint names")
-    if len(names) > _MOST_JOINTS or len(set(names)) < len(names):
+    if len(names) > MAX_JOINTS or len(set(names)) < len(names):
         twice = next((name for name in names if names.count(name) > 1), "")
         raise Unfit(f"the joint {twice!a} is named twice" if twice else f"there are {len(names)} joints")
     times = [seconds(point, f"points[{place}]") for place, point in enumerate(points)]
@@ -258,7 +258,9 @@ def _problem_of(path: Path, joint: int, measured: State, bounds: JointBounds, st
     name = ascii(path.names[joint])[1:-1]
     most_step = step if step is not None else _NO_STEP if bounds.acceleration is not None else math.inf
     arriving = [measured.speed or 0.0]
-    if path.times[0] == 0 and (found := _outside([path.states[0][joint].position], *_reached(bounds, measured), 1.0)):
+    # Where the joint is out of its range already, its first point is not, unless that is where it is.
+    first = _reached(bounds, measured) if path.times[0] == 0 else (bounds.low, bounds.high)
+    if found := _outside([path.states[0][joint].position], *first, 1.0):
         return f"{name} would be at {found[0]:.4g}, {found[1]} is allowed, at points[0]"
     for choices in ways(path, joint, measured, wraps=bounds.wraps):
         to = choices[0].to

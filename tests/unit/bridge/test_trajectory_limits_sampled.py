@@ -230,6 +230,7 @@ class Dense:
             if first[1] is None:
                 self._steps(trial, {moves}, {end[0] for end in ends})
             speeds = {end[1] for end in ends}
+            self._over(1 + max(first[0] - high, low - first[0]) / SCALE)
         else:
             self._over(inf if min(abs(first[0] - each) for each in starts) > AT_ONCE else 0.0)
             self._over(1 + max(first[0] - max(high, measured.position), min(low, measured.position) - first[0]) / SCALE)
