@@ -536,8 +536,8 @@ def _checks(value: Mapping[str, Any]) -> Checks:
 
 
 def _curve(value: Mapping[str, Any]) -> CurveLimits:
-    joints = {name: JointBounds(**each) for name, each in value["joints"].items()}
-    return CurveLimits(**{**_tuples(value), "joints": joints})
+    more: dict[str, Any] = {"joints": {name: JointBounds(**each) for name, each in value["joints"].items()}}
+    return CurveLimits(**{**_tuples(value), **more})
 
 
 def _zone(value: Mapping[str, Any]) -> Zone:

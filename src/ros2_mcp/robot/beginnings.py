@@ -32,10 +32,10 @@ class Beginnings:
 
     async def settle(self, core: Core, command: Command[R]) -> Command[R]:
         """The command with every such stamp at zero; raises `BadValue` for one of another time."""
-        if not isinstance(command, Publish | Repeat | SendGoal | ServiceCall) or not _has_stamp(command.value):
+        kind = _value_type(command)
+        if not kind or not _has_stamp(command.value):
             return command
-        body = await core.values.encode(_value_type(command), command.value)
-        full = await core.values.in_full(_value_type(command), body)
+        full = await core.values.in_full(kind, await core.values.encode(kind, command.value))
         given = [(path, stamps.time_ns(stamp)) for path, stamp in stamps.acting_stamps(full)]
         if not any(at_ns for _, at_ns in given):
             return command
@@ -53,11 +53,13 @@ class Beginnings:
         return cast("Command[R]", replace(cast("Any", command), value=value))
 
 
-def _value_type(command: Publish | Repeat | SendGoal | ServiceCall) -> str:
-    """The type of its value."""
+def _value_type(command: Command[Any]) -> str:
+    """The type of its value; empty of what holds no trajectory of its own."""
     if isinstance(command, SendGoal):
         return f"{command.type}_Goal"
-    return f"{command.type}_Request" if isinstance(command, ServiceCall) else command.type
+    if isinstance(command, ServiceCall):
+        return f"{command.type}_Request"
+    return command.type if isinstance(command, Publish | Repeat) else ""
 
 
 def _has_stamp(value: object) -> bool:

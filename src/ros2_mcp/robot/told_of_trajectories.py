@@ -52,8 +52,10 @@ def _reach(points: Path, joints: Joints, urdf: Urdf | None) -> Sequence[str]:
     """How far from its base the last link that these joints move comes, and how low. Empty where that is not known: no
     description, or other joints on the way to it, which nobody has measured.
     """
-    chain = _chain(points.names, urdf) if urdf else []
-    if urdf is None or not chain or any(joint.name not in points.names and not joint.mimic for joint in chain):
+    if urdf is None:
+        return ()
+    chain = _chain(points.names, urdf)
+    if not chain or any(joint.name not in points.names and not joint.mimic for joint in chain):
         return ()
     tool, base = chain[0].child, chain[-1].parent
     tool = next((link for link in urdf.links if link != tool and urdf.fixed_to(link) == tool), tool)

@@ -305,7 +305,9 @@ def compared(random: np.random.Generator, rounds: int) -> Counter[str]:
     return counts
 
 
-@pytest.mark.parametrize("rounds", [20_000, pytest.param(1_000_000, marks=pytest.mark.full)])
+@pytest.mark.parametrize(
+    "rounds", [20_000, pytest.param(1_000_000, marks=[pytest.mark.full, pytest.mark.timeout(1200)])]
+)
 def test_no_trajectory_that_is_let_through_is_over_a_limit_anywhere_on_its_way(rounds: int) -> None:
     random, counts = np.random.default_rng(rounds), Counter[str]()
     for _ in range(rounds // BATCH):
