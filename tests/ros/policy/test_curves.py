@@ -108,7 +108,6 @@ def approved(agent: Agent, ros_environment: dict[str, str], state: Path, sent: d
     return agent.call("ros2_send_action_goal", **sent)
 
 
-@pytest.mark.promise("profiles", "the whole curve that the controller follows")
 @pytest.mark.parametrize("fault", FAULTS)
 def test_what_a_controller_would_do_between_the_points_is_refused(agent, arm, fault: str) -> None:
     sent, why = FAULTS[fault]
@@ -148,3 +147,16 @@ def test_what_is_within_the_limits_is_approved_and_done(agent, arm, ros_environm
     seen = arm.seen()
     assert seen["goals"] == 1
     assert all(joint["speed"] < MOST for joint in seen["joints"].values()), seen
+
+
+def test_a_policy_is_drafted_with_the_joints_of_the_arm_and_their_limits(arm, ros_environment, state) -> None:
+    command = [sys.executable, "-m", "ros2_mcp", "policy", "init"]
+    env = {**ros_environment, "XDG_STATE_HOME": str(state)}
+
+    def drafted() -> bool:  # a new server has to discover the robot first
+        text = subprocess.run(command, check=True, capture_output=True, text=True, env=env).stdout
+        return f"  - goal: {ACTION} # /arm_controller moves joint_1, joint_2\n" in text and (
+            "joint_1: {position: [-3.14, 3.14], speed: 0.3}\n          joint_2: {position: [-1.57, 1.57], speed: 0.3}\n"
+        ) in text
+
+    until(drafted)
