@@ -140,10 +140,11 @@ async def _look(robot: Robot) -> Found:
 async def _arms(robot: Robot) -> Sequence[Arm]:
     """The joint trajectory controllers whose joints are known."""
     found = [one for one in (await controllers(robot)).values() if is_name(one.way) and one.joints]
+    joints: Mapping[str, Joint] = {}
     try:
-        joints = (await described(robot)).joints if found else {}
+        joints = (await described(robot)).joints if found else joints
     except RobotError:  # none, several, or one that cannot be read: the draft says so
-        joints = {}
+        pass
     return [
         Arm(name=one.name, action=one.action, topic=one.topic, joints={name: joints.get(name) for name in one.joints})
         for one in found
