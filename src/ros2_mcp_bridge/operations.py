@@ -146,7 +146,7 @@ class Operations:
                 "relays": self._relays.counts,
                 "call": self._clients.call,
                 "cancel_when": cancelling.cancel_when,
-                "joints": self._joint_states.wait,
+                "joint_states": self._joint_states.wait,
                 "failsafe_publish": self._publishers.failsafe,
                 "failsafe_call": self._clients.failsafe,
                 "stop": self._stop,

@@ -55,7 +55,7 @@ class RobotJoints:
         body = json.dumps({name: asdict(bounds) for name, bounds in limits.items()}).encode()
         reply = await self._graph.query(
             JointsReply,
-            "joints",
+            "joint_states",
             body,
             joints=list(names),
             within_s=_MEASURED_S if names else 0.0,

@@ -7,6 +7,7 @@ import json
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 from ros2_mcp.codec.urdf import Joint, Limits
@@ -141,10 +142,8 @@ async def _arms(robot: Robot) -> Sequence[Arm]:
     """The joint trajectory controllers whose joints are known."""
     found = [one for one in (await controllers(robot)).values() if is_name(one.way) and one.joints]
     joints: Mapping[str, Joint] = {}
-    try:
+    with suppress(RobotError):  # none, several, or one that cannot be read: the draft says so
         joints = (await described(robot)).joints if found else joints
-    except RobotError:  # none, several, or one that cannot be read: the draft says so
-        pass
     return [
         Arm(name=one.name, action=one.action, topic=one.topic, joints={name: joints.get(name) for name in one.joints})
         for one in found
