@@ -19,14 +19,16 @@ import rclpy
 from control_msgs.action import FollowJointTrajectory
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.duration import Duration
 from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
+from rclpy.time import Time
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
-from trajectory_msgs.msg import JointTrajectory
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 JOINTS = ("joint_1", "joint_2")
 STEP_S = 0.01
@@ -66,6 +68,7 @@ class Arm:
         self._points: list[tuple[float, list[list[Any]]]] = []
         self._seen: list[dict[str, float]] = []
         self._goals = 0
+        self._wanted_on: dict[str, Any] = {}
         latched = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
         self._states = node.create_publisher(JointState, "/joint_states", latched)
         self._description = node.create_publisher(String, "/robot_description", latched)
@@ -86,17 +89,27 @@ class Arm:
         """The joints stand there, and what they did is forgotten."""
         with self._lock:
             self._places, self._speeds, self._points = list(places), [0.0] * len(JOINTS), []
-            self._seen = [{"low": at, "high": at, "speed": 0.0, "jump": 0.0} for at in places]
+            self._seen = [{"low": at, "high": at, "speed": 0.0} for at in places]
             self._goals = 0
 
     def seen(self) -> dict[str, Any]:
-        """What each joint has done: least and largest position, top speed, and the largest jump within one step; how
-        many trajectories came, and whether one is still followed.
+        """What each joint has done: least and largest position, and top speed; how many trajectories came, and whether one
+        is still followed.
         """
         with self._lock:
             moves = bool(self._points) and time.time() < self._points[-1][0]
             joints = {name: dict(found) for name, found in zip(JOINTS, self._seen, strict=True)}
             return {"joints": joints, "goals": self._goals, "moves": moves}
+
+    def want(self, topic: str, seconds: float, to: float, away_s: float) -> None:
+        """Publish, as another node would, a trajectory of one point for the first joint, stamped so far from now."""
+        if topic not in self._wanted_on:
+            self._wanted_on[topic] = self._node.create_publisher(JointTrajectory, topic, 10)
+        start, span = Time(nanoseconds=time.time_ns() + int(away_s * 1e9)), Duration(seconds=seconds)
+        point = JointTrajectoryPoint(positions=[to, 0.0], velocities=[0.0, 0.0], time_from_start=span.to_msg())
+        message = JointTrajectory(joint_names=list(JOINTS), points=[point])
+        message.header.stamp = start.to_msg()
+        self._wanted_on[topic].publish(message)
 
     def _follow(self, trajectory: JointTrajectory) -> float:
         """Begins a trajectory; returns when it ends (s of Unix time)."""
@@ -150,7 +163,6 @@ class Arm:
                     self._places[joint], self._speeds[joint] = place, moved / (now - before)
                     seen["low"], seen["high"] = min(seen["low"], place), max(seen["high"], place)
                     seen["speed"] = max(seen["speed"], abs(self._speeds[joint]))
-                    seen["jump"] = max(seen["jump"], abs(moved))
                 message = JointState(name=list(JOINTS), position=list(self._places), velocity=list(self._speeds))
             before = now
             if step % STATES_EVERY == 0:
