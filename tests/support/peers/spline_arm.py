@@ -93,8 +93,8 @@ class Arm:
             self._goals = 0
 
     def seen(self) -> dict[str, Any]:
-        """What each joint has done: least and largest position, and top speed; how many trajectories came, and whether one
-        is still followed.
+        """What each joint has done: least and largest position, and top speed; how many trajectories came, and whether
+        one is still followed.
         """
         with self._lock:
             moves = bool(self._points) and time.time() < self._points[-1][0]
