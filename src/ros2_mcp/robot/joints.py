@@ -41,9 +41,11 @@ class RobotJoints:
         self._read_at = -math.inf
 
     async def urdf(self) -> Urdf | None:
-        """The robot's description; None where nobody publishes one that can be read."""
+        """The robot's description, also of a publisher that has gone: its limits do not go with it. None where nobody
+        has published one that can be read.
+        """
         if monotonic() - self._read_at > _KEPT_S:
-            self._urdf, self._read_at = await self._read(), monotonic()
+            self._urdf, self._read_at = await self._read() or self._urdf, monotonic()
         return self._urdf
 
     async def look(self, names: Sequence[str] = ()) -> LookAtJoints:

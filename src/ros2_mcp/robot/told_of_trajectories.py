@@ -17,12 +17,15 @@ from ros2_mcp_bridge.trajectory_limits import Joints, LookAtJoints, Path, extrem
 _LOOKS = 100
 """Along a trajectory, for the farthest reach: of 10 s a look each 0.1 s."""
 
+_NO_DESCRIPTION = "No description (URDF) of the robot was found: the limits of its joints are not known."
+
 
 def told_of(
     trajectories: Sequence[tuple[str, Mapping[str, Any]]], look: LookAtJoints, urdf: Urdf | None
 ) -> Sequence[str]:
     """Sentences about trajectories, with their paths; one that cannot be judged is said to be so."""
-    return [sentence for path, found in trajectories for sentence in _told(path or "trajectory", found, look, urdf)]
+    told = [sentence for path, found in trajectories for sentence in _told(path or "trajectory", found, look, urdf)]
+    return [*told, _NO_DESCRIPTION] if told and urdf is None else told
 
 
 def _told(path: str, trajectory: Mapping[str, Any], look: LookAtJoints, urdf: Urdf | None) -> Sequence[str]:
