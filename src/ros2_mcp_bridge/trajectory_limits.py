@@ -24,14 +24,24 @@ AT_ONCE = 0.01
 _ROUNDING = 1 + 1e-9
 # Of a step of speed where none is allowed: the end of one polynomial and the beginning of the next, both rounded.
 _NO_STEP = 1e-6
+# A measured speed below this is the noise of an encoder: the joint stands. In rad/s, or m/s.
+_STANDS = 0.02
+# Between the measurement of a joint and the moment at which a controller takes its start: joint states come at 10 to
+# 1,000 Hz, and a trajectory needs some hundredths of a second. A joint that moves has moved on by then.
+_LATE_S = 0.1
+# A joint that stands at a limit is measured beyond it now and then: by this share of its range, and no more than that
+# in rad or m (encoders' noise).
+_NOISE_SHARE, _MOST_NOISE = 0.001, 0.002
+# Joints half a turn away: noise decides which way round is the shorter one.
+_EITHER_WAY = 0.02
 # More joints than any robot of one controller has; more would take too long to be judged.
 MAX_JOINTS = 100
 
 
 @dataclass(frozen=True)
 class JointBounds:
-    """What one joint may do; None: no bound. `wraps`: it turns without end, so that a controller may take the shorter
-    way round.
+    """What one joint may do; None: no bound. `wraps`: it turns without end (a continuous joint), so that a controller
+    may add whole turns to where it is, and take the shorter way round.
     """
 
     low: float | None = None
@@ -72,7 +82,6 @@ class CurveLimits:
                 min((most for each in all_bounds if (most := getattr(each, key)) is not None), default=None)
                 for key in ("high", "speed", "acceleration")
             ),
-            wraps=from_robot.wraps,
         )
         if found.speed is None:
             why = "neither the policy nor the robot's description bounds its speed"
@@ -171,23 +180,45 @@ def ways(path: Path, joint: int, measured: State, *, wraps: bool) -> Iterator[Se
     Raises `Unfit` where that is not where the joint is.
     """
     states = [row[joint] for row in path.states]
-    first = states[0]
-    starts = [measured.position]
-    if wraps:
-        starts.append(first.position - math.remainder(first.position - measured.position, 2 * math.pi))
-    if path.times[0] > 0:
-        speeds = dict.fromkeys((measured.speed or 0.0, 0.0) if first.speed is not None else (None,))
-        bent = None if first.acceleration is None else 0.0
-        yield [
-            Way(0, segment(State(start, speed, bent), first, path.times[0]), is_first=True)
-            for start in dict.fromkeys(starts)
-            for speed in speeds
-        ]
-    elif not min(abs(first.position - start) for start in starts) <= AT_ONCE:
-        name, gap = path.names[joint], abs(first.position - measured.position)
-        raise Unfit(f"points[0] is to be reached at once, and {name!a} is {gap:.3g} away from it")
+    first, time_s = states[0], path.times[0]
+    if time_s > 0:
+        starts = _starts(measured, first.position, wraps=wraps)
+        yield [Way(0, segment(start, first, time_s), is_first=True) for start in _carried(starts, measured, first)]
+    elif not (gap := max(abs(first.position - start) for start in _starts(measured))) <= AT_ONCE:
+        raise Unfit(f"points[0] is to be reached at once, and {path.names[joint]!a} is {gap:.3g} away from it")
     for place, (before, after) in enumerate(pairwise(zip(states, path.times, strict=True)), 1):
         yield [Way(place, each) for each in segments(before[0], after[0], after[1] - before[1])]
+
+
+def _starts(measured: State, to: float | None = None, *, wraps: bool = False) -> Sequence[float]:
+    """Where a controller may take a joint to be that moves to a position: where it was measured to be, where it is by
+    now, and, if it wraps, the same with whole turns added, so that the way is the shorter one.
+    """
+    starts = [measured.position]
+    if abs(measured.speed or 0.0) > _STANDS:
+        starts.append(measured.position + _LATE_S * (measured.speed or 0.0))
+    if wraps and to is not None:
+        for start in tuple(starts):
+            way = math.remainder(to - start, 2 * math.pi)
+            starts.append(to - way)
+            if math.pi - abs(way) < _EITHER_WAY:
+                starts.append(to - way + math.copysign(2 * math.pi, way))
+    return list(dict.fromkeys(starts))
+
+
+def _carried(starts: Sequence[float], measured: State, first: State) -> Iterator[State]:
+    """The states from which a controller may begin, by what it measures besides positions: ros2_controllers takes the
+    speed where there is a state interface for it, and the acceleration where there is one for that, too. The first
+    segment is a line, a cubic or a quintic accordingly, whatever the first point carries.
+    """
+    speeds: list[float | None] = [None]
+    if first.speed is not None:
+        speeds = [measured.speed, 0.0]  # None, where nobody tells it: a line
+    for start in starts:
+        for speed in dict.fromkeys(speeds):
+            yield State(start, speed)
+            if speed is not None and first.acceleration is not None:
+                yield State(start, speed, 0.0)
 
 
 @dataclass(frozen=True)
@@ -205,8 +236,7 @@ def extremes_of(path: Path, joints: Joints) -> Mapping[str, Extremes]:
     found: dict[str, Extremes] = {}
     for joint, name in enumerate(path.names):
         places, speeds, bends = [path.states[0][joint].position], [0.0], [0.0]
-        wraps = joints.described.get(name, JointBounds()).wraps
-        for choices in ways(path, joint, _measured(joints, name), wraps=wraps):
+        for choices in ways(path, joint, _measured(joints, name), wraps=_wraps(joints, name)):
             for one in (choice.segment for choice in choices):
                 places += extremes(one.position)
                 speeds += (abs(each) / one.seconds for each in extremes(one.speed))
@@ -220,6 +250,11 @@ def _measured(joints: Joints, name: str) -> State:
     if name not in joints.measured:
         raise Unfit(f"it is not known where the joint {name!a} is")
     return joints.measured[name]
+
+
+def _wraps(joints: Joints, name: str) -> bool:
+    """Whether its controller may add whole turns, also where the description does not tell."""
+    return joints.described[name].wraps if name in joints.described else True
 
 
 def positions_at(path: Path, joints: Joints, time_s: float) -> Mapping[str, float]:
@@ -246,41 +281,51 @@ def problem(trajectory: Any, limits: CurveLimits, look: LookAtJoints) -> str:
         joints = look(path.names)
         for joint, name in enumerate(path.names):
             bounds = bounded.get(name) or limits.of(name, joints.described)
-            if found := _problem_of(path, joint, _measured(joints, name), bounds, limits.step):
+            choices = list(ways(path, joint, _measured(joints, name), wraps=_wraps(joints, name)))
+            if found := _problem_of(path, joint, _measured(joints, name), choices, bounds, limits.step):
                 return found
     except (Unfit, ValueError) as unfit:
         return str(unfit)
     return ""
 
 
-def _problem_of(path: Path, joint: int, measured: State, bounds: JointBounds, step: float | None) -> str:
-    """The same, of one joint."""
+def _problem_of(
+    path: Path,
+    joint: int,
+    measured: State,
+    ways_to: Sequence[Sequence[Way]],
+    bounds: JointBounds,
+    step: float | None,
+) -> str:
+    """The same, of one joint, which may go these ways to its points."""
     name = ascii(path.names[joint])[1:-1]
     most_step = step if step is not None else _NO_STEP if bounds.acceleration is not None else math.inf
-    arriving = [measured.speed or 0.0]
-    # Where the joint is out of its range already, its first point is not, unless that is where it is.
-    first = _reached(bounds, measured) if path.times[0] == 0 else (bounds.low, bounds.high)
-    if found := _outside([path.states[0][joint].position], *first, 1.0):
+    speed = measured.speed or 0.0
+    arriving = [speed if abs(speed) > _STANDS else 0.0]
+    if path.times[0] == 0 and (found := _outside([path.states[0][joint].position], *_reached(bounds, measured), 1.0)):
         return f"{name} would be at {found[0]:.4g}, {found[1]} is allowed, at points[0]"
-    for choices in ways(path, joint, measured, wraps=bounds.wraps):
+    for choices in ways_to:
         to = choices[0].to
         for way in choices:
             if found := _beyond(way, bounds, measured):
                 return f"{name} {found} on its way to points[{to}]"
         # A curve begins with the speed that is measured, or that the controller takes for it: no step of its own.
-        if not choices[0].is_first or choices[0].segment.is_straight:
-            leaving = [at(way.segment.speed, 0.0) / way.segment.seconds for way in choices]
-            if found := _step(arriving, leaving, most_step):
-                return f"{name} {found} before points[{to}]"
-        arriving = [at(way.segment.speed, 1.0) / way.segment.seconds for way in choices]
+        leaving = [_speed_at(way, 0.0) for way in choices if not way.is_first or way.segment.is_straight]
+        if found := _step(arriving, leaving, most_step):
+            return f"{name} {found} before points[{to}]"
+        arriving = [_speed_at(way, 1.0) for way in choices]
     if len(path.times) == 1 and path.times[0] == 0:
         return ""  # it is held where it is
     found = _step(arriving, [0.0], most_step)
     return f"{name} {found} at its last point" if found else ""
 
 
+def _speed_at(way: Way, s: float) -> float:
+    return at(way.segment.speed, s) / way.segment.seconds
+
+
 def _step(arriving: Sequence[float], leaving: Sequence[float], most: float) -> str:
-    step = max(abs(after - before) for before in arriving for after in leaving)
+    step = max((abs(after - before) for before in arriving for after in leaving), default=0.0)
     if step <= most * _ROUNDING:
         return ""
     hint = " (with velocities in every point there is none)" if most == _NO_STEP else ""
@@ -289,10 +334,10 @@ def _step(arriving: Sequence[float], leaving: Sequence[float], most: float) -> s
 
 def _beyond(way: Way, bounds: JointBounds, measured: State) -> str:
     """What of one way is beyond its bounds. Where the joint is out of them already, it may go no farther."""
-    one, low, high, fast = way.segment, bounds.low, bounds.high, bounds.speed
-    if way.is_first:
-        low, high = _reached(bounds, State(one.position[0]))
-        fast = None if fast is None else max(fast, abs(measured.speed or 0.0))
+    one, fast = way.segment, bounds.speed
+    if way.is_first and fast is not None:
+        fast = max(fast, abs(measured.speed or 0.0))
+    low, high = _reached(bounds, State(one.position[0]), is_measured=way.is_first)
     if found := _outside(one.position, low, high, 1.0):
         return f"would be at {found[0]:.4g}, {found[1]} is allowed,"
     if fast is not None and (found := _outside(one.speed, -fast, fast, one.seconds)):
@@ -304,10 +349,18 @@ def _beyond(way: Way, bounds: JointBounds, measured: State) -> str:
     return ""
 
 
-def _reached(bounds: JointBounds, start: State) -> tuple[float | None, float | None]:
-    """Between which positions a joint may be that begins here, in its range or beyond it."""
-    low, high = bounds.low, bounds.high
-    return None if low is None else min(low, start.position), None if high is None else max(high, start.position)
+def _reached(bounds: JointBounds, start: State, *, is_measured: bool = True) -> tuple[float | None, float | None]:
+    """Between which positions a joint may be that begins here, in its range or beyond it. Each way begins where the one
+    before ended, so that a joint that is out of its range comes back, and goes no farther.
+    """
+    low, high, noise = bounds.low, bounds.high, 0.0
+    if is_measured and low is not None and high is not None:
+        noise = min(_MOST_NOISE, _NOISE_SHARE * max(0.0, high - low))
+    if low is not None and start.position < low + noise:
+        low = min(low - noise, start.position)
+    if high is not None and start.position > high - noise:
+        high = max(high + noise, start.position)
+    return low, high
 
 
 def _outside(

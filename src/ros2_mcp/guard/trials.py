@@ -136,8 +136,8 @@ def _joints_of(value: Any, given: Mapping[str, float]) -> LookAtJoints:
     for _, found in trajectories_in(value):
         points = cast("Sequence[Mapping[str, Any]]", found["points"])
         first = zip(found["joint_names"], points[0].get("positions", ()), strict=False) if points else ()
-        stand |= {str(name): State(number_of(at, "positions")) for name, at in first}
-    stand |= {name: State(float(at)) for name, at in given.items()}
+        stand |= {str(name): State(number_of(at, "positions"), 0.0) for name, at in first}
+    stand |= {name: State(float(at), 0.0) for name, at in given.items()}
     return lambda _names: Joints(stand)
 
 

@@ -98,7 +98,9 @@ def test_the_description_holds_unless_it_is_left_out_and_the_stricter_one_counts
 def test_a_joint_beyond_its_range_may_come_back_and_go_no_farther() -> None:
     out = Joints({"a": State(3.1)})
     assert not judged(trajectory((8, 2.0, 0, None)), SLOW, out)
-    assert "points[0]" in judged(trajectory((8, 3.05, 0, None)), SLOW, out)
+    assert not judged(trajectory((8, 3.05, 0, None), (16, 2.9, 0, None)), SLOW, out)
+    assert "points[0]" in judged(trajectory((8, 3.11, 0, None)), SLOW, out)
+    assert "points[2]" in judged(trajectory((0, 3.1, 0, None), (8, 2.9, 0, None), (16, 3.05, 0, None)), SLOW, out)
     moving = Joints({"a": State(3.1, 0.2)})
     assert "would be at" in judged(trajectory((8, 2.5, 0, None)), SLOW, moving)
 
@@ -115,7 +117,11 @@ def test_speed_that_jumps_at_a_point_is_no_bounded_acceleration() -> None:
     assert "changes its speed at once by 0.1, at most 0 is allowed" in judged(lines, gentle)
     assert not judged(lines, CurveLimits(speed=0.3, acceleration=0.5, step=0.2))
     assert "0.2, at most 0.15" in judged(lines, CurveLimits(speed=0.3, acceleration=0.5, step=0.15))
-    assert not judged(trajectory((4, 0.4, 0, None), (8, 0.0, 0, None)), gentle)
+    stands = Joints({"a": State(0.0, 0.001)})  # by an encoder's noise
+    assert not judged(trajectory((4, 0.4, 0, None), (8, 0.0, 0, None)), gentle, stands)
+    assert not judged(trajectory((0, 0.0, 0, None), (8, 0.4, 0, None)), gentle, stands)
+    moves = Joints({"a": State(0.0, 0.05)})
+    assert "at once by 0.05" in judged(trajectory((0, 0.0, 0, None), (8, 0.1, 0, None)), gentle, moves)
     assert "would accelerate by 0.9375" in judged(trajectory((0.8, 0.1, 0, None)), gentle)
 
 

@@ -8,7 +8,9 @@ judge refuses has to be over one, too, or be of a shape that is always refused.
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Callable
+from copy import deepcopy
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import inf, pi
 from typing import Any
@@ -27,9 +29,12 @@ SCALE = 3.0
 """Of positions: 0.1 % of so many rad."""
 NOW_NS = 1_800_000_000_000_000_000
 NAMES = ("shoulder", "elbow", "wrist", "slide")
+STANDS, LATE_S, HALF_WAY, NOISE = 0.02, 0.1, 0.02, 0.001
+"""As decision 61 has them: a speed that is noise, what a trajectory takes, half a turn, noise as a share of the range."""
 
 
 Carried = tuple[float, float | None, float | None]
+Judge = Callable[[dict[str, Any], CurveLimits, Joints], str]
 
 
 @dataclass
@@ -47,13 +52,19 @@ def made(random: np.random.Generator) -> Trial:
     names = list(random.permutation(NAMES)[: random.integers(1, 4)])
     count, speed = int(random.integers(1, 5)), float(random.uniform(0.1, 2.0))
     gaps = random.uniform(0.2, 6.0, count)
-    if random.random() < 0.2:
+    turns = random.random() < 0.3
+    if turns:  # the joints stand a turn or so away, and have the time to come
+        gaps[0] = random.uniform(8.0, 25.0)
+    elif random.random() < 0.2:
         gaps[0] = 0.0
     times = np.cumsum(np.round(gaps, 6))
     hurry = random.choice([0.4, 0.6, 0.9, 1.2])
     steps = random.uniform(-1, 1, (count, len(names))) * hurry * speed * gaps[:, None]
     start = random.uniform(-1.2, 1.2, len(names))
     places = start + np.cumsum(steps, axis=0)
+    if turns:
+        start += random.choice([-1, 1], len(names)) * random.uniform(0.3, 1.1, len(names)) * 2 * pi
+        places[0] += random.choice([0.0, pi]) * random.choice([-1, 1], len(names))
     if gaps[0] == 0:
         places += random.uniform(-0.5, 1.05) * AT_ONCE * random.choice([0, 1, 1])
     carried = random.choice(["", "v", "va", "mixed", "a"], p=[0.2, 0.35, 0.3, 0.14, 0.01])
@@ -72,11 +83,11 @@ def made(random: np.random.Generator) -> Trial:
         speed=speed,
         acceleration=bends and float(bends * speed),
         step=random.choice([None, float(1.3 * speed)]),
-        position=(-4.0, 4.0) if random.random() < 0.7 else None,
+        position=(-4.0, 4.0) if random.random() < 0.5 else None,
         joints=joints if random.random() < 0.2 else {},
         described=bool(random.random() < 0.7),
     )
-    described = {name: JointBounds(-3.0, 3.0, float(0.95 * speed), wraps=bool(random.random() < 0.2)) for name in NAMES}
+    described = {name: bounds_of(random, 0.95 * speed) for name in NAMES if random.random() < 0.95}
     knows_speed = random.random() < 0.6
     measured = {
         name: State(float(at), float(random.uniform(-1, 1) * 0.3 * speed) if knows_speed else None)
@@ -84,6 +95,12 @@ def made(random: np.random.Generator) -> Trial:
     }
     value = {"header": {"stamp": stamp(random), "frame_id": ""}, "joint_names": names, "points": points}
     return Trial(value, limits, Joints(measured, described), spoilt(random, value))
+
+
+def bounds_of(random: np.random.Generator, speed: float) -> JointBounds:
+    """Of a joint that turns without end, or of one that does not."""
+    low, high, wraps = (None, None, True) if random.random() < 0.3 else (-3.0, 3.0, False)
+    return JointBounds(low, high, float(speed), wraps=wraps)
 
 
 def point(random: np.random.Generator, carried: str, time: float, places: Any, speed: float, count: int) -> dict:
@@ -178,6 +195,13 @@ def zeros(one: Carried, other: Carried) -> Carried:
     return one[0], found[0], found[1]
 
 
+def room(low: float, high: float, start: float, noise: float) -> tuple[float, float]:
+    """The range of a joint that starts there: up to where it is, if that is beyond; its noise at a limit is none."""
+    noise = min(0.002, max(0.0, noise))
+    least = min(low - noise, start) if start < low + noise else low
+    return least, max(high + noise, start) if start > high - noise else high
+
+
 class Dense:
     """By which factor trials lead over some limit: 1 is exactly at it, infinite what may not be done at all."""
 
@@ -193,12 +217,15 @@ class Dense:
             if limits.joints and name not in limits.joints:
                 self._over(inf)
                 return
+            told = trial.joints.described.get(name)
             own = [limits.joints[name]] if limits.joints else []
-            own += [trial.joints.described[name]] if limits.described else []
+            own += [told] if limits.described and told else []
             fast = min([limits.speed or inf, *(each.speed or inf for each in own)])
-            low = max([(limits.position or (-inf, inf))[0], *(each.low for each in own)])
-            high = min([(limits.position or (-inf, inf))[1], *(each.high for each in own)])
-            wraps = limits.described and trial.joints.described[name].wraps
+            low = max([(limits.position or (-inf, inf))[0], *(-inf if each.low is None else each.low for each in own)])
+            high = min(
+                [(limits.position or (-inf, inf))[1], *(inf if each.high is None else each.high for each in own)]
+            )
+            wraps = told is None or told.wraps
             self._joint(trial, place, (low, high, fast, limits.acceleration or inf), wraps=wraps)
 
     def _over(self, factor: float) -> None:
@@ -213,34 +240,46 @@ class Dense:
         times = [each["time_from_start"]["sec"] + each["time_from_start"]["nanosec"] / 1e9 for each in points]
         low, high, fast, bent = bounds
         first, moves = rows[0], measured.speed or 0.0
-        turned = first[0] - ((first[0] - measured.position + pi) % (2 * pi) - pi)
-        starts = [measured.position, turned] if wraps else [measured.position]
-        speeds: set[float] = {moves}
+        starts = [measured.position]
+        if abs(moves) > STANDS:  # by the time that the controller looks, it has moved on
+            starts.append(measured.position + moves * LATE_S)
+        speeds: set[float] = {moves if abs(moves) > STANDS else 0.0}
         if times[0] > 0:
-            ways = [((start, speed, 0.0), start) for start in starts for speed in (moves, 0.0)]
-            ends = [
-                self._way(
-                    tuple(x if y is not None else None for x, y in zip(one, first, strict=True)),
-                    first,
-                    times[0],
-                    (min(low, start), max(high, start), max(fast, abs(moves)), bent),
-                )
-                for one, start in ways
-            ]
-            if first[1] is None:
-                self._steps(trial, {moves}, {end[0] for end in ends})
-            speeds = {end[1] for end in ends}
-            self._over(1 + max(first[0] - high, low - first[0]) / SCALE)
+            if wraps:
+                turns = [start + 2 * pi * turn for start in starts for turn in range(-4, 5)]
+                starts += [start for start in turns if abs(start - first[0]) < pi + HALF_WAY]
+            ends: set[float] = set()
+            for start in starts:
+                box = room(low, high, start, NOISE * (high - low) if high - low < inf else 0.0)
+                for carried in self._carried(measured.speed, first):
+                    way = self._way((start, *carried), first, times[0], (*box, max(fast, abs(moves)), bent))
+                    if carried[0] is None:
+                        self._steps(trial, speeds, {way[0]})
+                    ends.add(way[1])
+            speeds = ends
         else:
-            self._over(inf if min(abs(first[0] - each) for each in starts) > AT_ONCE else 0.0)
-            self._over(1 + max(first[0] - max(high, measured.position), min(low, measured.position) - first[0]) / SCALE)
+            self._over(inf if max(abs(first[0] - each) for each in starts) > AT_ONCE else 0.0)
+            least, most = room(low, high, measured.position, NOISE * (high - low) if high - low < inf else 0.0)
+            self._over(1 + max(first[0] - most, least - first[0]) / SCALE)
         for (before, began), (row, end) in pairwise(zip(rows, times, strict=True)):
             pairs = {(before, row), (zeros(before, row), zeros(row, before))}
-            found = [self._way(*pair, end - began, bounds) for pair in pairs]
+            box = room(low, high, before[0], 0.0)
+            found = [self._way(*pair, end - began, (*box, fast, bent)) for pair in pairs]
             self._steps(trial, speeds, {each[0] for each in found})
             speeds = {each[1] for each in found}
         if len(times) > 1 or times[0] > 0:
             self._steps(trial, speeds, {0.0})
+
+    @staticmethod
+    def _carried(speed: float | None, first: Any) -> set[tuple[float | None, float | None]]:
+        """The speeds and accelerations with which controllers begin, by their state interfaces: none, positions and
+        velocities, or all three; one that has no velocities in its joint states may lack them itself.
+        """
+        if first[1] is None:
+            return {(None, None)}
+        found: set[tuple[float | None, float | None]] = {(0.0, None), (0.0, 0.0)}
+        found |= {(None, None)} if speed is None else {(speed, None), (speed, 0.0)}
+        return found if first[2] is not None else {each for each in found if each[1] is None}
 
     def _way(self, one: Any, other: Any, time: float, bounds: tuple[float, ...]) -> tuple[float, float]:
         """Notes a curve to be sampled; its speeds at both ends."""
@@ -278,7 +317,11 @@ class Dense:
 # ── both ───────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def compared(random: np.random.Generator, rounds: int) -> Counter[str]:
+def judged(value: dict[str, Any], limits: CurveLimits, joints: Joints) -> str:
+    return problem(value, limits, lambda _: joints)
+
+
+def compared(random: np.random.Generator, rounds: int, judge: Judge = judged) -> Counter[str]:
     """Judges so many trials by both, and counts what the first one says."""
     counts: Counter[str] = Counter()
     dense, told = Dense(), list[tuple[Trial, str]]()
@@ -292,7 +335,7 @@ def compared(random: np.random.Generator, rounds: int) -> Counter[str]:
             continue
         stamps.zero(trial.value)
         assert trial.value["header"]["stamp"] == {"sec": 0, "nanosec": 0}
-        said = problem(trial.value, trial.limits, lambda _, known=trial.joints: known)
+        said = (judged if trial.is_odd else judge)(trial.value, trial.limits, trial.joints)
         if trial.is_odd:
             assert said, trial
             counts["never judged"] += 1
@@ -314,3 +357,56 @@ def test_no_trajectory_that_is_let_through_is_over_a_limit_anywhere_on_its_way(r
         counts += compared(random, BATCH)
     print(", ".join(f"{many} {what}" for what, many in counts.items()))
     assert min(counts["let through"], counts["refused"], counts["another time"]) > rounds / 20
+
+
+# ── judges that are wrong ──────────────────────────────────────────────────────────────────────────────────────────
+
+
+def without(value: dict[str, Any], *names: str) -> dict[str, Any]:
+    """The trajectory as if its points did not carry these."""
+    value = deepcopy(value)
+    for each in value["points"]:
+        each.update({name: [] for name in names})
+    return value
+
+
+def ignores_turns(value: dict[str, Any], limits: CurveLimits, joints: Joints) -> str:
+    told = {name: joints.described.get(name, JointBounds()) for name in NAMES}
+    return judged(value, limits, replace(joints, described={name: replace(told[name], wraps=False) for name in NAMES}))
+
+
+def ignores_the_way_to_the_first_point(value: dict[str, Any], limits: CurveLimits, joints: Joints) -> str:
+    first = dict(zip(value["joint_names"], value["points"][0]["positions"], strict=True))
+    return judged(value, limits, replace(joints, measured={name: State(at) for name, at in first.items()}))
+
+
+def ignores_measured_speeds(value: dict[str, Any], limits: CurveLimits, joints: Joints) -> str:
+    stands = {name: State(state.position, 0.0) for name, state in joints.measured.items()}
+    return judged(value, limits, replace(joints, measured=stands))
+
+
+def ignores_the_order_of_names(value: dict[str, Any], limits: CurveLimits, joints: Joints) -> str:
+    return judged({**value, "joint_names": sorted(value["joint_names"])}, limits, joints)
+
+
+WRONG: dict[str, Judge] = {
+    "turns": ignores_turns,
+    "the way to the first point": ignores_the_way_to_the_first_point,
+    "measured speeds": ignores_measured_speeds,
+    "the order of names": ignores_the_order_of_names,
+    "velocities": lambda value, limits, joints: judged(without(value, "velocities", "accelerations"), limits, joints),
+    "accelerations": lambda value, limits, joints: judged(without(value, "accelerations"), limits, joints),
+    "the description": lambda value, limits, joints: judged(value, replace(limits, described=False), joints),
+    "jumps of speed": lambda value, limits, joints: judged(value, replace(limits, step=inf), joints),
+}
+
+
+@pytest.mark.parametrize("ignored", WRONG)
+def test_the_comparison_finds_a_judge_that_ignores(ignored: str) -> None:
+    def let_through_more(value: dict[str, Any], limits: CurveLimits, joints: Joints) -> str:
+        said = judged(value, limits, joints)
+        return said and WRONG[ignored](value, limits, joints)
+
+    with pytest.raises(AssertionError):
+        for seed in range(10):
+            compared(np.random.default_rng(seed), BATCH, let_through_more)
