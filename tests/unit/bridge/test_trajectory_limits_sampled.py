@@ -49,12 +49,12 @@ class Trial:
 
 
 def made(random: np.random.Generator) -> Trial:
-    names = list(random.permutation(NAMES)[: random.integers(1, 4)])
-    count, speed = int(random.integers(1, 5)), float(random.uniform(0.1, 2.0))
+    turns = random.random() < 0.2  # the joint stands about a turn away, and has the time to come
+    names = list(random.permutation(NAMES)[: 1 if turns else random.integers(1, 4)])
+    count, speed = int(random.integers(1, 2 if turns else 5)), float(random.uniform(0.1, 2.0))
     gaps = random.uniform(0.2, 6.0, count)
-    turns = random.random() < 0.3
-    if turns:  # the joints stand a turn or so away, and have the time to come
-        gaps[0] = random.uniform(8.0, 25.0)
+    if turns:
+        gaps[0] = random.uniform(8.0, 40.0)
     elif random.random() < 0.2:
         gaps[0] = 0.0
     times = np.cumsum(np.round(gaps, 6))
@@ -70,7 +70,7 @@ def made(random: np.random.Generator) -> Trial:
     carried = random.choice(["", "v", "va", "mixed", "a"], p=[0.2, 0.35, 0.3, 0.14, 0.01])
     bends = random.choice([None, 1.0, 4.0])
     points = [point(random, carried, *each, speed * hurry, count) for each in zip(times, places, strict=True)]
-    if random.random() < 0.7:  # as a real controller wants it
+    if turns or random.random() < 0.7:  # as a real controller wants it
         points[-1].update(
             {name: [0.0] * len(names) for name in ("velocities", "accelerations") if points[-1].get(name)}
         )
@@ -79,18 +79,21 @@ def made(random: np.random.Generator) -> Trial:
         for name in NAMES
         if random.random() < 0.5
     }
+    wide = random.uniform(1.5, 2.5) if turns else 4.0
     limits = CurveLimits(
         speed=speed,
         acceleration=bends and float(bends * speed),
         step=random.choice([None, float(1.3 * speed)]),
-        position=(-4.0, 4.0) if random.random() < 0.5 else None,
+        position=(-wide, wide) if random.random() < 0.5 else None,
         joints=joints if random.random() < 0.2 else {},
         described=bool(random.random() < 0.7),
     )
     described = {name: bounds_of(random, 0.95 * speed) for name in NAMES if random.random() < 0.95}
-    knows_speed = random.random() < 0.6
+    knows_speed, hurried = random.random() < 0.6, 0.3
+    if turns and random.random() < 0.7:  # it comes already
+        hurried = -0.6 * np.sign(start[0])
     measured = {
-        name: State(float(at), float(random.uniform(-1, 1) * 0.3 * speed) if knows_speed else None)
+        name: State(float(at), float(random.uniform(0 if turns else -1, 1) * hurried * speed) if knows_speed else None)
         for name, at in zip(names, start, strict=True)
     }
     value = {"header": {"stamp": stamp(random), "frame_id": ""}, "joint_names": names, "points": points}
