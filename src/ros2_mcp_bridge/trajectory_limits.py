@@ -148,6 +148,8 @@ def seconds(point: Any, shown: str) -> float:
 
 def states_at(point: Any, count: int, shown: str) -> Sequence[State]:
     """What a point carries of each of so many joints; raises `Unfit`."""
+    if not count:
+        raise Unfit(f"{shown} has no positions")
     columns: list[Sequence[float | None]] = []
     for name in ("positions", "velocities", "accelerations"):
         found = get(point, name) if name in fields_of(point) or name == "positions" else ()

@@ -44,8 +44,8 @@ class RobotJoints:
         """The robot's description, also of a publisher that has gone: its limits do not go with it. None where nobody
         has published one that can be read.
         """
-        if monotonic() - self._read_at > _KEPT_S:
-            self._urdf, self._read_at = await self._read() or self._urdf, monotonic()
+        if monotonic() - self._read_at > _KEPT_S and (topic := await self._topic()):
+            self._urdf, self._read_at = await self._read(topic) or self._urdf, monotonic()
         return self._urdf
 
     async def look(self, names: Sequence[str] = ()) -> LookAtJoints:
@@ -66,13 +66,14 @@ class RobotJoints:
         measured = {name: State(*told) for name, told in reply["joints"].items()}
         return known(Joints(measured, limits))
 
-    async def _read(self) -> Urdf | None:
+    async def _topic(self) -> str:
+        """Where a description is published; empty while none is discovered."""
         rows = [row for row in await self._graph.topics() if row.publishers and TEXT in row.types]
-        found = sorted((row.name for row in rows if row.name.rpartition("/")[2] == DESCRIPTION), key=len)
-        if not found:
-            return None
+        return min((row.name for row in rows if row.name.rpartition("/")[2] == DESCRIPTION), key=len, default="")
+
+    async def _read(self, topic: str) -> Urdf | None:
         try:
-            async with self._listen(found[0]) as listening:
+            async with self._listen(topic) as listening:
                 samples = await listening.take(_SAID_S)
             return parse((await self._values.in_full(TEXT, samples[-1].data))["data"]) if samples else None
         except (BadData, RobotError):

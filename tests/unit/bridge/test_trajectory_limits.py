@@ -139,6 +139,73 @@ def test_pace_holds_between_the_points_too() -> None:
     assert "faster than 0.3" in problem_of(pace, trajectory((2, 0, 0, None), (4, 0.45, 0, None)), {})
 
 
+def test_a_point_without_positions_has_no_pace() -> None:
+    pace, blind = Checks(pace={"points": Pace(0.3, 1.0)}), trajectory((2, 0, None, None))
+    blind["points"][0]["positions"] = []
+    assert "points[0] has no positions" in problem_of(pace, blind, {})
+
+
+def planned(way: float, speed: float = 0.29, bent: float = 0.5) -> Any:
+    """A time-optimal plan from 0, sampled each 0.1 s with velocities and accelerations, as MoveIt sends it."""
+    rise, total = speed / bent, way / speed + speed / bent
+    found: list[tuple[float, float, float, float]] = []
+    for step in range(math.ceil(total / 0.1) + 1):
+        now = min(0.1 * step, total)
+        if now < rise:
+            found.append((now, bent * now**2 / 2, bent * now, bent))
+        elif now < total - rise:
+            found.append((now, speed * (now - rise / 2), speed, 0.0))
+        else:
+            left = total - now
+            found.append((now, way - bent * left**2 / 2, bent * left, -bent))
+    return trajectory(*found)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.003, -0.003])
+def test_a_planner_s_trajectory_passes_the_profile_for_arms(noise: float) -> None:
+    profile = CurveLimits(speed=0.3, acceleration=1.0, step=0.3, position=(-3.2, 3.2))
+    known = Joints({"a": State(noise, noise)}, {"a": JointBounds(-0.0, 1.2, 3.0)})
+    for way in (0.3, 0.7123, 1.2):
+        assert not judged(planned(way), profile, known)
+    assert "would run at" in judged(planned(1.2, speed=0.31), profile, known)
+
+
+def test_a_controller_without_accelerations_takes_a_cubic_to_the_first_point() -> None:
+    # As a quintic from rest it needs 0.577 rad/s², as the cubic that the controller takes 0.6.
+    gentle = CurveLimits(speed=1.0, acceleration=0.59, step=1.0)
+    stands = Joints({"a": State(0.0, 0.0)}, {"a": JointBounds(-2.0, 2.0)})
+    assert "accelerate by 0.6" in judged(trajectory((1, 0.1, 0, 0)), gentle, stands)
+    assert not judged(trajectory((0, 0.0, 0, 0), (1, 0.1, 0, 0)), gentle, stands)
+
+
+def test_whole_turns_count_without_the_limits_of_the_description_and_where_it_does_not_tell() -> None:
+    limits = CurveLimits(speed=1.0, position=(-1.5, 7.0), described=False)
+    comes = trajectory((30, 0.0, 0, None))
+    moves = State(6.0, -0.9)  # on from 6.0, it comes to rest at 0; a turn lower, it first runs out to -3
+    assert "would be at" in judged(comes, limits, Joints({"a": moves}, {"a": JointBounds(wraps=True)}))
+    assert "would be at" in judged(comes, limits, Joints({"a": moves}))
+    assert not judged(comes, limits, Joints({"a": moves}, {"a": JointBounds()}))
+
+
+def test_a_first_point_at_once_is_where_the_joint_is_itself_and_not_a_turn_away() -> None:
+    known = Joints({"a": State(7.0, 0.0)}, {"a": JointBounds(wraps=True)})
+    limits = CurveLimits(speed=1.0)
+    assert "at once, and 'a' is 6.28 away" in judged(trajectory((0, 7.0 - 2 * math.pi, 0, None)), limits, known)
+    assert not judged(trajectory((0, 7.0, 0, None)), limits, known)
+    moves = Joints({"a": State(7.0, 0.5)}, known.described)
+    assert "0.05 away" in judged(trajectory((0, 7.0, 0, None)), limits, moves)
+
+
+def test_a_joint_that_stands_at_its_limit_is_not_refused_for_the_noise_of_its_encoder() -> None:
+    limits, at_end = CurveLimits(speed=0.3), Joints({"a": State(-0.0004)}, {"a": JointBounds(0.0, 1.0)})
+    assert not judged(trajectory((4, -0.0006, 0, None)), limits, at_end)
+    assert not judged(trajectory((0, -0.0006, 0, None), (4, 0.5, 0, None)), limits, at_end)
+    assert "would be at" in judged(trajectory((4, -0.0011, 0, None)), limits, at_end)
+    assert "would be at" in judged(
+        trajectory((0, 0.0, 0, None), (4, 0.5, 0, None), (8, -0.0006, 0, None)), limits, at_end
+    )
+
+
 def test_the_limits_of_a_curve_go_down_to_the_bridge_unchanged() -> None:
     curve = CurveLimits(0.3, 0.5, 0.1, (-1.0, 1.0), {"a": JointBounds(-0.5, 0.5, 0.2, 0.1)}, described=False)
     limit = Limit("arm", ("p/action/A",), checks=Checks(curve={"trajectory": curve}))

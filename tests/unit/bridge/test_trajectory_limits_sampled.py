@@ -30,7 +30,7 @@ SCALE = 3.0
 NOW_NS = 1_800_000_000_000_000_000
 NAMES = ("shoulder", "elbow", "wrist", "slide")
 STANDS, LATE_S, HALF_WAY, NOISE = 0.02, 0.1, 0.02, 0.001
-"""As decision 61 has them: a speed that is noise, what a trajectory takes, half a turn, noise as a share of the range."""
+"""A speed that is noise, how long a trajectory takes, half a turn, and noise as a share of the range: decision 61."""
 
 
 Carried = tuple[float, float | None, float | None]
