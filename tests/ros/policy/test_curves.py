@@ -149,6 +149,37 @@ def test_what_is_within_the_limits_is_approved_and_done(agent, arm, ros_environm
     assert all(joint["speed"] < MOST for joint in seen["joints"].values()), seen
 
 
+def test_a_move_of_joints_is_approved_and_done_and_one_that_is_too_fast_is_refused(
+    agent, arm, ros_environment, state
+) -> None:
+    refusal = agent.refusal("ros2_joint_move", joints={"joint_1": 0.5}, duration_s=1.5)
+    assert "joint_1 would run at 0.5 per second, at most 0.3 is allowed" in refusal
+    sent = {"joints": {"joint_1": 0.3}, "duration_s": 3.0}
+    refusal = agent.refusal("ros2_joint_move", **sent)
+    operate(ros_environment, state, "approve", refusal.partition("needs_approval ")[2][:4])
+    assert agent.call("ros2_joint_move", **sent)["outcome"] == "reached"
+    seen = arm.seen()
+    assert seen["goals"] == 1
+    assert seen["joints"]["joint_1"]["speed"] < MOST, seen
+
+
+def test_a_goal_that_replaces_a_motion_is_judged_with_the_speed_of_then(agent, arm) -> None:
+    sent = goal(point(60, [3.0, 0.0], STILL))
+    assert "needs_approval" in agent.refusal("ros2_send_action_goal", **sent)  # while the joints stand
+
+    def moves() -> bool:
+        if not arm.seen()["goals"]:
+            arm.want(topic=TOPIC, seconds=20.0, to=3.0, away_s=0.0)
+        return arm.seen()["joints"]["joint_1"]["high"] > 0.5
+
+    until(moves)  # of another client: at 0.2 rad/s, which the new goal would begin with
+    before = arm.seen()["goals"]
+    assert "joint_1 would be at" in agent.refusal("ros2_send_action_goal", **sent)
+    at_once = goal(point(0, [arm.seen()["joints"]["joint_1"]["high"], 0.0], STILL), point(60, [3.0, 0.0], STILL))
+    assert "points[0] is to be reached at once" in agent.refusal("ros2_send_action_goal", **at_once)
+    assert arm.seen()["goals"] == before
+
+
 def test_a_policy_is_drafted_with_the_joints_of_the_arm_and_their_limits(arm, ros_environment, state) -> None:
     command = [sys.executable, "-m", "ros2_mcp", "policy", "init"]
     env = {**ros_environment, "XDG_STATE_HOME": str(state)}
