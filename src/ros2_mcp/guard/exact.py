@@ -154,8 +154,8 @@ class ExactCommand:
         groups = [self.digest[4 * place : 4 * place + 4] for place in range(_DIGEST_GROUPS)]
         return [
             f"{self._effect()}{self._type()}, {self._often()}.",
-            self._values(),
             *self.told,
+            self._values(),
             *self._motion(),
             f"For the client {_text(self.principal.name)} ({word(self.principal.transport)}). "
             f"Digest {' '.join(groups)}.",

@@ -41,7 +41,7 @@ def test_no_joint_and_no_time_is_left_out_of_what_a_person_reads() -> None:
         principal=LOCAL, name="/arm", type="p/action/A", value=value, goal_id="0" * 31 + "1", timeout_s=1
     )
     summary = ExactCommand.of(command, told=told).summary()
-    assert all(line in summary for line in told)
+    assert summary[1 : 1 + len(told)] == told  # before the points, which are cut
     assert all(f"{name} from -0.25 to 0.5 rad" in told[0] for name in JOINTS)
     assert told[1] == "Top speed 0.1875 rad/s of joint_1; 2 points in 10 s."
     assert re.fullmatch(r"l6 comes at most 0\.6 m away from base, and at most down to z 0 m\.", told[2])
