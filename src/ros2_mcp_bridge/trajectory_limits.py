@@ -9,7 +9,7 @@ accelerations without velocities (ros2_controllers then commands zeros), a joint
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
@@ -73,15 +73,17 @@ class CurveLimits:
         if self.joints and name not in self.joints:
             raise Unfit(f"the joint {name!a} may not be moved, only {', '.join(self.joints)}")
         low, high = self.position or (None, None)
-        from_robot = described.get(name, JointBounds())
         all_bounds = [JointBounds(low, high, self.speed, self.acceleration), self.joints.get(name, JointBounds())]
-        all_bounds += [from_robot] if self.described else []
+        all_bounds += [described.get(name, JointBounds())] if self.described else []
+
+        def least(bounds: Iterable[float | None]) -> float | None:
+            return min((each for each in bounds if each is not None), default=None)
+
         found = JointBounds(
             max((each.low for each in all_bounds if each.low is not None), default=None),
-            *(
-                min((most for each in all_bounds if (most := getattr(each, key)) is not None), default=None)
-                for key in ("high", "speed", "acceleration")
-            ),
+            least(each.high for each in all_bounds),
+            least(each.speed for each in all_bounds),
+            least(each.acceleration for each in all_bounds),
         )
         if found.speed is None:
             why = "neither the policy nor the robot's description bounds its speed"
