@@ -164,7 +164,7 @@ def test_a_move_of_joints_is_approved_and_done_and_one_that_is_too_fast_is_refus
 
 
 def test_a_goal_that_replaces_a_motion_is_judged_with_the_speed_of_then(agent, arm) -> None:
-    sent = goal(point(60, [3.0, 0.0], STILL))
+    sent = goal(point(120, [3.0, 0.0], STILL))
     assert "needs_approval" in agent.refusal("ros2_send_action_goal", **sent)  # while the joints stand
 
     def moves() -> bool:
@@ -175,7 +175,7 @@ def test_a_goal_that_replaces_a_motion_is_judged_with_the_speed_of_then(agent, a
     until(moves)  # of another client: at 0.2 rad/s, which the new goal would begin with
     before = arm.seen()["goals"]
     assert "joint_1 would be at" in agent.refusal("ros2_send_action_goal", **sent)
-    at_once = goal(point(0, [arm.seen()["joints"]["joint_1"]["high"], 0.0], STILL), point(60, [3.0, 0.0], STILL))
+    at_once = goal(point(0, [arm.seen()["joints"]["joint_1"]["high"], 0.0], STILL), point(120, [3.0, 0.0], STILL))
     assert "points[0] is to be reached at once" in agent.refusal("ros2_send_action_goal", **at_once)
     assert arm.seen()["goals"] == before
 
