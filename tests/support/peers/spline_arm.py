@@ -123,12 +123,9 @@ class Arm:
         ]
         with self._lock:
             first = trajectory.points[0]
+            # Its states are positions and velocities, as of most arms: without accelerations the first way is a cubic.
             before = [
-                [
-                    place,
-                    speed if len(first.velocities) else None,
-                    0.0 if len(first.accelerations) else None,
-                ]
+                [place, speed if len(first.velocities) else None, None]
                 for place, speed in zip(self._places, self._speeds, strict=True)
             ]
             self._points = [(now, before), *columns]
