@@ -9,16 +9,15 @@ Whatever cannot be judged fails: a field that is not there, a text where a numbe
 from __future__ import annotations
 
 import math
-import re
-import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, cast
+from typing import Any
 
-from .limits import MAX_JUDGED_ELEMENTS
+from .curves import extremes, segments
+from .field_values import Unfit, at, fields_of, get, is_list, number_at, numbers, steps_of, with_frame_ids
+from .trajectory_limits import CurveLimits, LookAtJoints, nobody_measures, seconds, states_at
+from .trajectory_limits import problem as problem_of_curve
 
-_FLOAT32 = struct.Struct("<f")
-_LARGE_INTEGER = re.compile(r"-?[0-9]{16,20}")
 # A scaled vector is this much shorter than its limit, so that rounding to float32 (6e-8) leaves it within.
 _WITHIN = 1 - 1e-6
 # The limits of a trajectory hold for rounded times, too: a nanosecond of one second.
@@ -38,8 +37,8 @@ class Zone:
 class Pace:
     """A limit on a list of trajectory points (`positions`, `time_from_start`).
 
-    No joint moves faster than `most` (rad/s or m/s) from one point to the next, and the first point, whose way there is
-    not known, comes `first_s` after the start or later.
+    No joint moves faster than `most` (rad/s or m/s) anywhere between two points, and the first point, whose way there
+    is not known, comes `first_s` after the start or later.
     """
 
     most: float
@@ -62,37 +61,41 @@ class Checks:
     count: Mapping[str, tuple[int, int]] = field(default_factory=dict[str, "tuple[int, int]"])
     zone: Mapping[str, str] = field(default_factory=dict[str, str])
     pace: Mapping[str, Pace] = field(default_factory=dict[str, Pace])
+    curve: Mapping[str, CurveLimits] = field(default_factory=dict[str, CurveLimits])
 
     @property
     def is_empty(self) -> bool:
         """Whether every value passes."""
-        return not (self.norm or self.range or self.one_of or self.zero or self.count or self.zone or self.pace)
-
-
-class _Unfit(Exception):
-    """A value has no such field, or none that can be judged."""
+        by_path = (self.norm, self.range, self.one_of, self.zero, self.count, self.zone, self.pace, self.curve)
+        return not any(by_path)
 
 
 # ── judging ────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def problem(checks: Checks, value: Any, zones: Mapping[str, Zone]) -> str:
-    """What of a value is beyond its limits, in words that begin with the path; empty if nothing is."""
+def problem(checks: Checks, value: Any, zones: Mapping[str, Zone], look: LookAtJoints = nobody_measures) -> str:
+    """What of a value is beyond its limits, in words that begin with the path; empty if nothing is. `look` is asked
+    where the joints of a trajectory are.
+    """
     try:
-        return next(_problems(checks, value, zones), "")
-    except _Unfit as unfit:
+        return next(_problems(checks, value, zones, look), "")
+    except Unfit as unfit:
         return str(unfit)
 
 
-def _problems(checks: Checks, value: Any, zones: Mapping[str, Zone]) -> Iterator[str]:
+def _problems(checks: Checks, value: Any, zones: Mapping[str, Zone], look: LookAtJoints) -> Iterator[str]:
     for bounds, judge in _by_path(checks):
         for path, bound in bounds.items():
             for shown, found in at(value, path):
                 yield from judge(shown, found, bound)
     for path, name in checks.zone.items():
-        for shown, found, frame_id in _with_frame_ids(value, path):
+        for shown, found, frame_id in with_frame_ids(value, path):
             if reason := outside(found, frame_id, zones[name]):
                 yield f"{shown or 'the position'} {reason} (zone {name})"
+    for path, limits in checks.curve.items():
+        for shown, found in at(value, path):
+            if reason := problem_of_curve(found, limits, look):
+                yield f"{shown or 'the trajectory'}: {reason}"
 
 
 def _by_path(checks: Checks) -> Sequence[tuple[Mapping[str, Any], Callable[[str, Any, Any], Iterator[str]]]]:
@@ -127,7 +130,7 @@ def _none_of(shown: str, found: Any, allowed: tuple[Any, ...]) -> Iterator[str]:
 
 def _too_many(shown: str, found: Any, bounds: tuple[int, int]) -> Iterator[str]:
     fewest, most = bounds
-    many = len(found) if _is_list(found) else -1
+    many = len(found) if is_list(found) else -1
     if not fewest <= many <= most:
         yield f"{shown} has {many} elements, {fewest} to {most} are allowed"
 
@@ -158,7 +161,7 @@ def outside(position: Any, frame_id: str, zone: Zone) -> str:
             position = get(position, step)
     if "pose" in fields_of(position):  # of a pose with covariance
         position = get(get(position, "pose"), "position")
-    x, y = (_number(position, axis, axis) for axis in ("x", "y"))
+    x, y = (number_at(position, axis, axis) for axis in ("x", "y"))
     if not (math.isfinite(x) and math.isfinite(y)):
         return "is no finite position"
     if not _is_inside(x, y, zone.polygon):
@@ -191,144 +194,28 @@ def _distance(x: float, y: float, one: tuple[float, float], other: tuple[float, 
 
 
 def _too_fast(shown: str, points: Any, pace: Pace) -> Iterator[str]:
-    if not _is_list(points) or not len(points):
+    if not is_list(points) or not len(points):
         yield f"{shown} has no points"
         return
     before_s, before = 0.0, None
     for place, point in enumerate(points):
         here = f"{shown}[{place}]"
-        start = get(point, "time_from_start")
-        now_s = _number(start, "sec", here) + _number(start, "nanosec", here) / 1e9
-        now = [_element(number, here) for number in get(point, "positions")]
+        now_s = seconds(point, here)
+        now = states_at(point, len(get(point, "positions")), here)
         if before is None:
             if not now_s * _ROUNDING >= pace.first_s:
                 yield f"{here} comes after {now_s:g} s, at least {pace.first_s:g} s is needed for the way there"
         elif len(now) != len(before):
             yield f"{here} has {len(now)} positions, the one before has {len(before)}"
+        elif not now_s > before_s:
+            yield f"{here} comes no later than the point before: it is reached faster than {pace.most:g} per second"
         else:
             most = pace.most * (now_s - before_s) * _ROUNDING
-            for joint, place_now in enumerate(now):
-                if not abs(place_now - before[joint]) <= most:
+            for joint, states in enumerate(zip(before, now, strict=True)):
+                curves = [extremes(way.speed) for way in segments(*states, now_s - before_s)]
+                if not all(-most <= low and high <= most for low, high in curves):
                     yield f"{here}.positions[{joint}] is reached faster than {pace.most:g} per second"
         before_s, before = now_s, now
-
-
-# ── fields of JSON objects and of messages ─────────────────────────────────────────────────────────────────────────
-
-
-def fields_of(value: Any) -> Sequence[str]:
-    """The names of the fields of a JSON object or a message; none of anything else."""
-    if isinstance(value, Mapping):
-        return list(cast("Mapping[str, Any]", value))
-    return list(value.get_fields_and_field_types()) if hasattr(value, "get_fields_and_field_types") else ()
-
-
-def get(value: Any, name: str) -> Any:
-    """One field; raises `_Unfit` where there is none."""
-    if name not in fields_of(value):
-        raise _Unfit(f"there is no field {name}, which has a limit")
-    return cast("Mapping[str, Any]", value)[name] if isinstance(value, Mapping) else getattr(value, name)
-
-
-def _put(value: Any, name: str, changed: Any) -> None:
-    if isinstance(value, dict):
-        value[name] = changed
-    else:
-        setattr(value, name, changed)
-
-
-def at(value: Any, path: str) -> Iterator[tuple[str, Any]]:
-    """Every field that a path names, with its own path, in which each `[]` has its place: `points[3].velocities[0]`."""
-    return ((shown, found) for shown, found, _ in _with_frame_ids(value, path))
-
-
-def _with_frame_ids(value: Any, path: str) -> Iterator[tuple[str, Any, str]]:
-    """The same, each with the frame that the header nearest above it names; empty where there is none."""
-    steps = _steps(value, path)
-    found = [("", value, _frame_id_of(value))]
-    for step in steps:
-        found = [after for before in found for after in _after(*before, step)]
-    return iter(found)
-
-
-def _after(shown: str, value: Any, frame_id: str, step: str) -> Iterator[tuple[str, Any, str]]:
-    """What one step of a path leads to."""
-    if step == "[]":
-        if not _is_list(value):
-            raise _Unfit(f"{shown} is no list, and its elements have a limit")
-        for place, element in _elements(value, shown):
-            yield f"{shown}[{place}]", element, _frame_id_of(element) or frame_id
-        return
-    below = get(value, step)
-    yield f"{shown}.{step}".lstrip("."), _meant(value, step, below), _frame_id_of(below) or frame_id
-
-
-def _steps(value: Any, path: str) -> list[str]:
-    """The steps of a path from this value: `["points", "[]", "velocities"]`, with the one that may be left out."""
-    steps = [step for step in path.replace("[]", ".[]").split(".") if step]
-    present = fields_of(value)
-    if steps and steps[0] not in present and len(present) == 2 and "header" in present:
-        steps.insert(0, next(name for name in present if name != "header"))
-    return steps
-
-
-def _frame_id_of(value: Any) -> str:
-    if "header" not in fields_of(value):
-        return ""
-    header = get(value, "header")
-    return str(get(header, "frame_id")) if "frame_id" in fields_of(header) else ""
-
-
-def _is_list(value: Any) -> bool:
-    """Lists, and the arrays in which rclpy keeps numbers; a text is none, nor are bytes."""
-    return hasattr(value, "__len__") and hasattr(value, "__getitem__") and not isinstance(value, (str, bytes, Mapping))
-
-
-def numbers(value: Any, path: str) -> Iterator[tuple[str, float]]:
-    """Every number at or below a path, with its own; raises `_Unfit` for anything else."""
-    if names := fields_of(value):
-        for name in names:
-            yield from numbers(_meant(value, name, get(value, name)), f"{path}.{name}".lstrip("."))
-    elif _is_list(value):
-        for place, element in _elements(value, path):
-            yield from numbers(element, f"{path}[{place}]")
-    else:
-        yield path, _element(value, path)
-
-
-def _elements(value: Any, path: str) -> Iterator[tuple[int, Any]]:
-    """What is in a list, with its places; raises `_Unfit` for more than can be judged in time."""
-    if len(value) > MAX_JUDGED_ELEMENTS:
-        raise _Unfit(f"{path} has {len(value)} elements, more than the {MAX_JUDGED_ELEMENTS} that are judged")
-    return cast("Iterator[tuple[int, Any]]", enumerate(value))
-
-
-def _number(value: Any, name: str, path: str) -> float:
-    return _element(_meant(value, name, get(value, name)), path)
-
-
-def _element(value: Any, path: str) -> float:
-    """A number; a text that the server shows in the place of one is one, too, and NaN where it is not finite."""
-    if isinstance(value, str) and _LARGE_INTEGER.fullmatch(value):
-        return float(int(value))
-    if isinstance(value, str) and value in ("nan", "inf", "-inf"):
-        return math.nan
-    if isinstance(value, (bool, str)) or not hasattr(value, "__float__"):
-        raise _Unfit(f"{path} is no number, and has a limit")
-    return float(value)
-
-
-def _meant(message: Any, name: str, value: Any) -> Any:
-    """A float32 of a message as the number that was meant: 0.2, not 0.200000003, which is beyond a limit of 0.2."""
-    if not isinstance(value, float) or isinstance(message, Mapping):
-        return value
-    if message.get_fields_and_field_types().get(name) != "float" or not math.isfinite(value):
-        return value
-    for digits in range(6, 10):  # nine tell every float32 from every other
-        meant = float(f"{value:.{digits}g}")
-        if abs(meant) < 3.5e38 and _FLOAT32.unpack(_FLOAT32.pack(meant))[0] == value:
-            return meant
-    return value
 
 
 # ── bringing within ────────────────────────────────────────────────────────────────────────────────────────────────
@@ -352,12 +239,19 @@ def clamp(checks: Checks, value: Any) -> bool:
         _scale(checks, value)
         for path, (low, high) in checks.range.items():
             for parent, name in _places(value, path):
-                number = _number(parent, name, path)
+                number = number_at(parent, name, path)
                 if not low <= number <= high and not math.isnan(number):
                     _put(parent, name, type(get(parent, name))(min(high, max(low, number))))
-    except (_Unfit, TypeError, ValueError, AssertionError):  # the last ones are of messages that take no such value
+    except (Unfit, TypeError, ValueError, AssertionError):  # the last ones are of messages that take no such value
         return False
     return not problem(scaled, value, {})
+
+
+def _put(value: Any, name: str, changed: Any) -> None:
+    if isinstance(value, dict):
+        value[name] = changed
+    else:
+        setattr(value, name, changed)
 
 
 def _scale(checks: Checks, value: Any) -> None:
@@ -390,9 +284,9 @@ def _put_scaled(parent: Any, name: str, factor: float) -> None:
 
 def _places(value: Any, path: str) -> Iterator[tuple[Any, str]]:
     """Where the numbers at or below a path are: the object or message, and the name of the field. Not in lists."""
-    steps = _steps(value, path)
+    steps = steps_of(value, path)
     if "[]" in steps:
-        raise _Unfit(f"{path} cannot be changed")
+        raise Unfit(f"{path} cannot be changed")
     for step in steps[:-1]:
         value = get(value, step)
     yield from _leaves(value, steps[-1:] or fields_of(value))

@@ -11,7 +11,7 @@ from weakref import WeakKeyDictionary
 
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 
-from . import protocol, rcl
+from . import protocol, rcl, stamps
 from .failsafes import FailSafes
 from .flight import brakes
 from .lifeline import Lifeline
@@ -144,6 +144,7 @@ class Clients:
             raise OperationError("bad_request", problem) from error
         if request.flag("brakes") and not brakes(service, type_name, message):
             raise OperationError("bad_request", f"{service} is not asked to make a vehicle stand: it is an order.")
+        stamps.zero(message)  # whatever the server let through: a trajectory begins when it arrives
         self._limiter.check_call(request, message, leaves=False)  # before anything is made, or waited for
         create = partial(rcl.client, self._node, request.interface, service, MANY_AT_ONCE)
         with self.pool.use((service, type_name), create) as (client, _):

@@ -25,6 +25,7 @@ from typing import Any
 
 from . import scans
 from .field_types import TEXTS, Types
+from .headings import yaw_rad
 from .paths import FieldPath, PathError, parse
 
 # Characters. Far more than a condition that can still be understood.
@@ -411,7 +412,7 @@ def _yaw(quaternion: Any) -> float:
     x, y, z, w = (float(getattr(quaternion, name)) for name in "xyzw")
     if not any((x, y, z, w)):
         raise Undecided("yaw() of a quaternion of zeros is no direction.")
-    return math.atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
+    return yaw_rad(x, y, z, w)
 
 
 def _accepts_several(kinds: Sequence[str]) -> bool:

@@ -15,6 +15,7 @@ from typing import Any
 from .clearance import LEAST_MPS, LEAST_RADPS, NOTHING_NEAR, Allowed, Clearance
 from .controller import Feed, Velocity
 from .course import Circle, Line, Place, Pose, Turn, wrapped
+from .headings import yaw_rad
 from .nudges import Nudge, Nudges
 
 # How fast it speeds up, m/s² and rad/s². Chosen: what small robots do without slipping.
@@ -464,8 +465,7 @@ def _pose_of(message: Any) -> Pose:
     """Of nav_msgs/msg/Odometry, and of what else has a pose."""
     pose = getattr(message.pose, "pose", message.pose)
     at, q = pose.position, pose.orientation
-    yaw = math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z))
-    return Pose(at.x, at.y, yaw)
+    return Pose(at.x, at.y, yaw_rad(q.x, q.y, q.z, q.w))
 
 
 def _mean(poses: Sequence[Pose]) -> Pose:

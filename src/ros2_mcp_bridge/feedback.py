@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any, cast
 
 from .checks import Zone, outside
+from .headings import yaw_rad
 
 # From a message about the robot to a zero at its driver: a look every 0.02 s, and the way of both. Chosen, with room.
 REACTION_S = 0.15
@@ -184,8 +185,7 @@ class Watchdog:
         rule, silence = self.pose_rule, self._no_place
         assert rule and silence
         x, y = _numbers(message, f"{rule.path}.position", "xy")
-        i, j, k, w = _numbers(message, f"{rule.path}.orientation", "xyzw")
-        yaw = math.atan2(2 * (w * k + i * j), 1 - 2 * (j * j + k * k))
+        yaw = yaw_rad(*_numbers(message, f"{rule.path}.orientation", "xyzw"))
         problem = "" if all(map(math.isfinite, (x, y, yaw))) else f"no numbers at {rule.path}"
         if frame_id != rule.frame_id:  # it says nothing of where the zone is
             problem = f"its frame is {frame_id[:MAX_NAME]!a}, not {rule.frame_id!r}"

@@ -8,7 +8,8 @@ from functools import lru_cache
 from operator import attrgetter
 from typing import Any
 
-from .checks import Checks, at, fields_of, get
+from .checks import Checks
+from .field_values import at, fields_of, get
 
 Numbers = Callable[[Any], Sequence[float]]
 
@@ -82,7 +83,7 @@ class QuickCheck:
     @classmethod
     def of(cls, checks: Sequence[Checks], message: Any) -> QuickCheck | None:
         """The quick check for messages like this one; None where there is none."""
-        if any(each.one_of or each.count or each.zone or each.pace for each in checks):
+        if any(each.one_of or each.count or each.zone or each.pace or each.curve for each in checks):
             return None
         try:
             return cls(checks, message)

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import math
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from . import interfaces, qos, rcl
+from .curves import State
+from .protocol import JointsReply
+from .request import OperationError, Request, Steps
+from .trajectory_limits import JointBounds, Joints
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -22,6 +27,11 @@ MOST_TOPICS = 8
 # Whoever hangs while it takes must not keep the other thread, which goes on with what was taken before. Chosen.
 TAKE_S = 0.05
 NS_PER_S = 1_000_000_000
+# For a first message with the joints of a trajectory, once per topic, before it is sent: a publisher that missed our
+# announcement is discovered with the next one, 3 s later (decision 13).
+MEASURED_S = 3.5
+# Between looks while joints are waited for: they tell of themselves at 10 to 1,000 Hz.
+LOOK_S = 0.02
 
 
 class JointStates:
@@ -35,6 +45,8 @@ class JointStates:
         self._interface: Any = None
         self._subscriptions: dict[str, rcl.RawSubscription] = {}
         self._positions: dict[str, tuple[float, float]] = {}
+        self._speeds: dict[str, float] = {}
+        self.described: Mapping[str, JointBounds] = {}
         self._lock = threading.Lock()
         self._looked_at = -math.inf
 
@@ -61,6 +73,30 @@ class JointStates:
         if missing := self.missing(joints):
             raise ValueError(f"no joint state of the last {STALE_S:g} s has the position of {', '.join(missing)}")
         return [self._positions[joint][0] for joint in joints]
+
+    def known(self, joints: Sequence[str]) -> Joints:
+        """How these joints move now, and their limits in the robot's description. From any thread. Raises as above."""
+        positions = self.positions(joints)
+        measured = {name: State(at, self._speeds.get(name)) for name, at in zip(joints, positions, strict=True)}
+        return Joints(measured, self.described)
+
+    def wait(self, request: Request) -> Steps[JointsReply]:
+        """How joints move now, waited for at most `within_s`: asked before the first trajectory. The body, if there is
+        one, has the limits of the robot's description: those of joints by name, as `JointBounds`.
+        """
+        if request.body:
+            try:
+                described = json.loads(request.body)
+                self.described = {str(name): JointBounds(**each) for name, each in described.items()}
+            except (ValueError, TypeError, AttributeError) as error:
+                raise OperationError("bad_request", f"These limits of joints cannot be read: {error!r}") from error
+        joints, deadline = request.texts("joints"), time.monotonic() + request.number("within_s", MEASURED_S)
+        self.follow()
+        while (missing := self.missing(joints)) and time.monotonic() < deadline:
+            self.follow()
+            yield LOOK_S
+        measured = self.known([name for name in joints if name not in missing]).measured
+        return {"joints": {name: (state.position, state.speed) for name, state in measured.items()}}
 
     def clear(self) -> None:
         """End following."""
@@ -89,6 +125,10 @@ class JointStates:
             message = rcl.deserialize(data, self._interface)
         except Exception:  # noqa: BLE001 - anybody can publish a broken one: it tells nothing
             return
+        speeds = dict(zip(message.name, message.velocity, strict=False))
         for name, position in zip(message.name, message.position, strict=False):
             if math.isfinite(position):
                 self._positions[name] = position, at
+                self._speeds.pop(name, None)
+                if math.isfinite(speed := speeds.get(name, math.nan)):
+                    self._speeds[name] = speed

@@ -25,6 +25,7 @@ from .limits import MAX_JUDGED_BYTES
 from .ramp import Bucket, PerMinute, Ramp
 from .request import OperationError, Request, Steps
 from .rules import Limit, Rules, Ruling, Verb, judged_part, meaning
+from .trajectory_limits import LookAtJoints, nobody_measures
 from .velocity import VELOCITY_TYPES
 
 # ROS resolves other spellings to these (`cmd_vel`, `~/x`, `{node}`): rules judge the name that is meant, and no other.
@@ -63,7 +64,8 @@ def is_zero(message: Any) -> bool:
 class Limiter:
     """The rules of this bridge: none (`is_under_policy` is false), still to come, or taken; once taken they stay.
 
-    `start` runs steps on the ROS thread's loop; `now` tells monotonic seconds.
+    `start` runs steps on the ROS thread's loop; `now` tells monotonic seconds. `look_at_joints` tells where the joints
+    of a trajectory are.
     """
 
     def __init__(
@@ -75,6 +77,7 @@ class Limiter:
         self.is_under_policy = is_under_policy
         self.rules: Rules | None = None
         self.watch: Mapping[str, Any] | None = None
+        self.look_at_joints: LookAtJoints = nobody_measures
         self.start = start
         self.now = now
         self._per_minute: dict[tuple[str, str], PerMinute] = {}
@@ -167,7 +170,7 @@ class Limiter:
 
     def judge(self, ruling: Ruling, value: Any) -> None:
         """Raise `OperationError` of kind `refused` for a value that breaks a limit."""
-        rule, problem = ruling.judge(value)
+        rule, problem = ruling.judge(value, self.look_at_joints)
         if problem:
             raise refused(f"The policy of this robot: {problem} ({rule}).")
 
@@ -192,6 +195,7 @@ class _Way:
         rate_hz = ruling.most("rate_hz")
         self.bucket = None if rate_hz is None else Bucket(rate_hz)
         self.for_s = ruling.most("for_s")
+        self.has_curve = bool(ruling.curves)
         self._checks = _all_checks(ruling)
         self._quick: QuickCheck | None = None
 
@@ -247,7 +251,8 @@ class TopicLimits:
         way = self._way(request)
         if way is None or way.is_within(message):
             return False
-        settled = way.ruling.settle(message, "stream" if request.op == "relay" else "tool")
+        as_what = "stream" if request.op == "relay" else "tool"
+        settled = way.ruling.settle(message, as_what, self._limiter.look_at_joints)
         if settled.problem:
             raise refused(f"The policy of this robot: {settled.problem} ({settled.rule}).")
         return settled.clamped
@@ -270,8 +275,9 @@ class TopicLimits:
         is_ramped = self._ramp is not None and message is not None and not stops
         wanted: Mapping[str, float] = self._ramp.hold_back(message, now) if self._ramp and is_ramped else {}
         try:
-            if wanted and not way.is_within(message):
-                # It lies between two that may be; where only certain values may, not all between them may be.
+            if (wanted and not way.is_within(message)) or way.has_curve:
+                # It lies between two that may be; where only certain values may, not all between them may be. And the
+                # joints may have moved since a trajectory was judged.
                 self._limiter.judge(way.ruling, message)
             yield bool(wanted)
             self._has_left(message, request, now, stops=stops)

@@ -105,6 +105,7 @@ class Operations:
         make = partial(topic_of, joint_states=self._joint_states)
         self._velocities = Velocities(self._clock, outbox.send, self._lifeline, make)
         self._limiter = limiter
+        limiter.look_at_joints = self._joint_states.known
         self.failsafes = FailSafes(self.send_zeros)
         self._subscriptions = Subscriptions(node, self._graph, loop, outbox)
         self._clients = Clients(node, self.failsafes, limiter, lifeline)
@@ -145,6 +146,7 @@ class Operations:
                 "relays": self._relays.counts,
                 "call": self._clients.call,
                 "cancel_when": cancelling.cancel_when,
+                "joint_states": self._joint_states.wait,
                 "failsafe_publish": self._publishers.failsafe,
                 "failsafe_call": self._clients.failsafe,
                 "stop": self._stop,

@@ -398,6 +398,14 @@ class StopReply(ZeroReply):
     dropped: list[tuple[str, str]]
 
 
+class JointsReply(TypedDict):
+    """How joints move, by name: position in rad or m, and speed per second; None where nobody tells it. What is not
+    heard of is left out.
+    """
+
+    joints: dict[str, tuple[float, float | None]]
+
+
 # ── services ───────────────────────────────────────────────────────────────────────────────────────────────────
 
 

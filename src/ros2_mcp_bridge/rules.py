@@ -12,8 +12,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, cast
 
-from .checks import Checks, Pace, Zone, clamp, get
+from .checks import Checks, Pace, Zone, clamp
 from .checks import problem as problem_of
+from .field_values import get
+from .trajectory_limits import CurveLimits, JointBounds, LookAtJoints, nobody_measures
 
 Verb = Literal["publish", "relay", "play", "call", "goal", "cancel", "set", "transition", "record", "read"]
 """What is done; `publish` once or repeatedly, `set` parameters, make a `transition` of a lifecycle node. `read` is a
@@ -203,7 +205,7 @@ class Allowance:
             return False
         return verb in ("cancel", "record", "set", "transition") or matches(self.types, type_name, hidden=True)
 
-    def problem(self, value: Any, zones: Mapping[str, Zone]) -> str:
+    def problem(self, value: Any, zones: Mapping[str, Zone], look: LookAtJoints = nobody_measures) -> str:
         """Why it does not allow a value, in words; empty if it does."""
         if self.verb == "set" and "**" not in self.parameters:
             others = [name for name in value if name not in self.parameters]
@@ -212,7 +214,7 @@ class Allowance:
         is_bound = self.verb == "transition" and "**" not in self.transitions
         if is_bound and (problem := _transition_problem(get(value, "transition"), self.transitions)):
             return problem
-        return problem_of(self.checks, value, zones)
+        return problem_of(self.checks, value, zones, look)
 
 
 def _transition_problem(transition: Any, labels: Sequence[str]) -> str:
@@ -359,18 +361,24 @@ class Ruling:
         has_names = any(entry.verb in ("set", "transition") for entry in self.allowances)
         return has_names or any(not part.checks.is_empty for part in (*self.allowances, *self.limits))
 
-    def judge(self, value: Any) -> tuple[str, str]:
+    @property
+    def curves(self) -> Sequence[str]:
+        """The paths of trajectories whose whole curve has limits."""
+        parts = (*self.allowances, *self.limits)
+        return list(dict.fromkeys(path for part in parts for path in part.checks.curve))
+
+    def judge(self, value: Any, look: LookAtJoints = nobody_measures) -> tuple[str, str]:
         """Which rule a value breaks, and how, in words; both empty if it is within all limits."""
         for policy in self.policies:
             for limit in policy.limits:
-                if found := problem_of(limit.checks, value, policy.rules.zones):
+                if found := problem_of(limit.checks, value, policy.rules.zones, look):
                     return limit.rule, found
-            found = [(entry.rule, entry.problem(value, policy.rules.zones)) for entry in policy.allow]
+            found = [(entry.rule, entry.problem(value, policy.rules.zones, look)) for entry in policy.allow]
             if found and all(reason for _, reason in found):
                 return found[0]
         return "", ""
 
-    def settle(self, value: Any, way: Literal["tool", "stream"]) -> Settled:
+    def settle(self, value: Any, way: Literal["tool", "stream"], look: LookAtJoints = nobody_measures) -> Settled:
         """Judges a value of a tool call, or of a relay, feed or playback; where its limits say `clamp`, it is brought
         within them before, in place.
         """
@@ -380,7 +388,7 @@ class Ruling:
                 clamped = clamp(limit.checks, value) or clamped
         for entry in self.allowances if way == "stream" else ():
             clamped = clamp(entry.checks, value) or clamped
-        rule, found = self.judge(value)
+        rule, found = self.judge(value, look)
         return Settled(rule, found, clamped)
 
 
@@ -523,7 +531,13 @@ def _checks(value: Mapping[str, Any]) -> Checks:
         count={path: (fewest, most) for path, (fewest, most) in value["count"].items()},
         zone=dict(value["zone"]),
         pace={path: Pace(**each) for path, each in value["pace"].items()},
+        curve={path: _curve(each) for path, each in value["curve"].items()},
     )
+
+
+def _curve(value: Mapping[str, Any]) -> CurveLimits:
+    more: dict[str, Any] = {"joints": {name: JointBounds(**each) for name, each in value["joints"].items()}}
+    return CurveLimits(**{**_tuples(value), **more})
 
 
 def _zone(value: Mapping[str, Any]) -> Zone:

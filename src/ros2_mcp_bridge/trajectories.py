@@ -14,7 +14,7 @@ from typing import Any
 
 from . import interfaces, rcl
 from .clock import RobotClock
-from .joint_states import JointStates
+from .joint_states import MEASURED_S, JointStates
 from .lifeline import Guarded, Lifeline
 from .protocol import StoppedTopic
 from .request import OperationError, Steps
@@ -22,9 +22,6 @@ from .velocities import POLL_S, Outgoing, VelocityTopic, decoded
 from .velocity import HOLD_TYPES
 
 POINT = "trajectory_msgs/msg/JointTrajectoryPoint"
-# For a first message with the joints of a trajectory, once per topic, before it is sent: a publisher that missed our
-# announcement is discovered with the next one, 3 s later (decision 13).
-MEASURED_S = 3.5
 # Between two looks, 0.25 s apart: a joint that has moved by less stands. Above encoders' noise. Chosen.
 STANDS = 0.002
 # Names of joints are told to the stopper in one line; 50 joints of 40 characters. Chosen.
@@ -92,6 +89,7 @@ class TrajectoryTopic(VelocityTopic):
             if not all(map(math.isfinite, numbers)):
                 problem = f"points[{index}] has a number that is not finite: a motion needs finite numbers."
                 raise OperationError("bad_request", problem)
+        message.header.stamp.sec = message.header.stamp.nanosec = 0
         self._awaited = tuple(message.joint_names)
         return Trajectory(self, message)
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ros2_mcp.model.costs import OCCUPIED, TOUCHING, Narrowest, Reach
 from ros2_mcp.model.errors import BadData
 from ros2_mcp.model.pictures import Place
+from ros2_mcp_bridge.headings import yaw_rad
 
 _WIDE_M = 3.0
 """A gap that is wider than this is no narrow spot for anything that drives through doors."""
@@ -41,7 +42,7 @@ class CostGrid:
         self.cells: NDArray[np.int8] = data.reshape(info.height, info.width)
         at, turn = info.origin.position, info.origin.orientation
         self._origin = (float(at.x), float(at.y))
-        self._yaw = math.atan2(2 * (turn.w * turn.z + turn.x * turn.y), turn.w**2 + turn.x**2 - turn.y**2 - turn.z**2)
+        self._yaw = yaw_rad(turn.x, turn.y, turn.z, turn.w)
 
     @property
     def corner(self) -> Place:

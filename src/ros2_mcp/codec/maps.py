@@ -13,6 +13,7 @@ from ros2_mcp.codec.ground import ROOM_PX, Ground, has_axes, marks_in_words, wit
 from ros2_mcp.codec.raster import Raster, magnified
 from ros2_mcp.model.errors import BadData
 from ros2_mcp.model.pictures import Bounds, Place
+from ros2_mcp_bridge.headings import yaw_rad
 
 OCCUPIED = 50
 """Cells from this percentage on count as occupied, below as free: the middle, as a map tells no threshold."""
@@ -56,7 +57,7 @@ def map_facts(message: Any) -> MapFacts:
     free = float(np.mean((cells >= 0) & (cells < OCCUPIED)))
     occupied = float(np.mean((cells >= OCCUPIED) & (cells <= 100)))
     position, turn = info.origin.position, info.origin.orientation
-    yaw = math.atan2(2 * (turn.w * turn.z + turn.x * turn.y), turn.w**2 + turn.x**2 - turn.y**2 - turn.z**2)
+    yaw = yaw_rad(turn.x, turn.y, turn.z, turn.w)
     return MapFacts(
         message.header.frame_id,
         float(info.resolution),

@@ -56,8 +56,8 @@ class Request:
 
     def summary(self) -> list[str]:
         """What a person reads of it."""
-        effect, values, *rest = self.exact.summary()
-        return [effect, values, *filter(None, [self.bounds]), *rest]
+        *told, client = self.exact.summary()
+        return [*told, *filter(None, [self.bounds]), client]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -92,7 +92,7 @@ class Auditing:
 
 def exact_of(act: Act, policy: str, epoch: str) -> ExactCommand:
     """The exact command of an act."""
-    return ExactCommand.of(act.command, act.facts.value, policy=policy, epoch=epoch)
+    return ExactCommand.of(act.command, act.facts.value, policy=policy, epoch=epoch, told=act.facts.told)
 
 
 def _outcome(error: BaseException | None, ended_by: str) -> str:

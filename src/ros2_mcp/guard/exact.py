@@ -63,10 +63,18 @@ class ExactCommand:
     more: Mapping[str, Any]
     policy: str = ""
     epoch: str = ""
+    told: Sequence[str] = ()
 
     @classmethod
     def of(
-        cls, command: Command[Any], value: object = None, body: bytes = b"", *, policy: str = "", epoch: str = ""
+        cls,
+        command: Command[Any],
+        value: object = None,
+        body: bytes = b"",
+        *,
+        policy: str = "",
+        epoch: str = "",
+        told: Sequence[str] = (),
     ) -> ExactCommand:
         """The act that a command is.
 
@@ -76,6 +84,7 @@ class ExactCommand:
             body: its bytes; without them, the digest is of the value as JSON, which says the same.
             policy: the hash of the policies in force.
             epoch: the stop epoch in which it was accepted.
+            told: what else a person reads of its value, such as the extremes of a trajectory; nothing is bound to it.
         """
         value = command.value if value is None else value
         of = body or canonical(value).encode()
@@ -96,6 +105,7 @@ class ExactCommand:
             more={name: found for name, found in more.items() if found not in (None, "", 0)},
             policy=policy,
             epoch=epoch,
+            told=told,
         )
 
     @property
@@ -144,6 +154,7 @@ class ExactCommand:
         groups = [self.digest[4 * place : 4 * place + 4] for place in range(_DIGEST_GROUPS)]
         return [
             f"{self._effect()}{self._type()}, {self._often()}.",
+            *self.told,
             self._values(),
             *self._motion(),
             f"For the client {_text(self.principal.name)} ({word(self.principal.transport)}). "

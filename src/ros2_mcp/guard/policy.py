@@ -13,6 +13,7 @@ from ros2_mcp.model.errors import BadValue
 from ros2_mcp.model.text import named
 from ros2_mcp_bridge.checks import problem as problem_of
 from ros2_mcp_bridge.rules import Allowance, Rules, RuleSet, Ruling, Verb, matches, meaning
+from ros2_mcp_bridge.trajectory_limits import LookAtJoints, nobody_measures
 from ros2_mcp_bridge.velocity import VELOCITY_TYPES
 
 MODES: Sequence[Mode] = ("observe", "confirm", "autonomous")
@@ -55,11 +56,14 @@ class Facts:
 
     `value` is the full value as it will be sent, defaults filled in: the message, the request, the goal; of parameters
     their values by their names. None where no rule asks. `publishers` are the robot's own nodes that publish that type
-    on the topic.
+    on the topic. `joints` tells how those of a trajectory move now. `told` are sentences about the value for the person
+    who approves it, in the words of `exact`.
     """
 
     value: object = None
     publishers: Sequence[str] = ()
+    joints: LookAtJoints = nobody_measures
+    told: Sequence[str] = ()
 
 
 NO_FACTS = Facts()
@@ -177,7 +181,8 @@ class Policy:
             chosen += sorted(fitting, key=lambda entry: _MILDEST.index(entry.consent))[:1]
             value = facts.value if facts else None
             for limit in policy.limits if value is not None else ():
-                if problem := problem_of(limit.checks, value, policy.rules.zones):
+                look = facts.joints if facts else nobody_measures
+                if problem := problem_of(limit.checks, value, policy.rules.zones, look):
                     return _refused(command, problem, limit.rule)
         rule = "; ".join(entry.rule for entry in chosen)
         waits = any(entry.consent == "each" or (mode == "confirm" and not entry.consent) for entry in chosen)
@@ -225,7 +230,7 @@ def _problem(entry: Allowance, rules: RuleSet, command: Command[Any], facts: Fac
         return ""
     if entry.sole_publisher and facts.publishers:
         return f"{', '.join(map(named, facts.publishers[:_MOST_NAMED]))} of the robot publishes there itself"
-    return "" if facts.value is None else entry.problem(facts.value, rules.zones)
+    return "" if facts.value is None else entry.problem(facts.value, rules.zones, facts.joints)
 
 
 def strictest(*modes: Mode) -> Mode:

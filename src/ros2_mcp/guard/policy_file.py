@@ -23,6 +23,7 @@ from ros2_mcp_bridge.checks import Checks, Pace, Zone
 from ros2_mcp_bridge.feedback import PARTS
 from ros2_mcp_bridge.files import PLAIN, is_of_others, others_can_write
 from ros2_mcp_bridge.rules import Allowance, Forbidden, Limit, Ramp, Rules, RuleSet
+from ros2_mcp_bridge.trajectory_limits import CurveLimits, JointBounds
 
 SYSTEM_POLICY = (
     Path(os.environ.get("PROGRAMDATA", "C:/ProgramData"), "ros2-mcp", "policy.yaml")
@@ -38,6 +39,8 @@ _MAX_BYTES = 1_000_000
 """Of a policy file: more than 10,000 rules. What is larger is another file."""
 _MAX_RATE_HZ = 1000.0
 _KINDS = ("msg", "srv", "action", "*")
+_BY_PATH = ("norm", "range", "one_of", "count", "zone", "pace", "curve")
+"""Kinds of checks, as `Checks` has them."""
 _NAME = re.compile(r"/?(?:\*\*|\*|[A-Za-z_]\w*)(?:/(?:\*\*|\*|[A-Za-z_]\w*))*", re.ASCII)
 _MESSAGE = re.compile(r"[a-z]\w*/msg/[A-Z]\w*", re.ASCII)
 _PATH = re.compile(r"[A-Za-z]\w*(?:\[\])*(?:\.[A-Za-z]\w*(?:\[\])*)*", re.ASCII)
@@ -326,7 +329,8 @@ def _checks_by_kind(section: Section, zones: dict[str, Zone]) -> Checks:
             _check_path(found, path) if found else None
         return found
 
-    norm, ranges, each, one_of, count, zone, pace = map(below, ("norm", "range", "each", "in", "count", "zone", "pace"))
+    kinds = ("norm", "range", "each", "in", "count", "zone", "pace", "curve")
+    norm, ranges, each, one_of, count, zone, pace, curve = map(below, kinds)
     if twice := next((path for path in each.keys if ranges and path in ranges.keys), "") if each else "":
         raise section.error_at("each", f"{twice!r} stands under 'range', too: the two are the same.")
     return Checks(
@@ -337,12 +341,15 @@ def _checks_by_kind(section: Section, zones: dict[str, Zone]) -> Checks:
         count={path: _whole(count, path) for path in count.all()} if count else {},
         zone={path: _zone_name(zone, path, zones) for path in zone.all()} if zone else {},
         pace={path: _pace(each) for path, each in pace.each("the pace of").items()} if pace else {},
+        curve={path: _curve(each) for path, each in curve.each("the curve of").items()} if curve else {},
     )
 
 
 def _checks_by_path(fields: Section, zones: dict[str, Zone]) -> Checks:
     """Of a rule of allow: `fields: {linear: {norm: 0.2}}`, each path with the kinds below it."""
-    found: dict[str, dict[str, Any]] = {kind: {} for kind in ("norm", "range", "one_of", "count", "zone", "pace")}
+    found: dict[str, dict[str, Any]] = {
+        kind: {} for kind in ("norm", "range", "one_of", "count", "zone", "pace", "curve")
+    }
     zero: list[str] = []
     for path, section in fields.each("the field").items():
         _check_path(fields, path)
@@ -363,6 +370,8 @@ def _checks_by_path(fields: Section, zones: dict[str, Zone]) -> Checks:
             found["zone"][path] = _zone_name(section, "zone", zones)
         if pace := section.section("pace"):
             found["pace"][path] = _pace(pace)
+        if curve := section.section("curve"):
+            found["curve"][path] = _curve(curve)
         section.done()
     return Checks(**found, zero=tuple(zero))
 
@@ -387,6 +396,32 @@ def _pace(section: Section) -> Pace:
     pace = Pace(section.needed_number("most", 0.0), section.needed_number("first_s", 0.0))
     section.done()
     return pace
+
+
+def _curve(section: Section) -> CurveLimits:
+    """What the whole curve of a trajectory may do."""
+    joints = section.section("joints")
+    limits = CurveLimits(
+        speed=section.number("speed", low=0.0),
+        acceleration=section.number("acceleration", low=0.0),
+        step=section.number("step", low=0.0),
+        position=section.pair("position") if section.has("position") else None,
+        joints={name: _joint(each) for name, each in joints.each("the joint").items()} if joints else {},
+        described=not section.has("described") or section.flag("described"),
+    )
+    section.done()
+    is_bounded = limits.joints and all(each.speed is not None for each in limits.joints.values())
+    if limits.speed is None and not limits.described and not is_bounded:
+        problem = "not every joint has a bound of speed, and the limits of the robot's description are left out."
+        raise section.error(section.node, problem, "Give speed, in rad/s.")
+    return limits
+
+
+def _joint(section: Section) -> JointBounds:
+    low, high = section.pair("position") if section.has("position") else (None, None)
+    bounds = JointBounds(low, high, section.number("speed", low=0.0), section.number("acceleration", low=0.0))
+    section.done()
+    return bounds
 
 
 def _zone(section: Section) -> Zone:

@@ -20,7 +20,11 @@ from ros2_mcp.model.commands import LOCAL, Command
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.model.qos import Choice, QoS
 from ros2_mcp_bridge.checks import Checks
+from ros2_mcp_bridge.curves import State
+from ros2_mcp_bridge.field_values import number_of
 from ros2_mcp_bridge.rules import CHANGE_STATE, SET_PARAMETERS, Ruling, Verb, judged_part, meaning
+from ros2_mcp_bridge.stamps import trajectories_in
+from ros2_mcp_bridge.trajectory_limits import Joints, LookAtJoints
 
 DECISIONS: Mapping[str, str] = {"allowed": "allow", "refused": "refuse", "consent": "consent"}
 """What tables call the verdicts."""
@@ -45,6 +49,7 @@ class Trial:
     """One command as somebody writes it: what is left out of `value` has its default.
 
     `publishers` are the robot's nodes that publish on the topic; `own` says of a cancellation that the goal is ours.
+    `joints` are the positions of joints; one that is not there stands where its first point is.
     """
 
     verb: str
@@ -55,6 +60,7 @@ class Trial:
     duration_s: float | None = None
     publishers: Sequence[str] = ()
     own: bool = False
+    joints: Mapping[str, float] = field(default_factory=dict[str, float])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -108,6 +114,7 @@ def trial_of(row: Mapping[str, str]) -> Trial:
         duration_s=_number(row, "duration_s"),
         publishers=tuple(facts.get("publishers", ())),
         own=bool(facts.get("own", False)),
+        joints=dict(facts.get("joints", {})),
     )
 
 
@@ -119,7 +126,19 @@ def decided(policy: Policy, trial: Trial) -> Decision:
     trial = _as_meant(trial)
     ruling = policy.ruling(command)
     value = _filled(trial, ruling) if ruling else trial.value
-    return policy.decide(command, Facts(value=value, publishers=trial.publishers), policy.mode)
+    facts = Facts(value=value, publishers=trial.publishers, joints=_joints_of(value, trial.joints))
+    return policy.decide(command, facts, policy.mode)
+
+
+def _joints_of(value: Any, given: Mapping[str, float]) -> LookAtJoints:
+    """Joints that stand: where they are given to be, else where the first point of a trajectory is."""
+    stand: dict[str, State] = {}
+    for _, found in trajectories_in(value):
+        points = cast("Sequence[Mapping[str, Any]]", found["points"])
+        first = zip(found["joint_names"], points[0].get("positions", ()), strict=False) if points else ()
+        stand |= {str(name): State(number_of(at, "positions"), 0.0) for name, at in first}
+    stand |= {name: State(float(at), 0.0) for name, at in given.items()}
+    return lambda _names: Joints(stand)
 
 
 def _as_meant(trial: Trial) -> Trial:
@@ -235,10 +254,14 @@ def _defaults(checks: Checks) -> Iterator[tuple[str, Any]]:
     yield from ((path, 0.0) for path in (*checks.zero, *checks.range))
     yield from ((path, type(choices[0])()) for path, choices in checks.one_of.items())
     yield from ((path, list[Any]()) for path in checks.count)
-    for path in checks.pace:
+    points = [*checks.pace, *(f"{path}.points".lstrip(".") for path in checks.curve)]
+    for path in points:
         yield path, list[Any]()
-        yield f"{path}[].positions", list[Any]()
+        yield from ((f"{path}[].{name}", list[Any]()) for name in ("positions", "velocities", "accelerations"))
         yield from ((f"{path}[].time_from_start.{part}", 0) for part in ("sec", "nanosec"))
+    for path in checks.curve:
+        yield f"{path}.joint_names".lstrip("."), list[Any]()
+        yield from ((f"{path}.header.stamp.{part}".lstrip("."), 0) for part in ("sec", "nanosec"))
 
 
 def _fill(value: Any, steps: Sequence[str], default: Any) -> None:

@@ -9,6 +9,7 @@ from ros2_mcp.guard.document import Document
 from ros2_mcp_bridge.checks import Checks, Zone
 from ros2_mcp_bridge.feedback import UNITS
 from ros2_mcp_bridge.rules import Allowance, Forbidden, Limit, RuleSet, Ruling
+from ros2_mcp_bridge.trajectory_limits import CurveLimits, JointBounds
 
 _ACTS = {
     "publish": "Publish {types} on {names}",
@@ -140,7 +141,34 @@ def in_words(checks: Checks) -> Iterable[str]:
     for path, zone in checks.zone.items():
         yield f"{path or 'the position'} in the zone {zone}"
     for path, pace in checks.pace.items():
-        yield f"{path} at most {pace.most:g} per second from point to point, the first not before {pace.first_s:g} s"
+        yield f"{path} at most {pace.most:g} per second between points, the first not before {pace.first_s:g} s"
+    for path, curve in checks.curve.items():
+        yield f"all along the curve of {path or 'the trajectory'}, {'; '.join(_curve(curve))}"
+
+
+def _curve(limits: CurveLimits) -> Iterable[str]:
+    """What a trajectory may do, for each joint."""
+    everywhere = JointBounds(*(limits.position or (None, None)), limits.speed, limits.acceleration)
+    yield from filter(None, [_joint("each joint", everywhere)])
+    if limits.step is not None:
+        yield f"its speed jumps by at most {limits.step:g} at a point"
+    elif limits.acceleration is not None or any(each.acceleration is not None for each in limits.joints.values()):
+        yield "its speed does not jump"
+    yield from (_joint(name, bounds) for name, bounds in limits.joints.items())
+    if limits.joints:
+        yield "no other joint"
+    if limits.described:
+        yield "each within the limits of the robot's description"
+
+
+def _joint(name: str, bounds: JointBounds) -> str:
+    parts = (
+        f"from {bounds.low:g} to {bounds.high:g}" if bounds.low is not None and bounds.high is not None else "",
+        f"at most {bounds.speed:g} per second" if bounds.speed is not None else "",
+        f"accelerated by at most {bounds.acceleration:g}" if bounds.acceleration is not None else "",
+    )
+    told = " and ".join(filter(None, parts))
+    return f"{name} {told}" if told else name if name != "each joint" else ""
 
 
 def _forbidden(entry: Forbidden) -> str:

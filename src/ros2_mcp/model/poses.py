@@ -10,6 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
+from ros2_mcp_bridge.headings import yaw_rad
+
 Vector: TypeAlias = "tuple[float, float, float]"
 """x, y, z; of places in metres."""
 Quaternion: TypeAlias = "tuple[float, float, float, float]"
@@ -57,7 +59,8 @@ class Pose:
     @property
     def roll_pitch_yaw_rad(self) -> Vector:
         """The rotation as turns about the fixed axes x, y and z, in this order, as URDF and tf2's `getRPY` have it."""
-        x, y, z, w = self.rotation
+        length = math.hypot(*self.rotation) or 1.0
+        x, y, z, w = (part / length for part in self.rotation)
         sine = 2 * (w * y - z * x)
         if abs(sine) >= _GIMBAL:
             return 0.0, math.copysign(math.pi / 2, sine), -math.copysign(2, sine) * math.atan2(x, w)
@@ -67,8 +70,7 @@ class Pose:
     @property
     def yaw_rad(self) -> float:
         """The heading, seen from above: the angle of the frame's x axis, from x towards y."""
-        x, y, z, w = self.rotation
-        return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        return yaw_rad(*self.rotation)
 
 
 def planar(x_m: float, y_m: float, yaw_rad: float = 0.0) -> Pose:

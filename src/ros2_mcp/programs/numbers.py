@@ -11,6 +11,8 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, cast
 
+from ros2_mcp_bridge.headings import yaw_rad
+
 Values = Iterable[Any]
 
 
@@ -92,7 +94,7 @@ def yaw(orientation: Any) -> float:
     x, y, z, w = (_number(part) for part in _parts(_quaternion(orientation), ("x", "y", "z", "w")))
     if not math.isfinite(length := math.hypot(x, y, z, w)) or length < 1e-6:
         raise ValueError("this quaternion has length 0: it was never filled in")
-    return math.atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
+    return yaw_rad(x, y, z, w)
 
 
 def distance(one: Any, other: Any) -> float:

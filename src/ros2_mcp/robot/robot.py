@@ -7,6 +7,7 @@ import copy
 import logging
 from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine, Mapping, Sequence
 from contextlib import asynccontextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,11 +19,13 @@ from ros2_mcp.model.errors import Refused, Rehearsed, RobotError
 from ros2_mcp.model.graph import TopicEndpoints
 from ros2_mcp.model.text import named
 from ros2_mcp.robot import flights, goals, publishing, services
+from ros2_mcp.robot.beginnings import Beginnings
 from ros2_mcp.robot.core import Core
 from ros2_mcp.robot.facts import facts_of
 from ros2_mcp.robot.failsafes import ACKNOWLEDGED_S, MATCH_S, ZERO_S
 from ros2_mcp.robot.graph import Graph
 from ros2_mcp.robot.jobs import Job
+from ros2_mcp.robot.joints import TEXT, RobotJoints
 from ros2_mcp.robot.last_costmaps import LastCostmaps
 from ros2_mcp.robot.last_plans import LastPlans
 from ros2_mcp.robot.listening import Listening, subscribed_while
@@ -123,6 +126,8 @@ class Robot(Core):
         self.last_plans = LastPlans(lambda topic: self.listen(topic, keep="latest"))
         self.last_costmaps = LastCostmaps(lambda topic, keep: self.listen(topic, keep=keep), self.values, self.now_ns)
         self.newest = NewestSamples(lambda topic: self.listen(topic, keep="latest"), self._fits)
+        self.joints = RobotJoints(lambda topic: self.listen(topic, TEXT, keep="latest"), self.graph, self.values)
+        self.beginnings = Beginnings()
         self.programs_folder: Path | None = None  # of kept programs; None: none are kept
         self._listened: dict[tuple[str, str, str], tuple[str, Choice]] = {}
         self.result_bytes = result_bytes
@@ -155,17 +160,16 @@ class Robot(Core):
             RobotError: what the command itself may raise.
         """
         view = self if self.accepted else self.acting_for(self.principal)
-        command = await as_meant(view, command)
+        command = await self.beginnings.settle(view, await as_meant(view, command))
+        find_facts = partial(facts_of, view, command, self.policy, self.joints)
         if view.rehearsed is not None:
-            decision = await self.guard.foresee(
-                command, lambda with_value: facts_of(view, command, self.policy, with_value=with_value)
-            )
+            decision = await self.guard.foresee(command, find_facts)
             said = {"refused": f"would be refused: {decision.reason}", "consent": "would wait for a person's approval"}
             view.rehearsed.append(f"{command.act}: {said.get(decision.verdict, 'would be done')}")
             raise Rehearsed(view.rehearsed[-1])
         async with self.guard.acting(
             command,
-            lambda with_value: facts_of(view, command, self.policy, with_value=with_value),
+            find_facts,
             stops=_ends_own_goal(self, command),
         ) as act:
             view.notes.extend(act.notes)

@@ -131,7 +131,7 @@ def points(*rows: tuple[float, float]) -> dict[str, Any]:
         ([(4.9, 0.0)], "at least 5 s"),
         ([(5.0, 0.0), (5.0, 0.1)], "faster"),
         ([(6.0, 0.0), (5.0, 0.0)], "faster"),
-        ([(5.0, math.nan), (9.0, 0.0)], "faster"),
+        ([(5.0, math.nan), (9.0, 0.0)], "not finite"),
         ([], "no points"),
     ],
 )

@@ -65,7 +65,7 @@ def test_every_part_of_a_policy_is_said() -> None:
         "i with 1 to 4 elements",
         "j 0",
         "the length of k at most 5",
-        "points at most 0.3 per second from point to point, the first not before 2 s",
+        "points at most 0.3 per second between points, the first not before 2 s",
         "Cancel anybody's goals of /g",
         "Set parameters of /node: only speed; speed from 0 to 6",
         "only activate",

@@ -46,7 +46,7 @@ async def controller_for(robot: Robot, joints: Sequence[str], given: str = "") -
         NotFound: if there is none of that name, or none at all.
         BadInput: if none has all of the joints, or several may have them.
     """
-    found = await _all(robot)
+    found = await controllers(robot)
     if not found:
         raise await robot.graph.missing(
             f"There is no joint trajectory controller: no action has the type {FOLLOW}, and no topic of type "
@@ -81,7 +81,7 @@ def _chosen(found: Mapping[str, Controller], given: str) -> Sequence[tuple[str, 
     )
 
 
-async def _all(robot: Robot) -> Mapping[str, Controller]:
+async def controllers(robot: Robot) -> Mapping[str, Controller]:
     """By name."""
     rows, actions = await asyncio.gather(robot.graph.topics(), robot.types.actions())
     by_action = {_name(action, _ACTION): action for action, types in actions.items() if FOLLOW in types}

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
+from ros2_mcp.codec.urdf import Joint, Limits
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.graph import TopicEndpoints
 from ros2_mcp.model.text import is_name
+from ros2_mcp.ops.description import described
+from ros2_mcp.ops.motion.controllers import FOLLOW, controllers
 from ros2_mcp.ops.nodes import parameters
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.resolution import is_infrastructure
@@ -23,9 +28,13 @@ _SAFETY = re.compile(r"collision|safety|e_?stop|emergency|mux|smoother|watchdog|
 """In the names of nodes, topics and services that watch over a robot."""
 _OWN_LIMITS = re.compile(r"timeout|max.*(vel|speed)|(vel|speed).*max")
 """In the names of parameters that bound how a base drives."""
+_JOINT = re.compile(r"[A-Za-z_][A-Za-z0-9_./-]{0,99}", re.ASCII)
+"""What is a name in YAML and in a sentence, and nothing else: a robot could write lines of its own into the draft."""
 _ODOMETRY = "nav_msgs/msg/Odometry"
 _SEND_GOAL = "/_action/send_goal"
 _ACKERMANN = "ackermann_msgs/"
+_ARM_SPEED, _SLIDE_SPEED, _ARM_SHARE = 0.3, 0.05, 0.3
+"""rad/s and m/s, and of the velocity limit in the URDF: the least of them. Slow enough to be watched."""
 _MOST = 40
 """Services that are listed as comments: those of a small robot; a large one has hundreds, which nobody would read."""
 _HEAD = """\
@@ -62,8 +71,22 @@ feedback: # what the robot says of its own speed: it is stopped when it moves al
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Arm:
+    """A joint trajectory controller: its action and topic ("" where it has none), and the joints that it moves, each
+    with its description where the robot has one.
+    """
+
+    name: str
+    action: str
+    topic: str
+    joints: Mapping[str, Joint | None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Found:
-    """What a draft is made of: `inputs` are the velocity topics, `actions` and `services` names with types."""
+    """What a draft is made of: `inputs` are the velocity topics, `actions` and `services` names with types, `arms` the
+    joint trajectory controllers.
+    """
 
     domain: int
     inputs: Sequence[TopicEndpoints]
@@ -72,6 +95,7 @@ class Found:
     services: Sequence[tuple[str, str]]
     watching: Sequence[str]
     own_limits: Sequence[str]
+    arms: Sequence[Arm] = ()
 
 
 async def draft(robot: Robot) -> str:
@@ -110,7 +134,21 @@ async def _look(robot: Robot) -> Found:
             {name for name in everybody if is_name(name) and _SAFETY.search(name.lower()) and not names.is_hidden(name)}
         ),
         own_limits=await _own_limits(robot, sorted(drivers)),
+        arms=await _arms(robot),
     )
+
+
+async def _arms(robot: Robot) -> Sequence[Arm]:
+    """The joint trajectory controllers whose joints are known."""
+    found = [one for one in (await controllers(robot)).values() if is_name(one.way) and one.joints]
+    joints: Mapping[str, Joint] = {}
+    with suppress(RobotError):  # none, several, or one that cannot be read: the draft says so
+        joints = (await described(robot)).joints if found else joints
+    return [
+        Arm(name=one.name, action=one.action, topic=one.topic, joints={name: joints.get(name) for name in one.joints})
+        for one in found
+        if all(map(_JOINT.fullmatch, one.joints))
+    ]
 
 
 async def _own_limits(robot: Robot, nodes: Sequence[str]) -> list[str]:
@@ -139,7 +177,10 @@ def lines_of_draft(found: Found) -> Iterator[str]:
     for topic in found.inputs:
         yield from _input(topic)
     yield "  - record: /**\n"
-    for action, kind in found.actions:
+    for arm in found.arms:
+        yield from _allowed_arm(arm)
+    arms = [arm.action for arm in found.arms]
+    for action, kind in (each for each in found.actions if each[0] not in arms):
         yield f"  # - {{goal: {action}, type: {kind}, consent: each}} # bound its fields with `fields:`\n"
     if found.services:
         yield "  # Services: allow those of which you know what they do; nothing here does.\n"
@@ -176,6 +217,38 @@ def _limits(found: Found) -> Iterator[str]:
     yield _LIMIT.format(types=", ".join(others))
     if cars:
         yield _CAR_LIMIT.format(types=", ".join(cars))
+    for place, arm in enumerate(arm for arm in found.arms if arm.action):
+        yield from _arm_limit(arm, f"arm_{place + 1}")
+
+
+def _allowed_arm(arm: Arm) -> Iterator[str]:
+    """A trajectory controller: its goals are allowed, each after a person has approved it."""
+    if arm.action:
+        yield f"  - goal: {arm.action} # {arm.name} moves {', '.join(arm.joints)}\n    type: {FOLLOW}\n"
+        yield "    consent: each # nobody but a person sees what stands around; never, where nothing does\n"
+    if arm.topic:
+        yield f"  # Not {arm.topic}: unlike a goal, a trajectory on a topic does not say how it went.\n"
+
+
+def _arm_limit(arm: Arm, name: str) -> Iterator[str]:
+    """What its joints may do, all along each trajectory: within their limits in the URDF, and slower."""
+    yield f"  {name}: # {arm.name}\n    types: [{FOLLOW}]\n    names: [{arm.action}]\n"
+    yield "    curve: # all along what the controller follows through the points, from where the joints are\n"
+    yield "      trajectory:\n"
+    yield "        acceleration: 1 # per second²; between a planner's points it is up to 1.75 times that at them\n"
+    yield "        step: 0.3 # of the speed, at a point: points without velocities are joined by straight lines\n"
+    yield "        joints: # no other may be moved; positions in rad (m), speeds per second\n"
+    for joint, told in arm.joints.items():
+        limits, is_slide = (told.limits if told else Limits()), bool(told and told.kind == "prismatic")
+        speed = min(_SLIDE_SPEED if is_slide else _ARM_SPEED, _ARM_SHARE * (limits.velocity or math.inf))
+        known = limits.lower is not None and limits.upper is not None
+        position = f"position: [{limits.lower:g}, {limits.upper:g}], " if known else ""
+        unknown = "it turns without end" if told else "the robot has no description of it: add position"
+        why = "" if known else f" # {unknown}"
+        yield f"          {joint}: {{{position}speed: {speed:.3g}}}{why}\n"
+    yield "    each:\n      trajectory.points[].effort[]: [0, 0]\n"
+    yield "      path_tolerance[].position: [0, 0.2]\n      goal_tolerance[].position: [0, 0.2]\n"
+    yield "    count: {trajectory.points: [1, 200], multi_dof_trajectory.points: [0, 0]}\n"
 
 
 def _watched(found: Found) -> Iterator[str]:

@@ -6,13 +6,14 @@ from dataclasses import replace
 
 import pytest
 
+from ros2_mcp.codec.urdf import Joint, Limits
 from ros2_mcp.guard import trials
 from ros2_mcp.guard.policy import Policy
 from ros2_mcp.guard.policy_file import compiled, document_of
 from ros2_mcp.guard.trials import Trial
 from ros2_mcp.model.graph import TopicEndpoints
 from ros2_mcp.model.qos import Endpoint, QoS
-from ros2_mcp.ops.policy.draft import Found, lines_of_draft
+from ros2_mcp.ops.policy.draft import Arm, Found, lines_of_draft
 
 TWIST, CAR = "geometry_msgs/msg/Twist", "ackermann_msgs/msg/AckermannDriveStamped"
 
@@ -77,3 +78,38 @@ def test_of_a_robot_without_any_of_it_the_draft_says_so_and_is_in_order() -> Non
     text = draft(replace(FOUND, inputs=[], odometry=[], actions=[], services=[], watching=[], own_limits=[]))
     assert verdict(text) == "refused"
     assert "No odometry was found" in text and "Nothing was found that seems to watch over this robot" in text
+
+
+FOLLOW = "control_msgs/action/FollowJointTrajectory"
+ARM = Arm(
+    name="/arm_controller",
+    action="/arm_controller/follow_joint_trajectory",
+    topic="/arm_controller/joint_trajectory",
+    joints={
+        "elbow": Joint("elbow", "revolute", "a", "b", limits=Limits(-1.57, 1.57, 2.0)),
+        "wrist": Joint("wrist", "continuous", "b", "c", limits=Limits(velocity=0.5)),
+        "lift": Joint("lift", "prismatic", "c", "d", limits=Limits(0.0, 0.4, 0.1)),
+        "unknown": None,
+    },
+)
+
+
+def arm_goal(name: str, to: float, seconds: int, start: float = 0.0) -> dict[str, object]:
+    point = {"positions": [to], "velocities": [0.0], "time_from_start": {"sec": seconds, "nanosec": 0}}
+    value = {"trajectory": {"joint_names": [name], "points": [point]}}
+    return {"verb": "goal", "name": ARM.action, "type": FOLLOW, "value": value, "joints": {name: start}}
+
+
+def test_a_draft_lets_an_arm_move_slowly_within_its_description_after_a_person_has_approved_it() -> None:
+    text = draft(replace(FOUND, arms=[ARM], actions=[*FOUND.actions, (ARM.action, FOLLOW)]))
+    assert verdict(text, **arm_goal("elbow", 1.0, 6)) == "consent"
+    assert verdict(text, **arm_goal("elbow", 1.0, 4)) == "refused"  # 0.375 rad/s in its middle
+    assert verdict(text, **arm_goal("elbow", 1.6, 30)) == "refused"  # beyond the description
+    assert verdict(text, **arm_goal("wrist", 1.0, 8)) == "refused"  # 0.19 rad/s, 0.15 is 30 % of its own limit
+    assert verdict(text, **arm_goal("wrist", 9.0, 100)) == "consent"
+    assert verdict(text, **arm_goal("lift", 0.1, 6)) == "consent"
+    assert verdict(text, **arm_goal("lift", 0.1, 4)) == "refused"  # 0.0375 m/s, 0.03 is 30 % of its own limit
+    assert verdict(text, **arm_goal("shoulder", 0.1, 20)) == "refused"  # no joint of it
+    assert "/arm_controller moves elbow, wrist, lift, unknown" in text
+    assert "unknown: {speed: 0.3} # the robot has no description of it" in text
+    assert text.count(ARM.action) == 2  # as a rule and as a limit, and not as a comment, too

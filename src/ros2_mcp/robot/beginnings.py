@@ -1,0 +1,88 @@
+"""When trajectories begin: stamps are set to zero, which means on arrival, or refused (`ros2_mcp_bridge.stamps`)."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from dataclasses import replace
+from time import monotonic
+from typing import Any, cast
+
+from ros2_mcp.model.commands import Command, Publish, R, Repeat, SendGoal, ServiceCall
+from ros2_mcp.model.errors import BadValue
+from ros2_mcp.robot.core import Core
+from ros2_mcp_bridge import stamps
+
+_REMEMBERED_S = 660.0
+"""An approval waits for a person for 600 s, and is valid for 60 s (`guard.approvals`)."""
+_MOST = 256
+_NOTE = "The stamp of the trajectory was set to zero: it begins when it arrives."
+
+Key = tuple[str, str, str]
+
+
+class Beginnings:
+    """Remembers stamps that were within a second of now when they were first given: the same call is made again once a
+    person has approved it, and its stamp is old by then.
+    """
+
+    def __init__(self, now: Callable[[], float] = monotonic) -> None:
+        self._now = now
+        self._honest: dict[Key, float] = {}
+
+    async def settle(self, core: Core, command: Command[R]) -> Command[R]:
+        """The command with every such stamp at zero; raises `BadValue` for one of another time."""
+        kind = _value_type(command)
+        if not kind or not _has_stamp(command.value):
+            return command
+        full = await core.values.in_full(kind, await core.values.encode(kind, command.value))
+        given = [(path, stamps.time_ns(stamp)) for path, stamp in stamps.acting_stamps(full)]
+        if not any(at_ns for _, at_ns in given):
+            return command
+        key = command.principal.name, command.name, repr(given)
+        self._honest = {key: until for key, until in self._honest.items() if until > self._now()}
+        if key not in self._honest:
+            if problem := stamps.problem(full, core.now_ns()):
+                raise BadValue(given[0][0], f"{problem}; nothing was sent.", "Leave the stamp out.")
+            if len(self._honest) >= _MOST:
+                del self._honest[next(iter(self._honest))]
+            self._honest[key] = self._now() + _REMEMBERED_S
+        core.notes.append(_NOTE)
+        value: Any = copy.deepcopy(command.value)
+        _zero(value)
+        return cast("Command[R]", replace(cast("Any", command), value=value))
+
+
+def _value_type(command: Command[Any]) -> str:
+    """The type of its value; empty of what holds no trajectory of its own."""
+    if isinstance(command, SendGoal):
+        return f"{command.type}_Goal"
+    if isinstance(command, ServiceCall):
+        return f"{command.type}_Request"
+    return command.type if isinstance(command, Publish | Repeat) else ""
+
+
+def _has_stamp(value: object) -> bool:
+    """Whether a value as it was given may hold the stamp of a trajectory: a quick look, as each command gets it."""
+    if isinstance(value, dict):
+        fields = cast("dict[str, Any]", value)
+        header = fields.get("header")
+        if "points" in fields and isinstance(header, dict) and "stamp" in header:
+            return True
+        return any(map(_has_stamp, fields.values()))
+    elements = cast("list[Any]", value) if isinstance(value, list) else []
+    return bool(elements) and isinstance(elements[0], dict) and any(map(_has_stamp, elements))
+
+
+def _zero(value: Any) -> None:
+    """Leaves out every such stamp of a value as it was given; its default is zero."""
+    if isinstance(value, dict):
+        fields = cast("dict[str, Any]", value)
+        header = fields.get("header")
+        if "points" in fields and isinstance(header, dict):
+            cast("dict[str, Any]", header).pop("stamp", None)
+        for below in fields.values():
+            _zero(below)
+    elif isinstance(value, list) and value and isinstance(value[0], dict):
+        for each in cast("list[Any]", value):
+            _zero(each)

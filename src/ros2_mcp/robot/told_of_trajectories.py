@@ -1,0 +1,93 @@
+"""What a person who approves a trajectory has to know of it: where each joint goes, how fast, how long, how far out.
+
+The points alone do not tell it: between them a curve may go farther and faster (`ros2_mcp_bridge.curves`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from ros2_mcp.codec.urdf import Joint, Urdf
+from ros2_mcp.guard.exact import word
+from ros2_mcp_bridge.field_values import Unfit
+from ros2_mcp_bridge.trajectory_limits import Joints, LookAtJoints, Path, extremes_of, positions_at, read
+
+_LOOKS = 100
+"""Along a trajectory, for the farthest reach: of 10 s a look each 0.1 s."""
+
+_NO_DESCRIPTION = "No description (URDF) of the robot was found: the limits of its joints are not known."
+
+
+def told_of(
+    trajectories: Sequence[tuple[str, Mapping[str, Any]]], look: LookAtJoints, urdf: Urdf | None
+) -> Sequence[str]:
+    """Sentences about trajectories, with their paths; one that cannot be judged is said to be so."""
+    told = [sentence for path, found in trajectories for sentence in _told(path or "trajectory", found, look, urdf)]
+    return [*told, _NO_DESCRIPTION] if told and urdf is None else told
+
+
+def _told(path: str, trajectory: Mapping[str, Any], look: LookAtJoints, urdf: Urdf | None) -> Sequence[str]:
+    if not trajectory["points"]:
+        return ()
+    try:
+        points = read(trajectory)
+        joints = look(points.names)
+        extremes = extremes_of(points, joints)
+    except (Unfit, ValueError):
+        return [f"What {word(path)} does between its points is not known."]
+    ways = [
+        f"{word(name)} from {_short(one.low)} to {_short(one.high)}{_unit(urdf, name)}"
+        for name, one in extremes.items()
+    ]
+    fastest = max(extremes, key=lambda name: extremes[name].speed)
+    count = len(points.times)
+    return [
+        f"From where the joints are now, all along: {', '.join(ways)}.",
+        f"Top speed {_short(extremes[fastest].speed)}{_unit(urdf, fastest)}/s of {word(fastest)}; "
+        f"{count} point{'s' * (count > 1)} in {_short(points.times[-1])} s.",
+        *_reach(points, joints, urdf),
+    ]
+
+
+def _reach(points: Path, joints: Joints, urdf: Urdf | None) -> Sequence[str]:
+    """How far from its base the last link that these joints move comes, and how low. Empty where that is not known: no
+    description, or other joints on the way to it, which nobody has measured.
+    """
+    if urdf is None:
+        return ()
+    chain = _chain(points.names, urdf)
+    if not chain or any(joint.name not in points.names and not joint.mimic for joint in chain):
+        return ()
+    tool, base = chain[0].child, chain[-1].parent
+    tool = next((link for link in urdf.links if link != tool and urdf.fixed_to(link) == tool), tool)
+    far, lowest = 0.0, math.inf
+    for place in range(_LOOKS + 1):
+        positions = positions_at(points, joints, points.times[-1] * place / _LOOKS)
+        mount = urdf.mount(tool, base, positions)
+        if mount is None:
+            return ()
+        far, lowest = max(far, math.hypot(*mount.xyz)), min(lowest, mount.xyz[2])
+    return [
+        f"{word(tool)} comes at most {_short(far)} m away from {word(base)}, and at most down to z {_short(lowest)} m."
+    ]
+
+
+def _chain(names: Sequence[str], urdf: Urdf) -> Sequence[Joint]:
+    """The joints from the farthest link that these move up to the first that they move, the farthest first."""
+    ways = [urdf.moved_by(urdf.joints[name].child) for name in names if name in urdf.joints]
+    way = list(max(ways, key=len, default=()))
+    while way and way[-1].name not in names:
+        way.pop()
+    return way
+
+
+def _unit(urdf: Urdf | None, name: str) -> str:
+    joint = urdf.joints.get(name) if urdf else None
+    return f" {joint.unit}" if joint else ""
+
+
+def _short(number: float) -> str:
+    """Extremes are computed, and read in a second: four digits."""
+    return f"{number + 0.0:.4g}"
