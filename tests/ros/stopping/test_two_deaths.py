@@ -1,0 +1,160 @@
+"""Bridge and stopper die together, or server, bridge and stopper: the stopper that is left sends the zero.
+
+One round of each order here; in full 200 rounds, or as many as `ROS2_MCP_ROUNDS` says, and how soon.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+import random
+import signal
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from ros2_mcp_bridge.spawning import STOPPERS
+from support.agent import FULL, until
+from support.driver import Driver, fresh
+from support.observer import Observer
+from support.raw_server import children, lives
+from support.standstill import Judged, undisturbed_where_judged
+from support.velocities import TWIST, speed
+
+ROUNDS = int(os.environ.get("ROS2_MCP_ROUNDS", "200"))
+BAR_S = 0.5
+COMES_S = 15.0
+"""For a zero that is late."""
+APART_S = 0.05
+SPEED = 0.3
+LATER_S = (0.1, 1.5)
+ORDERS = [
+    *itertools.permutations(("bridge", "stopper")),
+    *itertools.permutations(("server", "bridge", "stopper")),
+    ("stopper", "other stopper"),
+    ("other stopper", "bridge"),
+]
+
+pytestmark = pytest.mark.timeout(max(3600, 12 * ROUNDS) if FULL else 300)
+
+
+def processes(server: Driver) -> dict[str, int]:
+    """Server, bridge and stoppers."""
+    bridge = children(server.process.pid)[0]
+    by_name = {Path(f"/proc/{pid}/comm").read_text().strip(): pid for pid in children(bridge)}
+    return {
+        "server": server.process.pid,
+        "bridge": bridge,
+        "stopper": by_name[STOPPERS[0]],
+        "other stopper": by_name[STOPPERS[1]],
+    }
+
+
+def begin(server: Driver, observer: Observer) -> tuple[str, int]:
+    """A topic with four subscribers that a repeat drives: its name, and the request."""
+    topic = fresh("orphaned")
+    observer.watch(topic)
+    server.knows(topic, 4)
+    request = server.tool(
+        "ros2_topic_publish", topic_name=topic, message_type=TWIST, data=speed(TWIST, SPEED), frequency=20, duration=60
+    )
+    observer.until_driven(topic, 1, of=4)
+    return topic, request
+
+
+def leave(observer: Observer, topic: str) -> None:
+    for by in observer.counts(topic=topic):
+        if by.startswith(f"{topic} "):
+            observer.leave(by=by)
+    observer.forget()
+
+
+def last_zero_s(observer: Observer, topic: str, since_ns: int) -> float:
+    """How long after that time the last of four subscribers has its first zero; much, where one has none."""
+    zeros: dict[str, int] = {}
+    for one in observer.messages(topic=topic, after=since_ns):
+        if not any(one["values"]):
+            zeros.setdefault(one["by"], one["at"])
+    if len(zeros) < 4 or observer.moving(topic=topic):
+        return 1e9
+    return (max(zeros.values()) - since_ns) / 1e9
+
+
+@pytest.mark.promise("stopping", "Any two of the bridge and its two stoppers may die together")
+@pytest.mark.parametrize("victims", ORDERS, ids=" then ".join)
+def test_the_stopper_that_is_left_sends_the_zero_before_any_successor_is_there(
+    start_server: Callable[..., Driver], observer: Observer, victims: tuple[str, ...]
+) -> None:
+    server = start_server()
+    topic, _ = begin(server, observer)
+    found = processes(server)
+    since_ns = time.time_ns()
+    for victim in victims:
+        os.kill(found[victim], signal.SIGKILL)
+    if "server" not in victims and "bridge" in victims:
+        until(lambda: server.bridge() != found["bridge"])
+    successor_ns = time.time_ns()
+    observer.until_stopped(topic, since_ns)
+    first: dict[str, int] = {}
+    for one in observer.messages(topic=topic):
+        if one["written"] > since_ns and not any(one["values"]):
+            first.setdefault(one["by"], one["written"])
+    assert len(first) == 4
+    assert "server" in victims or "bridge" not in victims or max(first.values()) < successor_ns
+    if "server" in victims:
+        server.end()
+        until(lambda: not any(map(lives, found.values())))
+    assert observer.unstopped(topic=topic, since=since_ns) == []
+    leave(observer, topic)
+
+
+@pytest.mark.full
+@pytest.mark.promise("stopping", "Any two of the bridge and its two stoppers may die together")
+@pytest.mark.parametrize("with_server", [False, True], ids=["server lives", "server dies"])
+def test_of_two_hundred_double_deaths_each_is_followed_by_a_zero_within_half_a_second(
+    start_server: Callable[..., Driver], observer: Observer, with_server: bool
+) -> None:
+    chance, left = random.Random(62), list[int]()
+    orders = [order for order in ORDERS if ("server" in order) == with_server]
+
+    def seconds(number: int, judged: Judged) -> float:
+        server = start_server()
+        topic, _ = begin(server, observer)
+        time.sleep(chance.uniform(*LATER_S))
+        found = processes(server)
+        left.extend(found.values())
+        apart_s = chance.uniform(0.0, APART_S)
+        since_ns = time.monotonic_ns()
+        with judged():
+            for victim in orders[number % len(orders)]:
+                os.kill(found[victim], signal.SIGKILL)
+                time.sleep(apart_s)
+            with suppress(AssertionError):
+                until(lambda: last_zero_s(observer, topic, since_ns) < COMES_S, COMES_S)
+        took_s = last_zero_s(observer, topic, since_ns)
+        server.end()
+        leave(observer, topic)
+        print(f"{' then '.join(orders[number % len(orders)])}, {apart_s:.3f} s apart: {took_s:.3f}", flush=True)
+        return took_s
+
+    took_s = [undisturbed_where_judged(lambda judged, n=number: seconds(n, judged)) for number in range(ROUNDS)]
+    print(f"judged: {sorted(round(each, 3) for each in took_s)}", flush=True)
+    assert max(took_s) <= BAR_S
+    until(lambda: not any(map(lives, left)))
+
+
+def test_nothing_that_finds_the_bridge_by_its_name_finds_a_stopper(server: Driver, observer: Observer) -> None:
+    """Neither in the command line nor in the name of the program: `pkill -f ros2_mcp`, `pkill python`."""
+    topic, request = begin(server, observer)
+    found = processes(server)
+    for pid in (found["stopper"], found["other stopper"]):
+        shown = Path(f"/proc/{pid}/cmdline").read_bytes() + Path(f"/proc/{pid}/comm").read_bytes()
+        assert not any(name in shown for name in (b"ros2", b"mcp", b"bridge", b"python")), shown
+    groups = {os.getpgid(pid) for pid in found.values()}
+    assert len(groups) >= 3
+    server.stop()
+    server.outcome(request)
+    leave(observer, topic)
