@@ -47,9 +47,9 @@ class Bridge:
 
     `start_carrier` starts a bridge and what carries its stream; it is called once for each life and raises a
     `RobotError` that tells why there is none. `hello` is how the running bridge introduced itself, `generation` the
-    number of starts, `restarts` why each former one was lost, `origin` what the last one runs in. `nodes` are the names
-    of all its nodes: the graph shows those of lost ones for some seconds more. `stop_epoch` is told to every bridge as
-    soon as it is there; `frame_ids` has the frame of the last command on each velocity topic, as bridges told it;
+    number of starts, `losses` how many former ones were lost, `restarts` why the last hundred of them were, `origin`
+    what the last one runs in. `nodes` are the names of all its nodes: the graph shows those of lost ones for some
+    seconds more. `stop_epoch` is told to every bridge as soon as it is there; `frame_ids` has the frame of the last command on each velocity topic, as bridges told it;
     `lapses` for how long this server had been silent, in seconds, each time that a link lease lapsed; `lapsed_at` when
     the last one was heard of (monotonic, in s; 0 before); `outages` the times in which a robot elsewhere was out of
     reach; `failure` says why the last life did not begin, empty once one has. `on_latched` is told by whom and why the
@@ -66,6 +66,7 @@ class Bridge:
         self.origin = ""
         self.generation = 0
         self.restarts: list[str] = []
+        self.losses = 0
         self.nodes: set[str] = set()
         self.stop_epoch = 0
         self.frame_ids: dict[str, str] = {}
@@ -266,6 +267,7 @@ class Bridge:
             begun, reason = await self._live()
             if begun:
                 failures = 0
+                self.losses += 1
                 self.restarts = [*self.restarts, reason.message][-_KEPT_REASONS:]
                 continue
             pause_s = _PAUSES_S[min(failures, len(_PAUSES_S) - 1)]
