@@ -49,7 +49,8 @@ class Bridge:
     `RobotError` that tells why there is none. `hello` is how the running bridge introduced itself, `generation` the
     number of starts, `losses` how many former ones were lost, `restarts` why the last hundred of them were, `origin`
     what the last one runs in. `nodes` are the names of all its nodes: the graph shows those of lost ones for some
-    seconds more. `stop_epoch` is told to every bridge as soon as it is there; `frame_ids` has the frame of the last command on each velocity topic, as bridges told it;
+    seconds more. `stop_epoch` is told to every bridge as soon as it is there; `frame_ids` has the frame of the last
+    command on each velocity topic, as bridges told it;
     `lapses` for how long this server had been silent, in seconds, each time that a link lease lapsed; `lapsed_at` when
     the last one was heard of (monotonic, in s; 0 before); `outages` the times in which a robot elsewhere was out of
     reach; `failure` says why the last life did not begin, empty once one has. `on_latched` is told by whom and why the
