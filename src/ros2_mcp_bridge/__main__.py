@@ -110,7 +110,7 @@ class Bridge:
         self._loop = Loop()
         self._outbox = Outbox()
         self._stops = StopEpoch(latch)
-        self._limiter = Limiter(is_under_policy)
+        self._limiter = Limiter(is_under_policy, send_event=self._outbox.send)
         self._accepted: queue.SimpleQueue[Request] = queue.SimpleQueue()
         self._ros_is_up = threading.Event()
         self._table: dict[str, Operation] = {

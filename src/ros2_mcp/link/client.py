@@ -57,13 +57,15 @@ class Bridge:
     latch was set; `latched_by` and `latched_at` say it in words, and when the last one was heard of.
     `relays_ended` has the last counts of relays whose caller was cancelled, by name, `repeats_begun` when it was heard
     that the first message of a repeat had been sent (monotonic, in s), `motions` what was told last of each motion, by
-    its name. `rules` are those of the policy, compiled, which every bridge is told first: to be set before
-    `attach`; empty without a policy. `clock` is the robot's. `latch` gives what pings tell a bridge elsewhere of it.
+    its name. `rules` gives those of the policy, compiled, which every bridge is told first: to be set before
+    `attach`; empty without a policy. `on_spent` is told by name, type and bound what was used of the policy's budgets.
+    `clock` is the robot's. `latch` gives what pings tell a bridge elsewhere of it.
     """
 
     def __init__(self, start_carrier: Callable[[], Carrier]) -> None:
         self._start_carrier = start_carrier
-        self.rules = b""
+        self.rules: Callable[[], bytes] = bytes
+        self.on_spent: Callable[[str, str, str], None] = lambda _name, _type, _bound: None
         self.origin = ""
         self.generation = 0
         self.restarts: list[str] = []
@@ -292,7 +294,7 @@ class Bridge:
         if isinstance(carrier, RobotError):
             return False, carrier
         told = (lambda: self.stop_epoch, self._hear, self._relay_ended)
-        connection = Connection(carrier, *told, rules=self.rules, clock=self.clock, latch=self.latch)
+        connection = Connection(carrier, *told, rules=self.rules(), clock=self.clock, latch=self.latch)
         try:
             reason = await connection.greet()
             if reason:
@@ -333,6 +335,9 @@ class Bridge:
             self.repeats_begun[event["name"]] = time.monotonic()
             if len(self.repeats_begun) > _KEPT_REPEATS:
                 del self.repeats_begun[next(iter(self.repeats_begun))]
+            return
+        if event["event"] == "spent":
+            self.on_spent(event["name"], event["type"], event["bound"])
             return
         if event["event"] == "motion":
             self.motions[event["name"]] = event["report"]
