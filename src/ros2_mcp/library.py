@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import threading
 from collections.abc import AsyncGenerator, Callable
@@ -70,6 +71,7 @@ def robot_for(settings: Settings, store: BagStore, bridge: Bridge | None = None)
         spent = Spent(folder)
         bridge.rules = partial(told, {**rules.as_json(), "watch": watch_of(guard.policy)}, spent)
         bridge.on_spent = spent.add
+        guard.server_lock.on_taken = partial(_tell_spent, bridge, spent)
     robot = Robot(bridge, guard, settings.result_bytes)
     robot.places = Places(folder)
     robot.programs_folder = settings.programs
@@ -79,6 +81,12 @@ def robot_for(settings: Settings, store: BagStore, bridge: Bridge | None = None)
         bridge.on_latched = partial(_latch_here, guard, note)
         bridge.latch = partial(_told_latch, guard)
     return robot
+
+
+def _tell_spent(bridge: Bridge, spent: Spent) -> None:
+    """Until this server got the lock another one may have acted, after this one's bridge was told what was used."""
+    spent.read()
+    bridge.post("spent", json.dumps(spent.ages()).encode())
 
 
 def _told_latch(guard: Guard) -> dict[str, Any]:

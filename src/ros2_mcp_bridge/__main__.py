@@ -116,6 +116,7 @@ class Bridge:
         self._table: dict[str, Operation] = {
             "ping": self._ping,
             "policy": self._policy,
+            "spent": self._spent,
             "interfaces": definitions.list_interfaces,
             "definitions": definitions.find,
         }
@@ -303,6 +304,10 @@ class Bridge:
 
     def _policy(self, request: Request) -> PolicyReply:
         return {"digest": self._limiter.take(request.body)}
+
+    def _spent(self, request: Request) -> Mapping[str, object]:
+        self._limiter.resume(request.body)
+        return {}
 
 
 def _calls_what_acts(request: Request) -> bool:

@@ -96,20 +96,26 @@ class Limiter:
             rules = Rules.from_json(given)
             watch = cast("Mapping[str, Any]", given.get("watch", {}))
             rules_of(watch)  # what cannot be watched is no policy that is in force
-            used = cast("Sequence[tuple[str, str, str, Sequence[float]]]", given.get("spent", ()))
-            for name, type_name, bound, ages in used:
-                self._resume((name, type_name), bound, [self.now() - float(age_s) for age_s in ages])
+            self._resume(given.get("spent", ()))
         except (ValueError, TypeError, KeyError, AttributeError) as error:
             raise OperationError("bad_request", f"These rules cannot be read: {error!r}") from error
         self.rules, self.is_under_policy, self.watch = rules, True, watch
         return rules.digest
 
-    def _resume(self, key: tuple[str, str], bound: str, left_at: Sequence[float]) -> None:
-        """Take over what a bridge before this one has let out."""
-        if bound == "per_minute":
-            self._per_minute[key] = PerMinute(left_at)
-        else:
-            self._left_at[key] = max(left_at)
+    def resume(self, body: bytes) -> None:
+        """Take over what other bridges have used of the budgets, as JSON; raises `OperationError` (`bad_request`)."""
+        try:
+            self._resume(json.loads(body))
+        except (ValueError, TypeError) as error:
+            raise OperationError("bad_request", f"These uses cannot be read: {error!r}") from error
+
+    def _resume(self, used: Any) -> None:
+        for name, type_name, bound, ages in cast("Sequence[tuple[str, str, str, Sequence[float]]]", used):
+            key, left_at = (name, type_name), [self.now() - float(age_s) for age_s in ages]
+            if bound == "per_minute":
+                self._per_minute[key] = PerMinute(left_at)
+            else:
+                self._left_at[key] = max(left_at)
 
     def bucket(self, key: tuple[str, str], rate_hz: float) -> Bucket:
         """The rate of a topic, which goes on where a bridge before this one had left it."""

@@ -35,7 +35,7 @@ Key = tuple[str, str, str]
 class Spent:
     """When each was used, in Unix time (s). `folder` is the robot's; without one nothing is kept.
 
-    A clock that was set back makes what was used then count for a whole time again, one that was set ahead for none.
+    A clock that was set back makes what was used then count for a whole time again; one that was set ahead, for none.
     """
 
     def __init__(self, folder: StateFolder | None = None, now: Callable[[], float] = time.time) -> None:
@@ -44,8 +44,26 @@ class Spent:
         self._at: dict[Key, list[float]] = {}
         self._writing = threading.Lock()
         self._is_unwritten = False
-        if folder:
-            self._read(folder)
+        self.read()
+
+    def read(self) -> None:
+        """Take in what servers before this one have written, beside what this one has counted itself."""
+        if self._folder is None:
+            return
+        try:
+            uses = json.loads((self._folder.path / _FILE).read_text())
+            now = self._now()
+            found = {
+                (str(name), str(kind), str(bound)): [min(float(at), now) for at in times]
+                for name, kind, bound, times in cast("Sequence[tuple[str, str, str, Sequence[float]]]", uses)
+            }
+        except FileNotFoundError:
+            return
+        except (OSError, ValueError, TypeError) as error:
+            _logger.warning("what was used of the policy's budgets cannot be read, and counts as nothing: %s", error)
+            return
+        for key, times in found.items():
+            self._at[key] = sorted({*times, *self._at.get(key, ())})[-_MOST_TIMES:]
 
     def add(self, name: str, type_name: str, bound: str) -> None:
         """It was used just now. Writes in a thread, at once."""
@@ -82,20 +100,6 @@ class Spent:
                 replace(new, path)
             except (OSError, RobotError) as error:
                 _logger.warning("what was used of the policy's budgets is not kept: %s", error)
-
-    def _read(self, folder: StateFolder) -> None:
-        try:
-            uses = json.loads((folder.path / _FILE).read_text())
-            now = self._now()
-            self._at = {
-                (str(name), str(kind), str(bound)): [min(float(at), now) for at in times][-_MOST_TIMES:]
-                for name, kind, bound, times in cast("Sequence[tuple[str, str, str, Sequence[float]]]", uses)
-            }
-        except FileNotFoundError:
-            return
-        except (OSError, ValueError, TypeError) as error:
-            _logger.warning("what was used of the policy's budgets cannot be read, and counts as nothing: %s", error)
-            self._at = {}
 
 
 def told(rules: Mapping[str, Any], spent: Spent) -> bytes:

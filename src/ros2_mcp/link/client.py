@@ -87,6 +87,7 @@ class Bridge:
         self.clock = RobotClock()
         self._launched: Carrier | RobotError | None = None
         self._carrier: Carrier | None = None
+        self._connection: Connection | None = None
         self._sharing: Sharing | None = None
         self._supervisor: asyncio.Task[None] | None = None
         self._outcome: asyncio.Future[Connection | RobotError] | None = None
@@ -181,6 +182,13 @@ class Bridge:
         bounds |= {"every_n": every_n} if every_n > 1 else {}
         bounds |= {"newest_of_old": True} if newest_of_old else {}
         return await self._sharing.subscribe({"topic": topic, "type": type_name, "qos": qos, **bounds})
+
+    def post(self, op: str, body: bytes) -> None:
+        """Sends a request before all later ones and does not wait for its answer. Without effect on a bridge that has
+        not been told its rules yet.
+        """
+        if self._connection:
+            self._connection.post(op, body)
 
     async def ready(self) -> Hello:
         """The bridge's hello, as soon as it is there; raises as `request`."""
@@ -294,7 +302,8 @@ class Bridge:
         if isinstance(carrier, RobotError):
             return False, carrier
         told = (lambda: self.stop_epoch, self._hear, self._relay_ended)
-        connection = Connection(carrier, *told, rules=self.rules(), clock=self.clock, latch=self.latch)
+        connection = Connection(carrier, *told, rules=self.rules, clock=self.clock, latch=self.latch)
+        self._connection = connection
         try:
             reason = await connection.greet()
             if reason:

@@ -205,7 +205,7 @@ class Program(Job):
     async def _run(self, program: Rewritten) -> Any:
         """Its value, unless its process dies or its bridge is lost meanwhile, whatever it waits for."""
         value: Any = None
-        failures: list[Failure] = []
+        failures: list[Exception] = []  # the first one is raised by itself, and not in the group of a task group
 
         async def watch(scope: anyio.CancelScope) -> None:
             while not (lost := self._sandbox.died() or self._bridge_lost()):
@@ -218,7 +218,7 @@ class Program(Job):
             tasks.start_soon(watch, tasks.cancel_scope)
             try:
                 value = await self._sandbox.run(program, self._inputs, self._answer, self._print)
-            except Failure as error:
+            except Exception as error:  # noqa: BLE001 - raised below
                 failures.append(error)
             tasks.cancel_scope.cancel()
         if failures:

@@ -13,6 +13,7 @@ from ros2_mcp.guard.spent import Spent, told
 from ros2_mcp.guard.state import StateFolder
 from ros2_mcp_bridge.limiter import Limiter
 from ros2_mcp_bridge.ramp import Bucket, PerMinute
+from ros2_mcp_bridge.request import OperationError
 from support.agent import until
 
 USED = ("/dock", "std_srvs/srv/Trigger", "per_minute")
@@ -83,8 +84,28 @@ def test_a_bridge_goes_on_where_the_one_before_it_was_ended() -> None:
     limiter = Limiter(True, now=lambda: 1000.0)
     limiter.take(told({"digest": "d", "policies": []}, used))
     limiter.check_minute(USED[:2], 2)
-    with pytest.raises(Exception, match="may be used 2 times in a minute, and has been"):
+    with pytest.raises(OperationError, match="may be used 2 times a minute, and this limit is reached"):
         limiter.check_minute(USED[:2], 2)
+
+
+def test_what_another_server_used_meanwhile_is_added_to_what_is_known(folder: StateFolder) -> None:
+    now = time.time()
+    waits, acts = Spent(folder, lambda: now), Spent(folder, lambda: now)
+    acts.add(*USED)
+    until(lambda: written(folder, 1))
+    waits.read()
+    waits.read()
+    assert waits.ages() == [(*USED, [0.0])]
+
+
+def test_a_bridge_that_runs_takes_over_what_another_one_has_used() -> None:
+    limiter = Limiter(True, now=lambda: 1000.0)
+    limiter.take(told({"digest": "d", "policies": []}, Spent()))
+    limiter.resume(json.dumps([(*USED, [50.0, 10.0])]).encode())
+    with pytest.raises(OperationError, match="may be used 2 times a minute"):
+        limiter.check_minute(USED[:2], 2)
+    with pytest.raises(OperationError, match="cannot be read"):
+        limiter.resume(b"7")
 
 
 def test_what_was_used_is_over_after_its_time() -> None:
