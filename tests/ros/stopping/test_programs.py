@@ -89,7 +89,7 @@ def signal_sandbox(number: int) -> Callable[[Driver, int], None]:
 
 SANDBOX, BRIDGE, SERVER = "monty", "ros2_mcp_bridge", ""
 DEATHS = {"is killed": signal.SIGKILL, "crashes": signal.SIGABRT, "is stopped": signal.SIGSTOP}
-"""Of the sandbox; for want of memory the kernel kills it."""
+"""Of the sandbox. Out of memory, the kernel kills it, and an allocator aborts it (SIGABRT)."""
 FROM_OUTSIDE: dict[str, Callable[[Driver, int], None]] = {
     "the call is cancelled": cancel,
     "ros2_stop": lambda server, _: server.stop() and None,
@@ -110,6 +110,10 @@ if FULL:
         "an end that it asks for": (f"{FOR_A_WHILE}raise SystemExit", False),
         "its time, asleep": (f"{FOR_A_WHILE}time.sleep(60)", True),
         "a limit": (f"{FOR_A_WHILE}[0] * 10**9", False),
+        "its memory, used up while it drives": (
+            f"{FOR_A_WHILE}kept = []\nwhile True:\n    drive()\n    kept.append('x' * 5_000_000 + str(len(kept)))",
+            False,
+        ),
     }
 """The program, and whether it is its time that ends it: then it has done nothing for a while."""
 

@@ -111,6 +111,21 @@ def test_the_stopper_that_is_left_sends_the_zero_before_any_successor_is_there(
     leave(observer, topic)
 
 
+@pytest.mark.promise("stopping", "The bridge and both stoppers killed at once: the next bridge sends the zero")
+def test_the_next_bridge_sends_the_zero_where_all_three_are_killed(
+    start_server: Callable[..., Driver], observer: Observer
+) -> None:
+    server = start_server()
+    topic, _ = begin(server, observer)
+    found = processes(server)
+    since_ns = time.time_ns()
+    for victim in ("stopper", "other stopper", "bridge"):
+        os.kill(found[victim], signal.SIGKILL)
+    until(lambda: server.bridge() != found["bridge"])
+    observer.until_stopped(topic, since_ns, full_s=2 * COMES_S)
+    leave(observer, topic)
+
+
 @pytest.mark.full
 @pytest.mark.promise("stopping", "Any two of the bridge and its two stoppers may die together")
 @pytest.mark.parametrize("with_server", [False, True], ids=["server lives", "server dies"])
