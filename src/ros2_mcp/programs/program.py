@@ -178,7 +178,7 @@ class Program(Job):
         self._inputs = inputs
         self._principal = replace(robot.principal, program=self.id)
         self._accepted = robot.accepted or robot.stops.now()
-        self._losses = robot.bridge.losses
+        self._losses = robot.graph.losses
         self._functions = {each.name: each for each in programs.functions}
         self._sandbox = Sandbox([*self._functions], stub(programs.functions), self._next_message, self._help)
 
@@ -227,10 +227,10 @@ class Program(Job):
 
     def _bridge_lost(self) -> Failure | None:
         """It ends with the bridge that it began with: the next one would move what this one's death has stopped."""
-        bridge = self._robot.bridge
-        if bridge.losses == self._losses:
+        graph = self._robot.graph
+        if graph.losses == self._losses:
             return None
-        return Failure("error", 0, f"BridgeLost: {bridge.restarts[-1]}")
+        return Failure("error", 0, f"BridgeLost: {graph.last_loss}")
 
     def doing(self) -> str:
         """Its commands so far, and whose answer it waits for."""
