@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from typing import Literal
 
 import pytest
 
@@ -29,6 +30,8 @@ BAR_S = 0.5
 COMES_S = 15.0
 """For a zero that is late."""
 APART_S = 0.05
+DEAF = 0.02
+"""Of the deaths of a bridge: as many as decision 33 has measured."""
 SPEED = 0.3
 LATER_S = (0.1, 1.5)
 ORDERS = [
@@ -72,12 +75,14 @@ def leave(observer: Observer, topic: str) -> None:
     observer.forget()
 
 
-def last_zero_s(observer: Observer, topic: str, since_ns: int) -> float:
-    """How long after that time the last of four subscribers has its first zero; much, where one has none."""
+def last_zero_s(observer: Observer, topic: str, since_ns: int, when: Literal["at", "sent"] = "at") -> float:
+    """How long after that time the last of four subscribers has got its first zero, or when that was sent; much, where
+    one has none.
+    """
     zeros: dict[str, int] = {}
     for one in observer.messages(topic=topic, after=since_ns):
         if not any(one["values"]):
-            zeros.setdefault(one["by"], one["at"])
+            zeros.setdefault(one["by"], one[when])
     if len(zeros) < 4 or observer.moving(topic=topic):
         return 1e9
     return (max(zeros.values()) - since_ns) / 1e9
@@ -132,10 +137,13 @@ def test_the_next_bridge_sends_the_zero_where_all_three_are_killed(
 def test_of_two_hundred_double_deaths_each_is_followed_by_a_zero_within_half_a_second(
     start_server: Callable[..., Driver], observer: Observer, with_server: bool
 ) -> None:
+    """Each is sent in time. Nearly all arrive in time: a subscriber that shares a locked port of shared memory with the
+    dead bridge hears nobody for 1 s, a known race of Fast DDS (docs/known-races.md, decision 33).
+    """
     chance, left = random.Random(62), list[int]()
     orders = [order for order in ORDERS if ("server" in order) == with_server]
 
-    def seconds(number: int, judged: Judged) -> float:
+    def seconds(number: int, judged: Judged) -> tuple[float, float]:
         server = start_server()
         topic, _ = begin(server, observer)
         time.sleep(chance.uniform(*LATER_S))
@@ -149,15 +157,19 @@ def test_of_two_hundred_double_deaths_each_is_followed_by_a_zero_within_half_a_s
                 time.sleep(apart_s)
             with suppress(AssertionError):
                 until(lambda: last_zero_s(observer, topic, since_ns) < COMES_S, COMES_S)
-        took_s = last_zero_s(observer, topic, since_ns)
+        sent_s, came_s = (last_zero_s(observer, topic, since_ns, when) for when in ("sent", "at"))
         server.end()
         leave(observer, topic)
-        print(f"{' then '.join(orders[number % len(orders)])}, {apart_s:.3f} s apart: {took_s:.3f}", flush=True)
-        return took_s
+        order = " then ".join(orders[number % len(orders)])
+        print(f"{order}, {apart_s:.3f} s apart: sent after {sent_s:.3f}, came after {came_s:.3f}", flush=True)
+        return sent_s, came_s
 
     took_s = [undisturbed_where_judged(lambda judged, n=number: seconds(n, judged)) for number in range(ROUNDS)]
-    print(f"judged: {sorted(round(each, 3) for each in took_s)}", flush=True)
-    assert max(took_s) <= BAR_S
+    sent_s, came_s = ([round(each, 3) for each in sorted(times)] for times in zip(*took_s, strict=True))
+    print(f"judged, sent: {sent_s}\ncame: {came_s}", flush=True)
+    assert max(sent_s) <= BAR_S
+    assert max(came_s) <= COMES_S
+    assert sum(each > BAR_S for each in came_s) <= max(1, DEAF * ROUNDS)
     until(lambda: not any(map(lives, left)))
 
 
