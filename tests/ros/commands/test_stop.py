@@ -254,7 +254,7 @@ def test_what_was_begun_before_a_stop_is_confirmed_to_be_stopped_by_it(start_raw
     result = server.call("ros2_stop")
     stopped = result["structuredContent"]
     assert (stopped["confirmed"], stopped["repeats_stopped"], stopped["note"]) == (True, 1, UNOBSERVED)
-    assert result["content"][0]["text"].startswith("Stopped: 1 repeated publication(s)")
+    assert result["content"][0]["text"].startswith("Stopped: 1 repeated publication")
     assert "It was ended by ros2_stop." in server.answer(repeat)["result"]["structuredContent"]["note"]
 
 
