@@ -23,7 +23,7 @@ from .lifeline import Lifeline
 from .limiter import Limiter
 from .loop import Loop, log_failure
 from .packets import PacketError
-from .protocol import Lapsed, PingReply, PolicyReply
+from .protocol import Empty, Lapsed, PingReply, PolicyReply
 from .request import Request
 from .rules import meaning
 from .spawning import STOPPER_ARGUMENT, STOPPERS, copy_process
@@ -305,7 +305,7 @@ class Bridge:
     def _policy(self, request: Request) -> PolicyReply:
         return {"digest": self._limiter.take(request.body)}
 
-    def _spent(self, request: Request) -> Mapping[str, object]:
+    def _spent(self, request: Request) -> Empty:
         self._limiter.resume(request.body)
         return {}
 
