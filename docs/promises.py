@@ -71,6 +71,7 @@ NO_PROMISES: Mapping[str, Mapping[str, Sequence[str]]] = {
             "What is left is the time-out",
             "A middleware that blocks the bridge",
             "A goal whose server and bridge were both killed",
+            "If the server was killed with them",
         ),
     },
 }

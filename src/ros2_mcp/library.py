@@ -18,6 +18,7 @@ from ros2_mcp.guard.consent import Auditing, Consent, with_consent
 from ros2_mcp.guard.guard import Guard
 from ros2_mcp.guard.operating import Operated, StopAnswer, operating
 from ros2_mcp.guard.policy_file import policy_for
+from ros2_mcp.guard.spent import Spent, told
 from ros2_mcp.guard.state import ServerLock, StateFolder, state_of
 from ros2_mcp.guard.strength import strength_of
 from ros2_mcp.guard.watch import watch_of
@@ -65,9 +66,13 @@ def robot_for(settings: Settings, store: BagStore, bridge: Bridge | None = None)
     if bridge is None:
         state = state_of(settings, guard.policy).path
         bridge = Bridge(lambda: start_carrier(settings, state=state, under_policy=rules is not None))
-    bridge.rules = json.dumps({**rules.as_json(), "watch": watch_of(guard.policy)}).encode() if rules else b""
-    robot = Robot(bridge, guard, settings.result_bytes)
     folder = state_of(settings, guard.policy)
+    if rules:
+        spent = Spent(folder)
+        bridge.rules = partial(told, {**rules.as_json(), "watch": watch_of(guard.policy)}, spent)
+        bridge.on_spent = spent.add
+        guard.server_lock.on_taken = partial(_tell_spent, bridge, spent)
+    robot = Robot(bridge, guard, settings.result_bytes)
     robot.places = Places(folder)
     robot.programs_folder = settings.programs
     with_consent(guard, folder, lambda: f"{robot.stops.epoch}.{guard.latch.look().count}")
@@ -76,6 +81,12 @@ def robot_for(settings: Settings, store: BagStore, bridge: Bridge | None = None)
         bridge.on_latched = partial(_latch_here, guard, note)
         bridge.latch = partial(_told_latch, guard)
     return robot
+
+
+def _tell_spent(bridge: Bridge, spent: Spent) -> None:
+    """Until this server got the lock another one may have acted, after this one's bridge was told what was used."""
+    spent.read()
+    bridge.post("spent", json.dumps(spent.ages()).encode())
 
 
 def _told_latch(guard: Guard) -> dict[str, Any]:

@@ -23,10 +23,10 @@ from .lifeline import Lifeline
 from .limiter import Limiter
 from .loop import Loop, log_failure
 from .packets import PacketError
-from .protocol import Lapsed, PingReply, PolicyReply
+from .protocol import Empty, Lapsed, PingReply, PolicyReply
 from .request import Request
 from .rules import meaning
-from .spawning import STOPPER_ARGUMENT, copy_process
+from .spawning import STOPPER_ARGUMENT, STOPPERS, copy_process
 from .stream import Outbox, claim_standard_streams, read_packets
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ def main() -> None:
     options.add_argument("--state", type=Path, metavar="DIR", help="the robot's state folder, with its latch")
     options.add_argument("--orphan-s", type=float, default=0.0, metavar="S", help="leave when nothing came for so long")
     options.add_argument("--arrival", metavar="NONCE", help="say on stdout where the stream begins, as stage 1 does")
-    options.add_argument(STOPPER_ARGUMENT, action="store_true", help="be the stopper of the bridge that starts it")
+    options.add_argument(STOPPER_ARGUMENT, metavar="NAME", help="be a stopper of the bridge that starts it")
     chosen = options.parse_args()
     if chosen.arrival:
         from . import stage1  # which else has done it before this process
@@ -79,7 +79,7 @@ def main() -> None:
     if chosen.stopper:
         from . import stopper  # which needs rclpy
 
-        stopper.main(incoming, outgoing)
+        stopper.main(chosen.stopper, incoming, outgoing)
     keep_freed_memory()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's Ctrl-C goes to the server, which then closes us
     signal.signal(signal.SIGALRM, signal.SIG_DFL)  # ends us if all else hangs; it may have been inherited as ignored
@@ -110,12 +110,13 @@ class Bridge:
         self._loop = Loop()
         self._outbox = Outbox()
         self._stops = StopEpoch(latch)
-        self._limiter = Limiter(is_under_policy)
+        self._limiter = Limiter(is_under_policy, send_event=self._outbox.send)
         self._accepted: queue.SimpleQueue[Request] = queue.SimpleQueue()
         self._ros_is_up = threading.Event()
         self._table: dict[str, Operation] = {
             "ping": self._ping,
             "policy": self._policy,
+            "spent": self._spent,
             "interfaces": definitions.list_interfaces,
             "definitions": definitions.find,
         }
@@ -137,7 +138,7 @@ class Bridge:
 
             missing = "init_failed"
             operations.load_types()
-            copy = copy_process(stopper.main)
+            copies = {name: copy_process(partial(stopper.main, name)) for name in STOPPERS}
             node, executor = ros.enter(f"{participants.BRIDGE_NODE}{os.getpid()}")
             self._operations = operations.Operations(
                 node=node,
@@ -146,7 +147,7 @@ class Bridge:
                 stops=self._stops,
                 limiter=self._limiter,
                 table=self._table,
-                lifeline=Lifeline(self._stopper_lost, self._outbox.send, copy, lambda: self._loop.last_turn),
+                lifeline=Lifeline(self._stopper_lost, self._outbox.send, copies, lambda: self._loop.last_turn),
             )
         except Exception as error:  # noqa: BLE001 - a broken installation can raise anything here
             log_failure(None, error)
@@ -303,6 +304,10 @@ class Bridge:
 
     def _policy(self, request: Request) -> PolicyReply:
         return {"digest": self._limiter.take(request.body)}
+
+    def _spent(self, request: Request) -> Empty:
+        self._limiter.resume(request.body)
+        return {}
 
 
 def _calls_what_acts(request: Request) -> bool:

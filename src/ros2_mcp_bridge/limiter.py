@@ -14,7 +14,8 @@ import sys
 import time
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any, cast
+from functools import partial
+from typing import Any, Literal, cast
 from weakref import WeakKeyDictionary
 
 from .checks import Checks
@@ -22,6 +23,7 @@ from .feedback import rules_of
 from .fields import QuickCheck, floats_of, put
 from .flight import brakes
 from .limits import MAX_JUDGED_BYTES
+from .protocol import Spent
 from .ramp import Bucket, PerMinute, Ramp
 from .request import OperationError, Request, Steps
 from .rules import Limit, Rules, Ruling, Verb, judged_part, meaning
@@ -34,6 +36,9 @@ _NAME = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+", re.ASCII)
 BEGINS_S = 1.0
 # After this time without a message a topic that has no publisher is forgotten: the slowest rate is one in 100 s.
 FORGOTTEN_S = 120.0
+# A rate below this one is a budget: after a bridge that has died, the next one is not there sooner than a message of
+# a faster rate may leave. Chosen.
+SLOW_HZ = 1.0
 _WAYS: Mapping[str, Sequence[Verb]] = {
     "publish": ("publish",),
     "repeat": ("publish",),
@@ -64,8 +69,8 @@ def is_zero(message: Any) -> bool:
 class Limiter:
     """The rules of this bridge: none (`is_under_policy` is false), still to come, or taken; once taken they stay.
 
-    `start` runs steps on the ROS thread's loop; `now` tells monotonic seconds. `look_at_joints` tells where the joints
-    of a trajectory are.
+    `start` runs steps on the ROS thread's loop; `now` tells monotonic seconds. `send_event` tells the server what was
+    used of a budget, which it keeps for the next bridge. `look_at_joints` tells where the joints of a trajectory are.
     """
 
     def __init__(
@@ -73,6 +78,7 @@ class Limiter:
         is_under_policy: bool,
         start: Callable[[Steps[None]], object] = lambda _: None,
         now: Callable[[], float] = time.monotonic,
+        send_event: Callable[[Spent], None] = lambda _: None,
     ) -> None:
         self.is_under_policy = is_under_policy
         self.rules: Rules | None = None
@@ -80,7 +86,9 @@ class Limiter:
         self.look_at_joints: LookAtJoints = nobody_measures
         self.start = start
         self.now = now
+        self.send_event = send_event
         self._per_minute: dict[tuple[str, str], PerMinute] = {}
+        self._left_at: dict[tuple[str, str], float] = {}
         self._topics: dict[tuple[str, str], TopicLimits] = {}
 
     def take(self, body: bytes) -> str:
@@ -90,10 +98,34 @@ class Limiter:
             rules = Rules.from_json(given)
             watch = cast("Mapping[str, Any]", given.get("watch", {}))
             rules_of(watch)  # what cannot be watched is no policy that is in force
+            self._resume(given.get("spent", ()))
         except (ValueError, TypeError, KeyError, AttributeError) as error:
             raise OperationError("bad_request", f"These rules cannot be read: {error!r}") from error
         self.rules, self.is_under_policy, self.watch = rules, True, watch
         return rules.digest
+
+    def resume(self, body: bytes) -> None:
+        """Take over what other bridges have used of the budgets, as JSON; raises `OperationError` (`bad_request`)."""
+        try:
+            self._resume(json.loads(body))
+        except (ValueError, TypeError) as error:
+            raise OperationError("bad_request", f"These uses cannot be read: {error!r}") from error
+
+    def _resume(self, used: Any) -> None:
+        for name, type_name, bound, ages in cast("Sequence[tuple[str, str, str, Sequence[float]]]", used):
+            key, left_at = (name, type_name), [self.now() - float(age_s) for age_s in ages]
+            if bound == "per_minute":
+                self._per_minute[key] = PerMinute(left_at)
+            else:
+                self._left_at[key] = max(left_at)
+
+    def bucket(self, key: tuple[str, str], rate_hz: float) -> Bucket:
+        """The rate of a topic, which goes on where a bridge before this one had left it."""
+        return Bucket(rate_hz, self._left_at.get(key, -math.inf))
+
+    def spend(self, key: tuple[str, str], bound: Literal["per_minute", "rate_hz"]) -> None:
+        """Tell that one more of that name and type was let out."""
+        self.send_event({"event": "spent", "name": key[0], "type": key[1], "bound": bound})
 
     def topic(self, request: Request) -> TopicLimits:
         """What holds for the topic that a request names.
@@ -167,6 +199,7 @@ class Limiter:
             raise refused(
                 f"The policy of this robot: {key[0]} may be used {most:g} times a minute, and this limit is reached."
             )
+        self.spend(key, "per_minute")
 
     def judge(self, ruling: Ruling, value: Any) -> None:
         """Raise `OperationError` of kind `refused` for a value that breaks a limit."""
@@ -190,10 +223,11 @@ def _ways(request: Request) -> Sequence[Verb]:
 class _Way:
     """What holds for one way of publishing on a topic."""
 
-    def __init__(self, ruling: Ruling) -> None:
+    def __init__(self, ruling: Ruling, bucket: Callable[[float], Bucket]) -> None:
         self.ruling = ruling
         rate_hz = ruling.most("rate_hz")
-        self.bucket = None if rate_hz is None else Bucket(rate_hz)
+        self.bucket = None if rate_hz is None else bucket(rate_hz)
+        self.is_slow = rate_hz is not None and rate_hz < SLOW_HZ
         self.for_s = ruling.most("for_s")
         self.has_curve = bool(ruling.curves)
         self._checks = _all_checks(ruling)
@@ -313,7 +347,7 @@ class TopicLimits:
         found = self._ways.get(ways)
         if found is None:
             ruling = self._limiter.publishing(self._name, self._type, ways)
-            found = self._ways[ways] = _Way(ruling)
+            found = self._ways[ways] = _Way(ruling, partial(self._limiter.bucket, (self._name, self._type)))
             self.hold_s = ruling.hold_s or 0.0
             rates = _rates_of(ruling.limits)
             if rates and not self._ramp:
@@ -336,6 +370,8 @@ class TopicLimits:
         if way.bucket is not None and not way.bucket.take(now):
             most_hz = way.ruling.most("rate_hz")
             raise refused(f"The policy of this robot: {self._name} is commanded more than {most_hz:g} times a second.")
+        if way.is_slow:
+            self._limiter.spend((self._name, self._type), "rate_hz")
 
     def _send_zero(self) -> None:
         for send in list(self.zeros.values()):

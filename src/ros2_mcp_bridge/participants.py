@@ -23,7 +23,7 @@ DISCOVERY_TOPIC = "ros_discovery_info"
 GUID_PREFIX_BYTES = 12
 # How the names of the bridges' nodes begin; the number of the process follows.
 BRIDGE_NODE = "ros2_mcp_"
-# The same of the stoppers, with the number of the bridge's process; hidden, as the nodes of ROS's own tools are.
+# The same of the stoppers; hidden, as the nodes of ROS's own tools are.
 STOPPER_NODE = "_ros2_mcp_stopper_"
 
 

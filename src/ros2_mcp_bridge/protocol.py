@@ -100,6 +100,15 @@ class StopperEvent(TypedDict):
     message: str
 
 
+class Spent(TypedDict):
+    """The `spent` event: one more was used of what the policy allows of that name, by the minute or at a slow rate."""
+
+    event: Literal["spent"]
+    name: str
+    type: str
+    bound: Literal["per_minute", "rate_hz"]
+
+
 class Lapsed(TypedDict):
     """The `lapsed` event: the server was silent for longer than its link lease, and all that moved was ended."""
 
@@ -124,7 +133,7 @@ class MotionProgress(TypedDict):
     report: dict[str, object]
 
 
-Told = FrameIdChanged | Lapsed | LatchSet | MotionProgress | RepeatBegun | StopperEvent
+Told = FrameIdChanged | Lapsed | LatchSet | MotionProgress | RepeatBegun | Spent | StopperEvent
 """What the bridge tells unasked, beside samples."""
 
 

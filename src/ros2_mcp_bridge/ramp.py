@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from .fields import Numbers, names_at, put, reader
@@ -18,13 +18,13 @@ MINUTE_S = 60.0
 
 
 class Bucket:
-    """A rate: one message, and what comes within `JITTER_S`, may leave at once."""
+    """A rate: one message, and what comes within `JITTER_S`, may leave at once. The one before left at `left_at`."""
 
-    def __init__(self, rate_hz: float) -> None:
+    def __init__(self, rate_hz: float, left_at: float = -math.inf) -> None:
         self._rate_hz = rate_hz
         self._most = 1.0 + rate_hz * JITTER_S
-        self._tokens = self._most
-        self._at = 0.0
+        self._tokens = self._most if math.isinf(left_at) else 0.0
+        self._at = 0.0 if math.isinf(left_at) else left_at
 
     def take(self, now: float) -> bool:
         """Whether one more may leave now, in monotonic seconds."""
@@ -58,10 +58,10 @@ def allowed_part(sent: Sequence[float], wanted: Sequence[float], up: float, down
 
 
 class PerMinute:
-    """So many in any minute."""
+    """So many in any minute; `left_at` are those before, in monotonic seconds, the oldest first."""
 
-    def __init__(self) -> None:
-        self._left_at: deque[float] = deque()
+    def __init__(self, left_at: Iterable[float] = ()) -> None:
+        self._left_at: deque[float] = deque(left_at)
 
     def take(self, now: float, most: float) -> bool:
         """Whether one more may leave now, in monotonic seconds, where so many may."""

@@ -15,6 +15,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 STOPPER_ARGUMENT = "--stopper"
+STOPPERS = ("robot-stopper", "motion-standby")
+"""What the process list shows of the two stoppers: no pattern that finds the bridge or the server finds one of them."""
 # Descriptors that a copy of this process closes: it would keep the stream to the server open. More than there are.
 MOST_DESCRIPTORS = 65536
 _FILE_IN_MEMORY = re.match(r"/(?:proc/self|dev)/fd/(\d+)/", __file__)
@@ -102,13 +104,13 @@ def copy_process(main: Callable[[int, int], object]) -> Child | None:
         os._exit(1)
 
 
-def spawn() -> Child:
-    """This program once more, from its beginning, as a stopper; raises `OSError`."""
+def spawn(name: str) -> Child:
+    """This program once more, from its beginning, as the stopper of that name; raises `OSError`."""
     pipes = _Pipes.make()
     try:
         pid = os.posix_spawn(
             sys.executable,
-            [sys.executable, *sys.orig_argv[1:], STOPPER_ARGUMENT],
+            [sys.executable, *sys.orig_argv[1:], STOPPER_ARGUMENT, name],
             os.environ,
             file_actions=[
                 (os.POSIX_SPAWN_DUP2, pipes.heard, 0),

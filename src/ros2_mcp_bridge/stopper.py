@@ -3,7 +3,8 @@ the goals where the server has died, too.
 
 Its stdin is the lifeline (see `lifeline.py`): the end of it tells of the bridge's death, silence of a hang; that it is
 stopped, the kernel tells. It has a participant of its own, and publishers that are matched before anything moves, so
-that it discovers nobody when it has to act. See docs/decisions/0030-a-second-process-that-stops.md.
+that it discovers nobody when it has to act. There are two of them, which know nothing of each other and act alike.
+See docs/decisions/0030-a-second-process-that-stops.md and 0062-a-third-party-that-stops.md.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from rclpy.qos import QoSProfile
 
-from . import interfaces, participants, qos, rcl, ros, udp
+from . import interfaces, participants, qos, rcl, ros, survival, udp
 from .clock import RobotClock
 from .flight import brakes
 from .graph import Graph
@@ -56,8 +57,10 @@ READ_BYTES = 65536
 CALLS = QoSProfile(depth=64)
 
 
-def main(lifeline: int, told: int) -> NoReturn:
-    """Run the stopper until its lifeline ends, and until the robot has been stopped then."""
+def main(name: str, lifeline: int, told: int) -> NoReturn:
+    """Run the stopper until its lifeline ends, and until the robot has been stopped then; `ps` shows that name."""
+    survival.rename(name)
+    survival.spare()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # it ends with its bridge, and not before it
         signal.signal(number, signal.SIG_IGN)
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
@@ -67,7 +70,8 @@ def main(lifeline: int, told: int) -> NoReturn:
         os._exit(0)
     signal.setitimer(signal.ITIMER_REAL, ROS_IS_UP_WITHIN_S)
     with udp.alone():
-        node = ros.join(f"{participants.STOPPER_NODE}{bridge}")
+        node = ros.join(f"{participants.STOPPER_NODE}{os.getpid()}")
+    survival.lock_memory()
     signal.setitimer(signal.ITIMER_REAL, 0)
     Stopper(node, bridge, lifeline, told).run(first)
     ros.destroy(node)

@@ -480,7 +480,7 @@ def test_a_zero_of_a_successor_does_not_stop_what_is_commanded_anew(begin, obser
     bridge.ok("publish", cdr(TWIST, 0.5), **command(topic), **WAITS)
     observer.until_driven(topic)
     observer.join(by="later", topic=topic, kind=TWIST)
-    until(lambda: observer.matched(by="later") == 2)  # the publisher of the bridge and that of its stopper
+    until(lambda: observer.matched(by="later") == 3)  # the publishers of the bridge and of its stoppers
     bridge.ok("publish", cdr(TWIST, 0.7), **command(topic), **WAITS)
     until(lambda: observer.driven(topic=topic)["later"] == 1)
     assert [one for one in observer.messages(topic=topic) if not any(one["values"])] == []

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from ros2_mcp_bridge.spawning import STOPPERS
 from support import leaves_nothing, own_processes, shared_memory
 from support.own_processes import Process
 from support.processes import SHARED
@@ -79,7 +80,7 @@ def _leave(domains: range, since: float) -> None:
 
 def _has_an_alarm(command: str) -> bool:
     """Whether it is a bridge or a stopper, started as a module or by the program that is sent to a robot."""
-    return "ros2_mcp_bridge" in command or "-c import sys sys.path[:] = " in command
+    return "ros2_mcp_bridge" in command or "-c import sys sys.path[:] = " in command or command.strip() in STOPPERS
 
 
 def _holders_that_stay(domains: range) -> dict[int, list[str]]:

@@ -14,7 +14,7 @@ import socket
 import stat
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -146,7 +146,8 @@ def latched(state: LatchState) -> str:
 class ServerLock:
     """Held by the one server that acts on a robot, from its first command to its end, however it ends.
 
-    Without a policy a second server acts too, and says so (`is_strict` false); with one it is refused.
+    Without a policy a second server acts too, and says so (`is_strict` false); with one it is refused. `on_taken` is
+    called when this server gets it: another one may have acted until then.
     """
 
     def __init__(self, folder: StateFolder | None = None, *, is_strict: bool = False) -> None:
@@ -154,6 +155,7 @@ class ServerLock:
         self._is_strict = is_strict
         self._descriptor: int | None = None
         self._mine: tuple[int, int] | None = None
+        self.on_taken: Callable[[], None] = lambda: None
 
     def check(self) -> str:
         """Takes the lock, unless this server has it; returns a sentence if it cannot be had, "" otherwise.
@@ -225,6 +227,7 @@ class ServerLock:
         self._descriptor, self._mine = descriptor, (found.st_dev, found.st_ino)
         os.ftruncate(descriptor, 0)
         write_at(descriptor, json.dumps({"pid": os.getpid(), "since": time.time()}).encode(), 0)
+        self.on_taken()
         return ""
 
 

@@ -47,25 +47,29 @@ class Bridge:
 
     `start_carrier` starts a bridge and what carries its stream; it is called once for each life and raises a
     `RobotError` that tells why there is none. `hello` is how the running bridge introduced itself, `generation` the
-    number of starts, `restarts` why each former one was lost, `origin` what the last one runs in. `nodes` are the names
-    of all its nodes: the graph shows those of lost ones for some seconds more. `stop_epoch` is told to every bridge as
-    soon as it is there; `frame_ids` has the frame of the last command on each velocity topic, as bridges told it;
+    number of starts, `losses` how many former ones were lost, `restarts` why the last hundred of them were, `origin`
+    what the last one runs in. `nodes` are the names of all its nodes: the graph shows those of lost ones for some
+    seconds more. `stop_epoch` is told to every bridge as soon as it is there; `frame_ids` has the frame of the last
+    command on each velocity topic, as bridges told it;
     `lapses` for how long this server had been silent, in seconds, each time that a link lease lapsed; `lapsed_at` when
     the last one was heard of (monotonic, in s; 0 before); `outages` the times in which a robot elsewhere was out of
     reach; `failure` says why the last life did not begin, empty once one has. `on_latched` is told by whom and why the
     latch was set; `latched_by` and `latched_at` say it in words, and when the last one was heard of.
     `relays_ended` has the last counts of relays whose caller was cancelled, by name, `repeats_begun` when it was heard
     that the first message of a repeat had been sent (monotonic, in s), `motions` what was told last of each motion, by
-    its name. `rules` are those of the policy, compiled, which every bridge is told first: to be set before
-    `attach`; empty without a policy. `clock` is the robot's. `latch` gives what pings tell a bridge elsewhere of it.
+    its name. `rules` gives those of the policy, compiled, which every bridge is told first: to be set before
+    `attach`; empty without a policy. `on_spent` is told by name, type and bound what was used of the policy's budgets.
+    `clock` is the robot's. `latch` gives what pings tell a bridge elsewhere of it.
     """
 
     def __init__(self, start_carrier: Callable[[], Carrier]) -> None:
         self._start_carrier = start_carrier
-        self.rules = b""
+        self.rules: Callable[[], bytes] = bytes
+        self.on_spent: Callable[[str, str, str], None] = lambda _name, _type, _bound: None
         self.origin = ""
         self.generation = 0
         self.restarts: list[str] = []
+        self.losses = 0
         self.nodes: set[str] = set()
         self.stop_epoch = 0
         self.frame_ids: dict[str, str] = {}
@@ -83,6 +87,7 @@ class Bridge:
         self.clock = RobotClock()
         self._launched: Carrier | RobotError | None = None
         self._carrier: Carrier | None = None
+        self._connection: Connection | None = None
         self._sharing: Sharing | None = None
         self._supervisor: asyncio.Task[None] | None = None
         self._outcome: asyncio.Future[Connection | RobotError] | None = None
@@ -178,6 +183,13 @@ class Bridge:
         bounds |= {"newest_of_old": True} if newest_of_old else {}
         return await self._sharing.subscribe({"topic": topic, "type": type_name, "qos": qos, **bounds})
 
+    def post(self, op: str, body: bytes) -> None:
+        """Sends a request before all later ones and does not wait for its answer. Without effect on a bridge that has
+        not been told its rules yet.
+        """
+        if self._connection:
+            self._connection.post(op, body)
+
     async def ready(self) -> Hello:
         """The bridge's hello, as soon as it is there; raises as `request`."""
         hello = (await self._connected()).hello
@@ -266,6 +278,7 @@ class Bridge:
             begun, reason = await self._live()
             if begun:
                 failures = 0
+                self.losses += 1
                 self.restarts = [*self.restarts, reason.message][-_KEPT_REASONS:]
                 continue
             pause_s = _PAUSES_S[min(failures, len(_PAUSES_S) - 1)]
@@ -290,6 +303,7 @@ class Bridge:
             return False, carrier
         told = (lambda: self.stop_epoch, self._hear, self._relay_ended)
         connection = Connection(carrier, *told, rules=self.rules, clock=self.clock, latch=self.latch)
+        self._connection = connection
         try:
             reason = await connection.greet()
             if reason:
@@ -330,6 +344,9 @@ class Bridge:
             self.repeats_begun[event["name"]] = time.monotonic()
             if len(self.repeats_begun) > _KEPT_REPEATS:
                 del self.repeats_begun[next(iter(self.repeats_begun))]
+            return
+        if event["event"] == "spent":
+            self.on_spent(event["name"], event["type"], event["bound"])
             return
         if event["event"] == "motion":
             self.motions[event["name"]] = event["report"]

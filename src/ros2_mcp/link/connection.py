@@ -79,9 +79,9 @@ class Connection:
     """Talks with one bridge; `run` returns why it ended.
 
     Each ping tells the bridge the link lease and what `stop_epoch` gives; `hear` is told of its events, and
-    `relay_ended` of the name and the last counts of a relay whose caller was cancelled. `rules` are those of
-    the policy, compiled, which the bridge is told before anything else; none without a policy. `clock` learns from
-    every answer to a ping. `latch` gives what each ping tells a bridge elsewhere of the latch, which it does not see.
+    `relay_ended` of the name and the last counts of a relay whose caller was cancelled. `rules` gives those of the
+    policy, compiled, which the bridge is told before anything else; empty without a policy. `clock` learns from every
+    answer to a ping. `latch` gives what each ping tells a bridge elsewhere of the latch, which it does not see.
     """
 
     def __init__(
@@ -91,7 +91,7 @@ class Connection:
         hear: Callable[[Told], None] = lambda _: None,
         relay_ended: Callable[[str, Mapping[str, Any]], None] = lambda _name, _counts: None,
         *,
-        rules: bytes = b"",
+        rules: Callable[[], bytes] = bytes,
         clock: RobotClock | None = None,
         latch: Callable[[], Mapping[str, Any]] = dict,
     ) -> None:
@@ -101,6 +101,7 @@ class Connection:
         self._hear = hear
         self._relay_ended = relay_ended
         self._rules = rules
+        self._has_rules = False
         self._clock = clock or RobotClock()
         self._latch = latch
         self.hello: Hello | None = None
@@ -123,8 +124,9 @@ class Connection:
     async def greet(self) -> LinkError | None:
         """Opens the carrier and waits for its hello; returns what went wrong instead, if something did."""
         await self.carrier.open(self._received, lambda: self._end(None))
-        if self._rules:
-            self._send({"id": _POLICY, "op": "policy"}, self._rules)
+        if rules := self._rules():
+            self._send({"id": _POLICY, "op": "policy"}, rules)
+            self._has_rules = True
         if self.carrier.is_remote:
             self._ping()
         start_s = self.carrier.start_s
@@ -256,6 +258,11 @@ class Connection:
                 elif op not in _NEVER_CANCELLED:
                     self._send({"id": next(self._numbers), "op": "cancel", "request": number})
 
+    def post(self, op: str, body: bytes) -> None:
+        """Sends a request whose answer nobody waits for; nothing is sent before the rules."""
+        if self._has_rules:
+            self._send({"id": next(self._numbers), "op": op}, body)
+
     async def _send_large(self, header: Mapping[str, object], body: bytes, request: _Open) -> None:
         """Sends it after those before it, each when there is room: what waits to be written stays bounded.
 
@@ -343,7 +350,7 @@ class Connection:
             self.hello = Hello(**{name: header[name] for name in Hello._fields})
             if self._heard_s or not self.carrier.is_remote:
                 self._be_greeted()
-        elif event in ("begun", "frame", "lapsed", "latched", "motion", "stopper"):
+        elif event in ("begun", "frame", "lapsed", "latched", "motion", "spent", "stopper"):
             self._hear(cast("Told", header))
         elif event == "failed":
             no_rclpy = header.get("kind") == "no_rclpy"

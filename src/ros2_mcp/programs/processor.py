@@ -1,4 +1,5 @@
-"""Ends a process that computes for too long, by the processor time that it used and not by the clock.
+"""What the system tells of a process: its state, and its processor time, by which one that computes for too long is
+ended, and not by the clock.
 
 On a busy machine a process waits for its turn, and the clock goes on: a program that computes for 0.1 s may need 5 s.
 """
@@ -6,9 +7,11 @@ On a busy machine a process waits for its turn, and the clock goes on: a program
 from __future__ import annotations
 
 import asyncio
+import os
 import sys
 import time
 from collections.abc import Awaitable, Callable
+from pathlib import Path
 from typing import TypeVar
 
 T = TypeVar("T")
@@ -28,6 +31,25 @@ def processor_s(pid: int) -> float:
     if sys.platform != "linux":
         return time.monotonic()
     return time.clock_gettime((~pid << 3) | _SCHEDULED)
+
+
+def state_of(pid: int) -> str:
+    """The state of a process, a letter as in proc_pid_stat(5); "" if there is none, "R" where only that is known."""
+    if sys.platform != "linux":
+        return "R" if _has_not_ended(pid) else ""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return ""
+
+
+def _has_not_ended(pid: int) -> bool:
+    if not hasattr(os, "waitid"):
+        return True
+    try:  # it is a child of this process; whoever began it waits for its end
+        return os.waitid(os.P_PID, pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None
+    except OSError:
+        return False
 
 
 class ProcessorLimit:

@@ -25,7 +25,7 @@ from ros2_mcp.programs.findings import require_sound
 from ros2_mcp.programs.held import Held
 from ros2_mcp.programs.help_text import help_text
 from ros2_mcp.programs.names import require_names
-from ros2_mcp.programs.rewrite import rewritten
+from ros2_mcp.programs.rewrite import Rewritten, rewritten
 from ros2_mcp.programs.sandbox import Failure, Sandbox
 from ros2_mcp.programs.streams import FollowRequest, Streams
 from ros2_mcp.programs.stub import stub
@@ -48,6 +48,8 @@ _MOST_PRINTED_IN_ALL = 1_000_000
 """A program that prints more prints in a circle."""
 _MOST_DONE = 40
 """Commands that are listed, the first and the last ones; all are counted."""
+_LOOK_S = 0.1
+"""Between two looks whether its process and its bridge are there: a fifth of the time in which a robot has to stop."""
 _ASKED_AGAIN_S = 0.2
 """Between two looks whether a person has answered: they have taken seconds already."""
 _MOST_PICTURES = 4
@@ -176,6 +178,7 @@ class Program(Job):
         self._inputs = inputs
         self._principal = replace(robot.principal, program=self.id)
         self._accepted = robot.accepted or robot.stops.now()
+        self._losses = robot.graph.losses
         self._functions = {each.name: each for each in programs.functions}
         self._sandbox = Sandbox([*self._functions], stub(programs.functions), self._next_message, self._help)
 
@@ -189,7 +192,7 @@ class Program(Job):
                     await require_names(self._robot, self._text)
                 self.begun()
                 with anyio.move_on_after(self.at_most_s) as time:
-                    self.record.value = await self._sandbox.run(program, self._inputs, self._answer, self._print)
+                    self.record.value = await self._run(program)
                 if time.cancelled_caught:
                     raise Failure("limit", 0, f"it ran longer than its timeout of {self.at_most_s:g} s")
         except Failure as failure:
@@ -198,6 +201,36 @@ class Program(Job):
             with anyio.CancelScope(shield=True):
                 await self.streams.close()
                 self.record.ended += await self.end_own(self.stop_reason or f"the end of {self.id}")
+
+    async def _run(self, program: Rewritten) -> Any:
+        """Its value, unless its process dies or its bridge is lost meanwhile, whatever it waits for."""
+        value: Any = None
+        failures: list[Exception] = []  # the first one is raised by itself, and not in the group of a task group
+
+        async def watch(scope: anyio.CancelScope) -> None:
+            while not (lost := self._sandbox.died() or self._bridge_lost()):
+                await asyncio.sleep(_LOOK_S)
+            failures.append(lost)
+            self._sandbox.kill()
+            scope.cancel()
+
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(watch, tasks.cancel_scope)
+            try:
+                value = await self._sandbox.run(program, self._inputs, self._answer, self._print)
+            except Exception as error:  # noqa: BLE001 - raised below
+                failures.append(error)
+            tasks.cancel_scope.cancel()
+        if failures:
+            raise failures[0]
+        return value
+
+    def _bridge_lost(self) -> Failure | None:
+        """It ends with the bridge that it began with: the next one would move what this one's death has stopped."""
+        graph = self._robot.graph
+        if graph.losses == self._losses:
+            return None
+        return Failure("error", 0, f"BridgeLost: {graph.last_loss}")
 
     def doing(self) -> str:
         """Its commands so far, and whose answer it waits for."""
@@ -227,6 +260,8 @@ class Program(Job):
     # ── what the sandbox asks ──────────────────────────────────────────────────────────────────────────────────
 
     async def _answer(self, name: str, given: Sequence[Any], named: Mapping[str, Any], line: int) -> Any:
+        if lost := self._bridge_lost():
+            raise Failure(lost.kind, line, lost.message)
         record, function = self.record, self._functions.get(name)
         if function is None:
             raise BadInput(f"The module robot has no {name}.", did_you_mean(name, [*self._functions]))

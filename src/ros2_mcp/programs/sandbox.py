@@ -22,8 +22,8 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import anyio
 
-from ros2_mcp.model.errors import RobotError
-from ros2_mcp.programs.processor import ProcessorLimit
+from ros2_mcp.model.errors import BridgeLost, RobotError
+from ros2_mcp.programs.processor import ProcessorLimit, state_of
 from ros2_mcp.programs.rewrite import PRELUDE, Rewritten, without_async
 
 if TYPE_CHECKING:
@@ -135,6 +135,17 @@ class Sandbox:
             with suppress(OSError):
                 os.kill(self._pid, signal.SIGKILL if sys.platform != "win32" else signal.SIGTERM)
 
+    def died(self) -> Failure | None:
+        """Why its process cannot go on, where nothing here has ended it: it has died, or was stopped (SIGSTOP)."""
+        if self._pid is None or (self._limit and self._limit.exceeded is not None):
+            return None
+        state = state_of(self._pid)
+        if state == "T":
+            return Failure("crash", 0, "its process was stopped from outside, and ended then")
+        if state in ("", "Z", "X"):
+            return Failure("crash", 0, "its process has died: it was killed from outside, or for want of memory")
+        return None
+
     async def check(self, text: str, inputs: Mapping[str, Any]) -> list[Finding]:
         """What the check of types says of a program, which does not run: it is let go at its first line.
 
@@ -236,6 +247,8 @@ class Sandbox:
                     line = program.line(source.count(b"\n", 0, snapshot.position.start) + 1)
                     self._last_call = line
                     value = await answer(name.removeprefix(f"{MODULE}."), snapshot.args, snapshot.kwargs, line)
+            except BridgeLost as error:  # nothing in the program catches it: its next call would start to move again
+                raise Failure("error", self._last_call, f"BridgeLost: {error.message}") from error
             except RobotError as error:
                 snapshot = await self._turn(snapshot.resume({"exception": in_program(error)}))
                 continue

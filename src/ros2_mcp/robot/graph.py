@@ -278,6 +278,16 @@ class Graph:
         self._bridge.frame_ids[topic] = frame_id
 
     @property
+    def losses(self) -> int:
+        """How many bridges this server has lost so far."""
+        return self._bridge.losses
+
+    @property
+    def last_loss(self) -> str:
+        """Why the last bridge was lost; empty where none was."""
+        return self._bridge.restarts[-1] if self._bridge.restarts else ""
+
+    @property
     def lapses(self) -> Sequence[float]:
         """For how long this server had been silent, in seconds, each time that a link lease lapsed."""
         return self._bridge.lapses

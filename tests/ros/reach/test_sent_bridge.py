@@ -11,6 +11,7 @@ import pytest
 
 from ros2_mcp.link.bootstrap import bootstrap
 from ros2_mcp_bridge.finding import Search
+from ros2_mcp_bridge.spawning import STOPPERS
 from support.agent import until
 from support.bridge_client import PATIENCE_S, RELIABLE, STRING, Client, cdr_string
 from support.far_side import OWN_PYTHON, bare, begun, engine, read_only_machine, sent_bridge
@@ -40,6 +41,11 @@ def drive(client: Client, topic: str) -> dict[str, object]:
     return client.ok("publish", cdr(TWIST, 0.1), topic=topic, type=TWIST, qos=RELIABLE, epoch=0)
 
 
+def names(bridge: int) -> set[str]:
+    """What the process list shows of those that a bridge has started."""
+    return {Path(f"/proc/{pid}/comm").read_text().strip() for pid in children(bridge) if lives(pid)}
+
+
 def test_it_runs_where_nothing_can_be_written_and_leaves_nothing(
     domain_id: int, ros_environment: dict[str, str], tmp_path: Path
 ) -> None:
@@ -54,7 +60,7 @@ def test_it_runs_where_nothing_can_be_written_and_leaves_nothing(
         publish(client, "/sent")
         assert drive(client, "/sent_velocity")["unguarded"] == ""
         began = children(client.process.pid)
-        assert len(began) >= 2  # the bridge and its stopper
+        assert len(began) >= 2  # the bridge and its stoppers
     until(lambda: not any(map(lives, began)), PATIENCE_S)  # a stopper may outlive its bridge
     assert [*home.rglob("*"), *temporary.rglob("*")] == []
     assert [report.stage for report in start.arrival.reports] == ["reached", "found", "bridge"]
@@ -65,15 +71,15 @@ def test_its_stopper_is_started_anew_from_the_same_memory(domain_id: int, ros_en
     with sent_bridge(start, bare(ros_environment)) as client:
         assert drive(client, "/guarded")["unguarded"] == ""
         bridge = client.process.pid  # every step of the bootstrap has become the next one
-        (first,) = children(bridge)
-        os.kill(first, signal.SIGKILL)
-        until(
-            lambda: drive(client, "/guarded")["unguarded"] == "" and children(bridge) not in ([], [first]), PATIENCE_S
-        )
-        (second,) = children(bridge)
-        assert b"--stopper" in Path(f"/proc/{second}/cmdline").read_bytes()
+        first = children(bridge)
+        assert len(first) == len(STOPPERS)
+        for pid in first:
+            os.kill(pid, signal.SIGKILL)
+        until(lambda: drive(client, "/guarded")["unguarded"] == "" and names(bridge) == {*STOPPERS}, PATIENCE_S)
+        second = children(bridge)
+        assert not {*first} & {*second}
         os.kill(bridge, signal.SIGKILL)
-        until(lambda: not lives(second), PATIENCE_S)
+        until(lambda: not any(map(lives, second)), PATIENCE_S)
 
 
 def test_a_container_on_the_host_is_entered_and_has_the_bridge(

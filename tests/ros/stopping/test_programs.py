@@ -38,11 +38,16 @@ def drive():
     time.sleep(0.05)
 """
 FOR_EVER = f"{DRIVES}\nwhile True: drive()"
-LASTS = f"""
-import robot
-robot.publish(@TOPIC@, message_type="{TWIST}", data={{"linear": {{"x": {SPEED}}}}}, frequency=20, duration=60)
+ONCE = f"""
+import robot, time
+robot.publish(@TOPIC@, message_type="{TWIST}", data={{"linear": {{"x": {SPEED}}}}})
 """
-"""One call: a bridge that is lost between two of them is started again by the next, and the program goes on."""
+WAITS = {
+    "a sleep": f"{ONCE}time.sleep(60)",
+    "a repeat": ONCE.replace("}})", "}}, frequency=20, duration=60)"),
+    "a call": f"{ONCE}for message in robot.messages(@TOPIC@): pass",
+}
+"""Programs that wait for a minute, while the robot moves."""
 FOR_A_WHILE = f"{DRIVES}\nfor _ in range(90): drive()\n"
 """Longer than the 3 s after which a publisher is discovered whose first announcement was missed."""
 
@@ -78,7 +83,13 @@ def cancel(server: Driver, request: int) -> None:
     server.tell("notifications/cancelled", requestId=request)
 
 
+def signal_sandbox(number: int) -> Callable[[Driver, int], None]:
+    return lambda server, _: os.kill(started_by(server, SANDBOX), number)
+
+
 SANDBOX, BRIDGE, SERVER = "monty", "ros2_mcp_bridge", ""
+DEATHS = {"is killed": signal.SIGKILL, "crashes": signal.SIGABRT, "is stopped": signal.SIGSTOP}
+"""Of the sandbox. Out of memory, the kernel kills it, and an allocator aborts it (SIGABRT)."""
 FROM_OUTSIDE: dict[str, Callable[[Driver, int], None]] = {
     "the call is cancelled": cancel,
     "ros2_stop": lambda server, _: server.stop() and None,
@@ -99,18 +110,27 @@ if FULL:
         "an end that it asks for": (f"{FOR_A_WHILE}raise SystemExit", False),
         "its time, asleep": (f"{FOR_A_WHILE}time.sleep(60)", True),
         "a limit": (f"{FOR_A_WHILE}[0] * 10**9", False),
+        "its memory, used up while it drives": (
+            f"{FOR_A_WHILE}kept = []\nwhile True:\n    drive()\n    kept.append('x' * 5_000_000 + str(len(kept)))",
+            False,
+        ),
     }
 """The program, and whether it is its time that ends it: then it has done nothing for a while."""
 
 
-def begin(server: Driver, observer: Observer, program: str, **options: float) -> tuple[str, int, int]:
-    """A topic with four subscribers that a program drives: its name, the request, and when it was made."""
+def begin(
+    server: Driver, observer: Observer, program: str, times: int = 2, of: int = 4, **options: float
+) -> tuple[str, int, int]:
+    """A topic with four subscribers that a program drives: its name, the request, and when it was made.
+
+    What is said once may escape the lossy ones: then `of` two it is waited for.
+    """
     topic = fresh("programmed")
     observer.watch(topic)
     server.knows(topic, 4)
     begun_ns = time.monotonic_ns()
     request = server.tool("ros2_program_run", program=program.replace("@TOPIC@", repr(topic)), **options)
-    observer.until_driven(topic, 2, of=4)
+    observer.until_driven(topic, times, of=of)
     return topic, request, begun_ns
 
 
@@ -137,9 +157,11 @@ def zeros_s(observer: Observer, topic: str, since_ns: int = 0) -> float:
     return 1e9 if observer.moving(topic=topic) or len(waited) < 4 else max(waited.values())
 
 
-def seconds(server: Driver, observer: Observer, fate: str, after_s: float) -> tuple[float, list[int]]:
-    """How long it takes from a fate of a program that drives for ever until all have their zeros; what ran then."""
-    topic, request, _ = begin(server, observer, FOR_EVER)
+def seconds(
+    server: Driver, observer: Observer, fate: str, after_s: float, program: str = FOR_EVER
+) -> tuple[float, list[int]]:
+    """How long it takes from a fate of a program that drives until all have their zeros; what ran then."""
+    topic, request, _ = begin(server, observer, program, times=1, of=2)
     time.sleep(after_s)
     processes = started(server)
     since_ns = time.monotonic_ns()
@@ -157,7 +179,7 @@ def test_a_program_that_is_ended_while_it_drives_leaves_nobody_without_a_zero(
 ) -> None:
     """And with nothing that moves the robot after that zero, by the order in which the messages were written."""
     mine = start_server() if fate in LAST else server
-    topic, request, _ = begin(mine, observer, LASTS if fate == "the bridge is killed" else FOR_EVER)
+    topic, request, _ = begin(mine, observer, FOR_EVER)
     processes, since_ns = started(mine), time.time_ns()
     FROM_OUTSIDE[fate](mine, request)
     observer.until_stopped(topic, since_ns)
@@ -165,7 +187,8 @@ def test_a_program_that_is_ended_while_it_drives_leaves_nobody_without_a_zero(
         mine.end()
         until(lambda: not any(map(lives, processes)))
     elif fate != "the call is cancelled":  # which has no answer
-        mine.outcome(request)
+        told = mine.outcome(request)
+        assert fate != "the bridge is killed" or "BridgeLost" in told, told
     assert observer.unstopped(topic=topic, since=since_ns) == []
     leave(observer, topic)
 
@@ -189,6 +212,40 @@ def test_a_program_that_is_ended_while_it_drives_leaves_nobody_without_a_zero_fo
     print(f"{fate}: {sorted(round(each, 3) for each in took_s)}", flush=True)
     assert max(took_s) <= BAR_S
     until(lambda: not any(map(lives, processes)))
+
+
+WAITED = [("a sleep", "is killed"), ("a repeat", "is killed"), ("a call", "crashes"), ("a sleep", "is stopped")]
+
+
+@pytest.mark.parametrize(("wait", "death"), WAITED, ids=map(" in ".join, WAITED))
+def test_a_sandbox_that_dies_while_its_program_waits_is_seen_and_what_it_moves_is_stopped(
+    server: Driver, observer: Observer, wait: str, death: str
+) -> None:
+    """Long before the wait is over, and with its own name."""
+    topic, request, _ = begin(server, observer, WAITS[wait], times=1, of=2, timeout=90)
+    since_ns = time.time_ns()
+    signal_sandbox(DEATHS[death])(server, request)
+    assert "crashed" in server.outcome(request, within_s=45.0)
+    observer.until_stopped(topic, since_ns)
+    assert observer.unstopped(topic=topic, since=since_ns) == []
+    leave(observer, topic)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("death", DEATHS)
+@pytest.mark.parametrize("wait", WAITS)
+def test_a_sandbox_that_dies_while_its_program_waits_leaves_a_zero_within_half_a_second(
+    server: Driver, observer: Observer, wait: str, death: str
+) -> None:
+    chance = random.Random(32)
+    FROM_OUTSIDE[death] = signal_sandbox(DEATHS[death])
+
+    def once() -> float:
+        return seconds(server, observer, death, chance.uniform(*LATER_S), WAITS[wait])[0]
+
+    took_s = [undisturbed(once) for _ in range(ROUNDS)]
+    print(f"in {wait} it {death}: {sorted(round(each, 3) for each in took_s)}", flush=True)
+    assert max(took_s) <= BAR_S
 
 
 @pytest.mark.parametrize("fate", BY_ITSELF)

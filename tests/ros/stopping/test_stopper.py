@@ -126,14 +126,14 @@ def test_every_subscriber_has_a_zero_and_nothing_that_moves_it_after_that(
     mine = start_server() if fate in ENDS_THE_SERVER else server
     topic, request = begin(mine, observer)
     bridge, stopper = of_bridge(mine), of_stopper(mine)
-    since_ns = time.time_ns()
+    stoppers, since_ns = children(bridge), time.time_ns()
     happen(mine)
     observer.until_stopped(topic, since_ns)
     if fate in ENDS_THE_SERVER:
         mine.end()
     else:
         mine.outcome(request)
-    has_ended = (stopper,) if fate == "the stopper is killed" else (bridge, stopper)
+    has_ended = (stopper,) if fate == "the stopper is killed" else (bridge, *stoppers)
     until(lambda: not any(map(lives, has_ended)))
     assert observer.unstopped(topic=topic, since=since_ns) == []
     leave(observer, topic)

@@ -78,7 +78,7 @@ def far() -> Iterator[FarEnd]:
 
 def made(far: FarEnd | None = None) -> tuple[Lifeline, list[dict[str, Any]]]:
     told: list[dict[str, Any]] = []
-    return Lifeline(lambda: told.append({"event": "lost"}), told.append, far and far.child), told
+    return Lifeline(lambda: told.append({"event": "lost"}), told.append, {"first": far and far.child}), told
 
 
 def waited(line: Lifeline, topic: Topic) -> lifeline.Guarded:
@@ -112,7 +112,7 @@ def test_the_stopper_hears_of_a_topic_before_it_moves_and_beats_only_while_it_do
 
 def test_a_bridge_whose_ros_thread_hangs_does_not_beat(far: FarEnd) -> None:
     turned_at = [time.monotonic() - lifeline.ROS_HANGS_S]
-    line = Lifeline(lambda: None, lambda _: None, far.child, lambda: turned_at[0])
+    line = Lifeline(lambda: None, lambda _: None, {"first": far.child}, lambda: turned_at[0])
     line.begin(Topic(moves=True))
     assert far.read()
     with pytest.raises(TimeoutError):
@@ -150,7 +150,7 @@ def test_a_stopper_that_does_not_come_holds_a_command_up_once_and_for_a_while(fa
 
 
 def test_without_a_stopper_motion_goes_on_and_says_why(monkeypatch) -> None:
-    def refuse() -> Child:
+    def refuse(_: str) -> Child:
         raise NO_COPY
 
     monkeypatch.setattr(lifeline, "spawn", refuse)

@@ -38,12 +38,12 @@ async def test_a_refusal_keeps_its_kind_message_and_hint() -> None:
 
 
 async def test_the_rules_of_a_policy_are_the_first_that_a_bridge_hears() -> None:
-    _, peer = await connected(rules=b'{"digest": "d"}')
+    _, peer = await connected(rules=lambda: b'{"digest": "d"}')
     assert [(packet.header["op"], packet.body) for packet in peer.heard] == [("policy", b'{"digest": "d"}')]
 
 
 async def test_a_bridge_that_does_not_take_the_rules_is_given_up() -> None:
-    connection, peer = await connected(rules=b"{}")
+    connection, peer = await connected(rules=lambda: b"{}")
     error = {"kind": "bad_request", "message": "These rules cannot be read.", "hint": ""}
     peer.say({"id": (await peer.next("policy"))["id"], "error": error})
     assert "rejected the policy: These rules cannot be read." in (await connection.run()).message
