@@ -74,6 +74,10 @@ class Seen:
             if len(kept) > _MOST:
                 del kept[next(iter(kept))]
 
+    def published(self, types: Collection[str]) -> Sequence[str]:
+        """The topics of these types that a node of the robot was ever seen to publish."""
+        return [topic for topic, type_name in self._types.items() if type_name in types]
+
     def left(self, nodes: Collection[str], topics: Mapping[str, TopicEndpoints]) -> Left:
         """What of it is not there any more, where these are the nodes, and the topics with their endpoints."""
         published = {
