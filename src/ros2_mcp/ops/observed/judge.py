@@ -346,7 +346,7 @@ def observation(
     return Observation(verdict="observed still", sentence=f"Observed still: {said}.")
 
 
-def is_confirmed(doubts: Sequence[str], seen: Observation, unsettled: Sequence[str]) -> bool:
+def is_confirmed(doubts: Sequence[str], seen: Observation, unsettled: Sequence[object]) -> bool:
     """Whether a stop is confirmed: the robot was seen to stand after it, nothing is in doubt (somebody else commands
     it, a zero did not arrive, a goal goes on), and nothing `unsettled` was begun of which it is not known how it ends.
     """

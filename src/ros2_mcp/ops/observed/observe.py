@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from time import monotonic
 from typing import Any, cast
 
@@ -62,7 +62,7 @@ class _Source:
     type: str
     most_s: float
     path: str | None = None
-    still: Still = Still()
+    still: Still = field(default_factory=Still)
 
 
 async def observe_still(robot: Robot, *, hovers: bool = False) -> Observation:
@@ -83,9 +83,7 @@ async def observe_still(robot: Robot, *, hovers: bool = False) -> Observation:
 async def _sources(robot: Robot, hovers: bool) -> tuple[Sequence[_Source], Sequence[str], Sequence[str]]:
     """The topics to be read; in words, what should report motion and does not, and what nothing reports of."""
     rows = list(await robot.graph.topics(_FOUND_S))
-    odometry, joint_states = await asyncio.gather(
-        *(_published(robot, _first_of(rows, kind), kind) for kind in _KINDS)
-    )
+    odometry, joint_states = await asyncio.gather(*(_published(robot, _first_of(rows, kind), kind) for kind in _KINDS))
     beyond = {row.name for row in rows if row.publishers} - {*_first_of(rows, ODOMETRY), *_first_of(rows, JOINT_STATE)}
     missing = [
         f"{named(topic)} reported motion before, and nobody publishes it any more"
@@ -118,7 +116,10 @@ def _base_source(feedback: Feedback, hovers: bool) -> _Source:
         still, rests_s = HOVERING, _BRAKED_S
     else:
         linear, angular = (feedback.still.get(part, math.inf) for part in ("linear", "angular"))
-        still, rests_s = Still(linear=linear, angular=angular, mean_linear=linear, mean_angular=angular), feedback.within_s
+        still, rests_s = (
+            Still(linear=linear, angular=angular, mean_linear=linear, mean_angular=angular),
+            feedback.within_s,
+        )
     most_s = rests_s + _BEGINS_S + still.window_s
     return _Source(topic=feedback.topic, type=feedback.type, path=feedback.path, still=still, most_s=most_s)
 
@@ -142,9 +143,7 @@ async def _subscribed(robot: Robot, topics: Sequence[str]) -> Sequence[str]:
     """Those that a node of the robot subscribes to."""
     found = await asyncio.gather(*(robot.graph.endpoints(topic, _FOUND_S) for topic in topics))
     return sorted(
-        present.topic
-        for present in found
-        if any(not one.ours and is_of_robot(one.node) for one in present.subscribers)
+        present.topic for present in found if any(not one.ours and is_of_robot(one.node) for one in present.subscribers)
     )
 
 
@@ -170,8 +169,10 @@ async def _account(robot: Robot, source: _Source, began_ns: int) -> Account:
         return Account(named(source.topic), "not observed", str(error).rstrip("."))
     if isinstance(judge, JointJudge):
         robot.reported.note_joints(source.topic, judge.names)
-    return Account(named(source.topic), judge.state, judge.why) if judge else Account(
-        named(source.topic), "not observed", NOTHING_CAME
+    return (
+        Account(named(source.topic), judge.state, judge.why)
+        if judge
+        else Account(named(source.topic), "not observed", NOTHING_CAME)
     )
 
 
@@ -180,17 +181,15 @@ async def _account(robot: Robot, source: _Source, began_ns: int) -> Account:
 
 def reading_of(message: Mapping[str, Any], sample: Sample, path: str | None) -> Reading:
     """What a message says of motion: the velocity at a path and the pose beside it, or without one the joints."""
-    stamp: Any = _at(message, "header.stamp")
-    times: dict[str, int] = {"received_ns": sample.received_ns, "source_ns": sample.source_ns}
-    if isinstance(stamp, Mapping):
-        stamp = cast("Mapping[str, int]", stamp)
-        times["header_ns"] = stamp["sec"] * 1_000_000_000 + stamp["nanosec"]
-    if path is None:
-        return Reading(**times, joints=_joints_of(message))
-    pose = _at(message, "pose.pose") or _at(message, "pose")
+    seconds, nanoseconds = _at(message, "header.stamp.sec") or 0, _at(message, "header.stamp.nanosec") or 0
+    is_base = path is not None
+    pose = (_at(message, "pose.pose") or _at(message, "pose")) if is_base else None
     return Reading(
-        **times,
-        velocity=velocity_of(message, path),
+        received_ns=sample.received_ns,
+        source_ns=sample.source_ns,
+        header_ns=seconds * 1_000_000_000 + nanoseconds,
+        joints={} if is_base else _joints_of(message),
+        velocity=velocity_of(message, path) if is_base else None,
         position=_numbers(_at(pose, "position"), "xyz"),
         orientation=_numbers(_at(pose, "orientation"), "xyzw"),
     )

@@ -1,0 +1,195 @@
+"""A stop is *confirmed* only where messages that were published after it show that the robot stands: over real DDS, with
+controllers as ros2_control has them, and the body's own truth as the judge. One round of each here, more in full.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from support.agent import FULL, until
+from support.commanded import CommandedProcess
+from support.driver import Driver, fresh
+from support.velocities import TWIST
+
+ROUNDS = 6 if FULL else 1
+SPEED = 0.24
+
+
+class Ground:
+    """A robot under controllers, and a server that knows it."""
+
+    def __init__(self, environment: dict[str, str], server: Driver) -> None:
+        self._environment, self.server = environment, server
+        self.robot = CommandedProcess("control_peer", environment)
+        self.base = ""
+
+    def put(self, **which: bool) -> str:
+        """A robot at rest in a place of its own, which the server has discovered."""
+        self.base = fresh("robot")
+        self.robot.put(base=self.base, **which)
+        self.server.knows(f"{self.base}/cmd_vel", 1)
+        return self.base
+
+    def drive(self, speed: float = SPEED) -> None:
+        """One command by the server, which the base follows until a zero comes."""
+        before = self.robot.state()["moves"]
+        topic = f"{self.base}/cmd_vel"
+        command = {"topic_name": topic, "message_type": TWIST, "data": {"linear": {"x": speed}}}
+        self.server.do("ros2_topic_publish", **command)
+        until(lambda: self.robot.state()["moves"] > before)
+
+    def begin_again(self) -> None:
+        """Another process in the place of one that was killed."""
+        self.robot.kill()
+        self.robot = CommandedProcess("control_peer", self._environment)
+
+
+@pytest.fixture
+def ground(ros_environment: dict[str, str], start_server: Callable[..., Driver]) -> Iterator[Ground]:
+    found = Ground(ros_environment, start_server())
+    yield found
+    found.robot.kill()
+
+
+def rounds(once: Callable[[], dict]) -> list[dict]:
+    """What each stop said."""
+    return [once() for _ in range(ROUNDS)]
+
+
+def is_never_confirmed(stopped: list[dict]) -> None:
+    print([one["note"] for one in stopped])
+    assert [(one["confirmed"], one["observed"]) for one in stopped] == [(False, "not observed")] * len(stopped)
+
+
+def test_a_robot_that_stands_is_confirmed_although_its_subscription_is_best_effort(ground: Ground) -> None:
+    """Nobody acknowledges the zero, which is seen in what the robot tells."""
+    ground.put()
+
+    def once() -> dict:
+        ground.drive()
+        stopped = ground.server.stop()[0]
+        assert ground.robot.state()["speed"] == 0.0
+        return stopped
+
+    stopped = rounds(once)
+    print([one["note"] for one in stopped])
+    assert [(one["confirmed"], one["observed"]) for one in stopped] == [(True, "observed still")] * ROUNDS
+    assert all(one["topics"][0]["acknowledged"] is None for one in stopped)
+
+
+def test_old_odometry_of_an_inactive_controller_does_not_say_that_the_robot_stands(ground: Ground) -> None:
+    """The wheels are turned by another controller."""
+
+    def once() -> dict:
+        ground.put(joints=False)
+        ground.robot.deactivate()
+        ground.robot.push(speed=SPEED)
+        return ground.server.stop()[0]
+
+    stopped = rounds(once)
+    is_never_confirmed(stopped)
+    assert "nothing was published on it since the stop" in stopped[-1]["note"]
+
+
+def test_old_odometry_of_an_inactive_controller_does_not_say_that_the_robot_moves(ground: Ground) -> None:
+    def once() -> dict:
+        ground.put(joints=False)
+        ground.drive(0.3)
+        ground.robot.deactivate()
+        ground.robot.push(speed=0.0)
+        return ground.server.stop()[0]
+
+    stopped = rounds(once)
+    is_never_confirmed(stopped)
+    assert all("0.30 m/s" not in one["note"] for one in stopped)
+
+
+def test_an_arm_that_somebody_else_moves_is_seen_though_the_base_stands(ground: Ground) -> None:
+    ground.put()
+
+    def once() -> dict:
+        ground.robot.push(joint_speed=0.3)
+        return ground.server.stop()[0]
+
+    stopped = rounds(once)
+    is_never_confirmed(stopped)
+    assert all("shoulder moves" in one["note"] for one in stopped)
+    ground.robot.push()
+    assert ground.server.stop()[0]["confirmed"]
+
+
+def test_a_base_that_somebody_else_drives_is_seen(ground: Ground) -> None:
+    ground.put()
+
+    def once() -> dict:
+        ground.robot.push(speed=0.05)
+        return ground.server.stop()[0]
+
+    is_never_confirmed(rounds(once))
+
+
+def test_a_driver_that_repeats_what_it_told_last_does_not_say_that_the_robot_stands(ground: Ground) -> None:
+    def once() -> dict:
+        ground.put(joints=False)
+        ground.robot.repeat_last(header=True)
+        ground.robot.push(speed=SPEED)
+        return ground.server.stop()[0]
+
+    is_never_confirmed(rounds(once))
+
+
+def test_a_base_that_took_a_velocity_and_is_gone_leaves_stops_unconfirmed_until_it_is_back(ground: Ground) -> None:
+    def once() -> dict:
+        base = ground.put()
+        ground.drive(0.3)
+        ground.robot.leave()
+        until(lambda: not ground.server.do("ros2_topic_info", topic_name=f"{base}/cmd_vel")["subscribers"])
+        said = [ground.server.stop()[0] for _ in range(2)]
+        is_never_confirmed(said)
+        assert "is gone: whether it stands is unknown until it is back" in said[-1]["note"]
+        assert ground.robot.state()["speed"] == 0.3
+        ground.robot.put(base=base)
+        ground.server.knows(f"{base}/cmd_vel", 1)
+        return ground.server.stop()[0]
+
+    ended = once()
+    assert (ended["confirmed"], ended["observed"]) == (True, "observed still"), ended["note"]
+
+
+@pytest.mark.parametrize("how", ["SIGSTOP", "SIGKILL"])
+def test_controllers_that_are_frozen_or_killed_leave_a_stop_unconfirmed(ground: Ground, how: str) -> None:
+    def once() -> dict:
+        ground.put()
+        ground.drive()
+        os.kill(ground.robot.pid, getattr(signal, how))
+        try:
+            return ground.server.stop()[0]
+        finally:
+            ground.begin_again()
+
+    is_never_confirmed(rounds(once))
+
+
+def test_nothing_to_stop_is_not_confirmed_where_nothing_says_whether_the_robot_stands(ground: Ground) -> None:
+    ground.put(odometry=False, joints=False)
+    ground.robot.push(speed=SPEED)
+    is_never_confirmed(rounds(lambda: ground.server.stop()[0]))
+
+
+def test_joints_that_stand_do_not_say_that_a_base_without_odometry_does(ground: Ground) -> None:
+    ground.put(odometry=False)
+    is_never_confirmed(rounds(lambda: ground.server.stop()[0]))
+
+
+def test_a_harmless_service_leaves_only_the_next_stop_unconfirmed(ground: Ground) -> None:
+    base = ground.put()
+    until(lambda: f"{base}/beep" in str(ground.server.do("ros2_service_list")))
+    ground.server.do("ros2_service_call", service_name=f"{base}/beep", fields={})
+    first, second = (ground.server.stop()[0] for _ in range(2))
+    assert (first["confirmed"], first["observed"]) == (False, "observed still")
+    assert "NOT judged" in first["note"] and "NOT judged" not in second["note"]
+    assert (second["confirmed"], second["unknown_services"]) == (True, first["unknown_services"])

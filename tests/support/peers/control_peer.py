@@ -1,0 +1,156 @@
+"""A base and an arm under controllers as ros2_control has them: one JSON list per line in, one JSON value per line out.
+
+Under Fast DDS all its publishers are transient_local (SystemDefaultsQoS), with a depth of 1, and its subscription to
+velocities is best effort. The base goes on as it was told last, as wheels without a time-out do: what happens to its
+controllers, which may be made inactive, silent or leave, and are killed or frozen with this process, changes nothing of
+how the body moves. It knows ROS 2 and nothing of this project. Times: monotonic, in s.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import threading
+import time
+from typing import Any
+
+import rclpy
+from geometry_msgs.msg import Twist
+from nav_msgs.msg import Odometry
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+STEP_S = 0.01
+ODOMETRY_EVERY, JOINTS_EVERY = 2, 1
+"""Steps: 50 Hz, and 100 Hz."""
+WHEEL_M = 0.1
+LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+BEST_EFFORT = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+
+
+class Robot:
+    """Its public methods are the commands."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._node: Node | None = None
+        self._executor = SingleThreadedExecutor()
+        self._odometry: Any = None
+        self._joints: Any = None
+        self._speed = self._joint_speed = self._x = self._wheel = self._joint = self._climb = self._z = 0.0
+        self._is_active, self._kept = True, None
+        self._zeros = self._moves = 0
+        threading.Thread(target=self._executor.spin, daemon=True).start()
+        threading.Thread(target=self._live, daemon=True).start()
+
+    def put(self, base: str, *, odometry: bool = True, joints: bool = True) -> None:
+        """At rest, under controllers with topics below `base`."""
+        self.leave()
+        node = Node(base.strip("/").replace("/", "_"))
+        with self._lock:
+            self._speed = self._joint_speed = self._climb = 0.0
+            self._is_active, self._kept, self._zeros, self._moves = True, None, 0, 0
+            self._odometry = node.create_publisher(Odometry, f"{base}/odom", LATCHED) if odometry else None
+            self._joints = node.create_publisher(JointState, f"{base}/joint_states", LATCHED) if joints else None
+            node.create_subscription(Twist, f"{base}/cmd_vel", self._on_command, BEST_EFFORT)
+            node.create_service(Trigger, f"{base}/beep", lambda _, answer: answer)
+            self._node = node
+        self._executor.add_node(node)
+
+    def leave(self) -> None:
+        """The controllers leave the graph; the body goes on."""
+        node = self._node
+        with self._lock:
+            self._node = self._odometry = self._joints = None
+        if node:
+            self._executor.remove_node(node)
+            node.destroy_node()
+
+    def deactivate(self) -> None:
+        """The base's controller is inactive from now on: its last odometry stays with its publisher."""
+        with self._lock:
+            self._is_active = False
+
+    def push(self, speed: float = 0.0, joint_speed: float = 0.0, climb: float = 0.0) -> None:
+        """Somebody else moves base (m/s along x, and upwards) and arm (rad/s), not through these controllers' inputs."""
+        with self._lock:
+            self._speed, self._joint_speed, self._climb = speed, joint_speed, climb
+
+    def repeat_last(self, *, header: bool) -> None:
+        """The driver publishes its last odometry again and again, as one does that has lost its hardware; with its old
+        header, or one that is always new.
+        """
+        with self._lock:
+            self._kept = self._odometry_message(), header
+
+    def state(self) -> dict[str, float]:
+        """How fast the body is now, by the truth, how many zeros came, and how many commands that move."""
+        with self._lock:
+            return {
+                "speed": math.hypot(self._speed, self._climb) + abs(self._joint_speed),
+                "zeros": self._zeros,
+                "moves": self._moves,
+            }
+
+    def listeners(self) -> int:
+        """How many subscribers the less heard of its publishers has."""
+        return min(one.get_subscription_count() for one in (self._odometry, self._joints) if one)
+
+    def _on_command(self, command: Twist) -> None:
+        with self._lock:
+            if self._is_active:
+                self._speed = command.linear.x
+            self._moves += bool(command.linear.x)
+            self._zeros += not command.linear.x
+
+    def _live(self) -> None:
+        step, due = 0, time.monotonic()
+        while True:
+            due, step = due + STEP_S, step + 1
+            time.sleep(max(0.0, due - time.monotonic()))
+            with self._lock:
+                self._x += self._speed * STEP_S
+                self._z += self._climb * STEP_S
+                self._wheel += self._speed * STEP_S / WHEEL_M
+                self._joint += self._joint_speed * STEP_S
+                if self._odometry and self._is_active and step % ODOMETRY_EVERY == 0:
+                    self._odometry.publish(self._kept_message() if self._kept else self._odometry_message())
+                if self._joints and step % JOINTS_EVERY == 0:
+                    message = JointState(name=["wheel", "shoulder"], position=[self._wheel, self._joint])
+                    message.header.stamp = self._now()
+                    self._joints.publish(message)
+
+    def _kept_message(self) -> Odometry:
+        message, keeps_header = self._kept
+        if not keeps_header:
+            message.header.stamp = self._now()
+        return message
+
+    def _odometry_message(self) -> Odometry:
+        message = Odometry(child_frame_id="base_link")
+        message.header.frame_id, message.header.stamp = "odom", self._now()
+        message.pose.pose.position.x, message.pose.pose.position.z = self._x, self._z
+        message.pose.pose.orientation.w = 1.0
+        message.twist.twist.linear.x, message.twist.twist.linear.z = self._speed, self._climb
+        return message
+
+    def _now(self) -> Any:
+        return self._node.get_clock().now().to_msg()
+
+
+def main() -> None:
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    robot = Robot()
+    print('"ready"', flush=True)
+    for line in sys.stdin:
+        command, arguments = json.loads(line)
+        print(json.dumps(getattr(robot, command)(**arguments)), flush=True)
+
+
+if __name__ == "__main__":
+    main()
