@@ -1,5 +1,5 @@
-"""A stop is *confirmed* only where messages that were published after it show that the robot stands: over real DDS, with
-controllers as ros2_control has them, and the body's own truth as the judge. One round of each here, more in full.
+"""A stop is *confirmed* only where messages that were published after it show that the robot stands: over real DDS,
+with controllers as ros2_control has them, and the body's own truth as the judge. One round of each, more in full.
 """
 
 from __future__ import annotations
@@ -20,16 +20,15 @@ SPEED = 0.24
 
 
 class Ground:
-    """A robot under controllers, and a server that knows it."""
+    """A robot under controllers, and a server that knows it, on topics of their own."""
 
     def __init__(self, environment: dict[str, str], server: Driver) -> None:
         self._environment, self.server = environment, server
         self.robot = CommandedProcess("control_peer", environment)
-        self.base = ""
+        self.base = fresh("robot")
 
     def put(self, **which: bool) -> str:
-        """A robot at rest in a place of its own, which the server has discovered."""
-        self.base = fresh("robot")
+        """A robot at rest, which the server has discovered."""
         self.robot.put(base=self.base, **which)
         self.server.knows(f"{self.base}/cmd_vel", 1)
         return self.base
@@ -43,13 +42,14 @@ class Ground:
         until(lambda: self.robot.state()["moves"] > before)
 
     def begin_again(self) -> None:
-        """Another process in the place of one that was killed."""
+        """Another process in the place of one that was killed, or is frozen."""
         self.robot.kill()
         self.robot = CommandedProcess("control_peer", self._environment)
 
 
 @pytest.fixture
 def ground(ros_environment: dict[str, str], start_server: Callable[..., Driver]) -> Iterator[Ground]:
+    """A robot, and a server that has seen no other."""
     found = Ground(ros_environment, start_server())
     yield found
     found.robot.kill()
@@ -82,7 +82,7 @@ def test_a_robot_that_stands_is_confirmed_although_its_subscription_is_best_effo
 
 
 def test_old_odometry_of_an_inactive_controller_does_not_say_that_the_robot_stands(ground: Ground) -> None:
-    """The wheels are turned by another controller."""
+    """The wheels are turned by another controller, and no joint state tells of them."""
 
     def once() -> dict:
         ground.put(joints=False)
@@ -97,7 +97,7 @@ def test_old_odometry_of_an_inactive_controller_does_not_say_that_the_robot_stan
 
 def test_old_odometry_of_an_inactive_controller_does_not_say_that_the_robot_moves(ground: Ground) -> None:
     def once() -> dict:
-        ground.put(joints=False)
+        ground.put()
         ground.drive(0.3)
         ground.robot.deactivate()
         ground.robot.push(speed=0.0)
@@ -133,9 +133,11 @@ def test_a_base_that_somebody_else_drives_is_seen(ground: Ground) -> None:
 
 
 def test_a_driver_that_repeats_what_it_told_last_does_not_say_that_the_robot_stands(ground: Ground) -> None:
+    """It has lost its hardware, and publishes an old measurement at 50 Hz."""
+
     def once() -> dict:
         ground.put(joints=False)
-        ground.robot.repeat_last(header=True)
+        ground.robot.repeat_last()
         ground.robot.push(speed=SPEED)
         return ground.server.stop()[0]
 

@@ -43,7 +43,8 @@ class Robot:
         self._odometry: Any = None
         self._joints: Any = None
         self._speed = self._joint_speed = self._x = self._wheel = self._joint = self._climb = self._z = 0.0
-        self._is_active, self._kept = True, None
+        self._is_active = True
+        self._kept: Odometry | None = None
         self._zeros = self._moves = 0
         threading.Thread(target=self._executor.spin, daemon=True).start()
         threading.Thread(target=self._live, daemon=True).start()
@@ -77,16 +78,14 @@ class Robot:
             self._is_active = False
 
     def push(self, speed: float = 0.0, joint_speed: float = 0.0, climb: float = 0.0) -> None:
-        """Somebody else moves base (m/s along x, and upwards) and arm (rad/s), not through these controllers' inputs."""
+        """Somebody else moves base (m/s along x, and upwards) and arm (rad/s), but not through the topics here."""
         with self._lock:
             self._speed, self._joint_speed, self._climb = speed, joint_speed, climb
 
-    def repeat_last(self, *, header: bool) -> None:
-        """The driver publishes its last odometry again and again, as one does that has lost its hardware; with its old
-        header, or one that is always new.
-        """
+    def repeat_last(self) -> None:
+        """The driver publishes its last odometry again and again, as one does that has lost its hardware."""
         with self._lock:
-            self._kept = self._odometry_message(), header
+            self._kept = self._odometry_message()
 
     def state(self) -> dict[str, float]:
         """How fast the body is now, by the truth, how many zeros came, and how many commands that move."""
@@ -119,17 +118,11 @@ class Robot:
                 self._wheel += self._speed * STEP_S / WHEEL_M
                 self._joint += self._joint_speed * STEP_S
                 if self._odometry and self._is_active and step % ODOMETRY_EVERY == 0:
-                    self._odometry.publish(self._kept_message() if self._kept else self._odometry_message())
+                    self._odometry.publish(self._kept or self._odometry_message())
                 if self._joints and step % JOINTS_EVERY == 0:
                     message = JointState(name=["wheel", "shoulder"], position=[self._wheel, self._joint])
                     message.header.stamp = self._now()
                     self._joints.publish(message)
-
-    def _kept_message(self) -> Odometry:
-        message, keeps_header = self._kept
-        if not keeps_header:
-            message.header.stamp = self._now()
-        return message
 
     def _odometry_message(self) -> Odometry:
         message = Odometry(child_frame_id="base_link")
