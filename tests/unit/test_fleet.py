@@ -133,7 +133,7 @@ async def test_a_robot_that_is_out_of_reach_does_not_hold_up_the_answer_of_its_s
 async def test_a_robot_that_was_just_heard_of_is_waited_for() -> None:
     noting = Noting()
     noting.is_remote, noting.nodes = True, {"/bridge"}
-    assert "goes on behind" not in (await stopping.stop_in_reach(Robot(cast(Bridge, noting)))).note
+    assert "in the background" not in (await stopping.stop_in_reach(Robot(cast(Bridge, noting)))).note
 
 
 def test_the_robot_that_a_call_names_is_known_before_it_is_bound() -> None:

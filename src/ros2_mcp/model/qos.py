@@ -77,8 +77,8 @@ class Choice:
 
 
 def for_subscribing(publishers: Sequence[Endpoint], depth: int = 100, *, is_volatile: bool = False) -> Choice:
-    """What a subscription needs so that it matches every publisher and loses as little as possible; with `is_volatile`,
-    but for what was published before it.
+    """What a subscription needs so that it matches every publisher and loses as little as possible; with `is_volatile`
+    it gets nothing that was published before it.
     """
     if not publishers:
         return Choice(QoS("best_effort", "volatile", depth=depth), "no publisher is known; this QoS matches any")

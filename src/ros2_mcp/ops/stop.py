@@ -17,7 +17,7 @@ from ros2_mcp.model.graph import TopicEndpoints
 from ros2_mcp.model.text import counted, listed
 from ros2_mcp.ops.actions.result import result_of
 from ros2_mcp.ops.flights import StoppedFlight, brake_flights
-from ros2_mcp.ops.observed.judge import Observed, is_confirmed
+from ros2_mcp.ops.observed.judge import Observation, Observed, is_confirmed
 from ros2_mcp.ops.observed.observe import observe_still
 from ros2_mcp.ops.results import HIDDEN, IF_ANY, SAID
 from ros2_mcp.robot import Robot
@@ -44,7 +44,7 @@ _LATCH_S = 0.2
 _MOST_NAMED = 20
 """Of each kind: enough to see what it was. All else is counted."""
 _MOST_GONE = 3
-"""Nodes that took commands and are gone: a base, its multiplexer, a logger."""
+"""Nodes that took commands and are gone, in one sentence: a base, its multiplexer, a logger."""
 _going_on: set[asyncio.Task[Stopped]] = set()
 """Stops that go on behind their answer; a task that nobody holds may vanish."""
 _NOTHING: StopReply = {"repeats": 0, "relays": 0, "dropped": [], "topics": []}
@@ -64,6 +64,8 @@ class StoppedTopic:
     others: Sequence[str] = ()
     error: str = ""
     unreached: int = 0
+    gone: Sequence[str] = ()
+    is_deserted: bool = field(default=False, metadata=HIDDEN)
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,12 +90,12 @@ class Stopped:
     `dropped` was accepted before the stop, had not been sent yet, and is not sent any more. `unknown_services` were
     called and `unknown_topics` published on by this server since it was started, the last ones first; it does not know
     how what they set in motion is stopped (parameters and lifecycle transitions are configuration, and not among them).
-    `observed` says whether odometry and joint states that were published afterwards tell that the robot stands, or
-    hovers; `latched` whether it has to be reset by an operator before anything acts again.
-    `confirmed` is true if the robot was so observed; every zero command reached its subscribers, and those who had
-    taken commands are still there; nobody else publishes on those topics; every goal has ended; every vehicle says that
-    it is in a mode in which it stands; and no such service was called or topic published on since the robot was last
-    observed to stand.
+    `observed` says whether odometry and joint states from after the stop report that the robot stands, or hovers;
+    `latched` whether it has to be reset by an operator before anything acts again.
+    `confirmed` is true if the robot was so observed; every zero command reached its subscribers, and those that had
+    taken commands are still there; nobody else publishes on those topics; every goal has ended; every vehicle reports
+    a mode in which it stands; and no such service was called or topic published on since the robot was last observed to
+    stand.
     """
 
     repeats_stopped: int = field(metadata=SAID)
@@ -252,8 +254,8 @@ async def _stop(robot: Robot) -> Stopped:
     notes = [f"{problem}."] if problem else []
     notes += [f"The latch could not be saved ({unwritten}): it is lost when this server ends."] if unwritten else []
     notes += [f"{job.kind} {job.id} did not end cleanly: {error}" for job, error in jobs.items() if error]
-    doubts = [*notes, *_doubts(topics, goals, stands=observation.stands)]
-    unknown = _unknown(services, others) if unsettled else []
+    doubts = [*notes, *_doubts(topics, goals, observation)]
+    unknown = _unknown(unsettled)
     doubts += [flight.sentence for flight in flights if not flight.confirmed]
     is_doubtful = observation.is_moving or observation.is_open
     if is_doubtful:
@@ -335,24 +337,22 @@ async def _judged(robot: Robot, topic: str, zero: Zero | None, missing: str) -> 
         return StoppedTopic(topic, zero["matched"], zero["acked"], error=unseen)
     others = sorted({publisher.node for publisher in present.publishers} - {*robot.graph.own_nodes})
     unseen = "" if present.settled else f"Discovery is under way: more may listen to {topic}, or publish on it."
-    unseen = unseen or _vanished(robot, topic, zero, present)
     unreached = max(0, present.subscribers_of(zero["type"]) - zero["matched"])
-    return StoppedTopic(topic, zero["matched"], zero["acked"], others, unseen, unreached)
+    gone, is_deserted = _gone(robot, topic, zero, present)
+    return StoppedTopic(topic, zero["matched"], zero["acked"], others, unseen, unreached, gone, is_deserted)
 
 
-def _vanished(robot: Robot, topic: str, zero: Zero, present: TopicEndpoints) -> str:
-    """That all who had taken commands on a topic are gone, if it is so: a base without power or radio may move on."""
+def _gone(robot: Robot, topic: str, zero: Zero, present: TopicEndpoints) -> tuple[Sequence[str], bool]:
+    """Who took commands on a topic and is gone, and whether nobody is left: a base that has lost its power or radio may
+    still move.
+    """
     driven = next((one for one in robot.failsafes.driven if (one.topic, one.type) == (topic, zero["type"])), None)
     if driven is None:
-        return ""
-    if driven.takers:
-        is_gone = driven.takers.isdisjoint(subscriber.node for subscriber in present.subscribers)
-    else:
-        is_gone = driven.was_taken and not (zero["matched"] or present.subscribers_of(zero["type"]))
-    who = listed(sorted(driven.takers), _MOST_GONE) or f"Whoever took commands on {topic}"
-    return (
-        f"{who} took commands on {topic} and is gone: whether it stands is unknown until it is back." if is_gone else ""
-    )
+        return (), False
+    if not driven.takers:
+        return (), driven.was_taken and not (zero["matched"] or present.subscribers_of(zero["type"]))
+    gone = driven.takers - {subscriber.node for subscriber in present.subscribers}
+    return sorted(gone), gone == driven.takers
 
 
 async def cancel_goals(robot: Robot) -> list[StoppedGoal]:
@@ -387,10 +387,11 @@ async def _cancel(robot: Robot, goal: Goal) -> StoppedGoal | None:
 # ── in words ───────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def _doubts(topics: Sequence[StoppedTopic], goals: Sequence[StoppedGoal], *, stands: bool = False) -> list[str]:
+def _doubts(topics: Sequence[StoppedTopic], goals: Sequence[StoppedGoal], seen: Observation) -> list[str]:
     """Why it is not confirmed that the topics are still and the goals have ended; nothing if it is.
 
-    A subscriber that acknowledges nothing has got the zero where the robot was seen to stand after it.
+    Where the robot was seen to stand, a subscriber that does not acknowledge needs no acknowledgement, and, by its
+    odometry, one that left beside others that stay was a logger or the like.
     """
     doubts: list[str] = []
     for topic in topics:
@@ -404,24 +405,28 @@ def _doubts(topics: Sequence[StoppedTopic], goals: Sequence[StoppedGoal], *, sta
             doubts.append(topic.error)
         elif topic.subscribers and topic.acknowledged is None:
             unknown = f"Arrival of the zero on {topic.topic_name} is unknown"
-            doubts += [] if stands else [f"{unknown}: not every subscriber acknowledges."]
+            doubts += [] if seen.stands else [f"{unknown}: not every subscriber acknowledges."]
         elif topic.subscribers and not topic.acknowledged:
             doubts.append(f"Not every subscriber of {topic.topic_name} has acknowledged the zero.")
+        if topic.is_deserted or (topic.gone and not (seen.stands and seen.has_base)):
+            who = listed(topic.gone, _MOST_GONE) or "A subscriber"
+            doubts.append(f"{who} took commands on {topic.topic_name} and is gone: it may move until it is seen again.")
     doubts += [goal.error for goal in goals if goal.error]
     doubts += [f"Goal {goal.goal_id} has not ended yet." for goal in goals if not goal.confirmed and not goal.error]
     return doubts
 
 
-def _unknown(services: Sequence[str], topics: Sequence[str]) -> list[str]:
-    """That there is something of which it is not known how it is stopped; nothing if there is none."""
+def _unknown(unsettled: Sequence[tuple[str, str]]) -> list[str]:
+    """That it is not known how to stop these, by kinds and names; nothing if there are none."""
+    services, topics = ([name for of, name in unsettled if of == kind] for kind in ("service", "topic"))
     sent = [f"called {counted(len(services), 'service')}"] if services else []
     sent += [f"published on {counted(len(topics), 'topic')} without velocities"] if topics else []
     if not sent:
         return []
     named = _first([*services[: _MOST_NAMED // 2], *topics[: _MOST_NAMED // 2]])
     return [
-        f"NOT judged: since its start this server has {' and '.join(sent)} ({', '.join(named)}). It does not know how "
-        "to stop what these started, which may continue."
+        f"NOT judged: this server has {' and '.join(sent)} ({', '.join(named)}). It does not know how to stop what "
+        "these started, which may continue."
     ]
 
 

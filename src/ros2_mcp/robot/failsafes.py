@@ -64,9 +64,9 @@ class Driven:
     `owner` is who commanded it last, `users` whose commands are under way on it and how many, `commands` counts all.
     It is at rest once every subscriber has acknowledged a zero, or there is none, and nothing was commanded since;
     `has_ended` if the last command on it ended with a zero of which that is not known, or by itself. `joints` are those
-    that were commanded, where it is trajectories of joints that it takes. `takers` are the robot's nodes that
-    subscribed when it was commanded, and `was_taken` tells that a command reached somebody, since the robot was last
-    seen to stand.
+    that were commanded, where it is trajectories of joints that it takes. Since the robot was last seen to stand:
+    `takers` are the robot's nodes that subscribed when it was commanded, and `was_taken` says that a command reached a
+    subscriber.
     """
 
     topic: str
@@ -188,8 +188,8 @@ class Failsafes:
             driven.has_ended = not driven.users
 
     def stands(self, before: Mapping[tuple[str, str], int]) -> None:
-        """Notes that the robot was seen to stand: whoever leaves now leaves nothing moving, unless it was commanded
-        since `before`.
+        """Notes that the robot was seen to stand: a subscriber that leaves from now on leaves nothing moving, unless it
+        was commanded since `before`.
         """
         for key, driven in self._driven.items():
             if not driven.users and driven.commands == before.get(key):

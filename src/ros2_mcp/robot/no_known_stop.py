@@ -27,8 +27,8 @@ MOVES_NOTHING = frozenset(
         "robot_localization/srv/SetPose",
     }
 )
-"""Types that tell where the robot is, clear or load maps, or start and pause nodes that have nothing to do yet: they
-are configuration, as parameters are, and set nothing in motion. PoseWithCovarianceStamped is an estimate; a goal has no
+"""Types that say where the robot is, clear or load maps, or start and pause nodes without a task: they are
+configuration, as parameters are, and set nothing in motion. PoseWithCovarianceStamped is an estimate; a goal has no
 covariance.
 """
 _MOST_KEPT = 1000
@@ -38,8 +38,8 @@ _MOST_KEPT = 1000
 class NoKnownStop:
     """The names of services that were called, and of topics that were published on, for as long as the server lives.
 
-    Whether what they set in motion goes on cannot be seen from here: `ros2_stop` names them. Those that were
-    sent before the robot was seen to stand are *settled*: they leave no later stop unconfirmed.
+    Whether what they set in motion continues cannot be seen from here: `ros2_stop` names them. What was sent before
+    the robot was seen to stand is *settled*: it no longer keeps a stop from being confirmed.
     """
 
     def __init__(self) -> None:
@@ -53,7 +53,7 @@ class NoKnownStop:
         return list(dict.fromkeys([*under_way, *reversed(self._sent[kind])]))
 
     def unsettled(self) -> Sequence[tuple[Kind, str]]:
-        """Kinds and names of those that were sent since the robot was last seen to stand, or have not been answered."""
+        """Kinds and names of what was sent since the robot was last seen to stand, or has not been answered."""
         return [
             (kind, name)
             for kind in self._sent
@@ -62,7 +62,7 @@ class NoKnownStop:
         ]
 
     def settle(self, unsettled: Sequence[tuple[Kind, str]]) -> None:
-        """Notes that the robot was seen to stand after these were sent; those under way stay open."""
+        """Notes that the robot was seen to stand after these were sent; those under way stay unsettled."""
         self._settled.update(one for one in unsettled if not self._under_way[one])
 
     def note(self, kind: Kind, name: str) -> None:
@@ -77,11 +77,12 @@ class NoKnownStop:
             self._settled.discard((kind, oldest))
 
     @contextmanager
-    def sending(self, kind: Kind, name: str) -> Generator[None, None, None]:
+    def sending(self, kind: Kind, name: str, type_name: str) -> Generator[None, None, None]:
         """Around a request: it is noted, unless its type moves nothing, or the bridge says that nothing was sent."""
-        if name.rpartition(" (")[2].rstrip(")") in MOVES_NOTHING:
+        if type_name in MOVES_NOTHING:
             yield
             return
+        name = f"{name} ({type_name})"
         self._under_way[kind, name] += 1
         try:
             yield

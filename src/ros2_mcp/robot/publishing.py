@@ -159,7 +159,7 @@ async def _sending(
         yield None  # what stops it is the brake of that flight
         return
     if command.type not in MOTION_TYPES:
-        with core.no_known_stop.sending("topic", f"{command.name} ({command.type})"):
+        with core.no_known_stop.sending("topic", command.name, command.type):
             yield None
         return
     if frame_id := _frame_id_of(command.value):
@@ -170,7 +170,7 @@ async def _sending(
 
 
 def _note_taken(driven: Driven | None, matched: int) -> None:
-    """Notes whether a command on a topic reached somebody else than this server."""
+    """Notes whether a command on a topic reached anybody but this server."""
     if driven and matched > 0:
         driven.was_taken = True
 

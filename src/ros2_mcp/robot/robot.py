@@ -317,7 +317,7 @@ class Robot(Core):
             every_n: only every n-th sample is needed; those between stay on the robot, and count as received.
             newest_of_old: of what a latched topic replays, only the newest.
             drain_s: how long a sample may wait in the bridge; None: as mostly.
-            is_volatile: nothing is wanted that was published before, whatever a latched topic has kept.
+            is_volatile: get nothing that was published before, whatever a latched topic has kept.
 
         Raises:
             NotFound: if the topic is not there and no type is given.

@@ -76,14 +76,14 @@ class Seen:
                 del kept[next(iter(kept))]
 
     def note_subscribers(self, topic: str, nodes: Collection[str]) -> None:
-        """Notes who subscribes to a topic now."""
+        """Notes which nodes subscribe to a topic now."""
         self._subscribers.pop(topic, None)
         self._subscribers[topic] = frozenset(node for node in nodes if is_of_robot(node) and node != names.UNKNOWN_NODE)
         if len(self._subscribers) > _MOST:
             del self._subscribers[next(iter(self._subscribers))]
 
     def subscribers(self, topic: str) -> Collection[str]:
-        """The robot's nodes that subscribed to a topic when its endpoints were last asked for."""
+        """The robot's nodes that subscribed to a topic when its endpoints were last looked up."""
         return self._subscribers.get(topic, frozenset())
 
     def published(self, types: Collection[str]) -> Sequence[str]:

@@ -255,7 +255,7 @@ def test_a_vehicle_that_climbs_does_not_hover_and_one_that_sways_does() -> None:
 def test_without_anything_that_reports_motion_nothing_is_confirmed() -> None:
     nothing = observation([])
     assert not is_confirmed([], nothing, []) and not nothing.is_open and not nothing.is_moving
-    assert nothing.sentence == "Not observed: no odometry says whether the robot stands."
+    assert nothing.sentence == "Not observed: no odometry reports whether the robot has stopped."
 
 
 def test_what_reported_before_and_is_gone_leaves_it_open() -> None:

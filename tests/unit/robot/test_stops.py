@@ -275,7 +275,7 @@ async def test_what_is_confirmed_is_said_first_and_what_is_not_judged_last(robot
     bridge.zeros = [{"topic": "/cmd_vel", "type": TWIST, "matched": 1, "acked": True}]
     told = (await stop(robot)).summary()
     assert told.startswith("Stopped, partly confirmed: zero on 1 topic.")
-    assert "/grip" in told.partition("NOT judged: since its start")[2]
+    assert "/grip" in told.partition("NOT judged: ")[2]
 
 
 async def test_a_service_that_was_not_there_or_a_call_that_was_stopped_has_set_nothing_in_motion(
@@ -299,11 +299,11 @@ async def test_what_was_sent_before_the_robot_was_seen_to_stand_leaves_no_later_
     sent.settle(sent.unsettled())
     assert sent.unsettled() == [] and sent.names("service") == [grip[1]]
     await robot.do(call("std_srvs/srv/SetBool", "/grip", {"data": True}))
-    with sent.sending("service", "/global_costmap/clear (nav2_msgs/srv/ClearEntireCostmap)"):
+    with sent.sending("service", "/global_costmap/clear", "nav2_msgs/srv/ClearEntireCostmap"):
         assert sent.unsettled() == [grip]
-    with sent.sending("topic", "/initialpose (geometry_msgs/msg/PoseWithCovarianceStamped)"):
+    with sent.sending("topic", "/initialpose", "geometry_msgs/msg/PoseWithCovarianceStamped"):
         assert sent.unsettled() == [grip]
-    with sent.sending("service", grip[1]):
+    with sent.sending("service", "/grip", "std_srvs/srv/SetBool"):
         sent.settle(sent.unsettled())
         assert sent.unsettled() == [grip]  # it is under way
 

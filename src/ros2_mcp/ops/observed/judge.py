@@ -1,8 +1,8 @@
 """Which messages were published after a stop, and whether they show that the robot moves. Pure: no clock and no ROS.
 
-A zero that was sent, and has arrived, is no robot that stands; nor is a message that was published before the zero. A
-late subscriber to a transient_local publisher is given such a message, and a driver that has lost its hardware may
-publish its last one again and again.
+An acknowledged zero does not prove that the robot stands, and neither does a message from before the zero. A late
+subscriber to a transient_local publisher gets such a message, and a driver that has lost its hardware may publish its
+last one again and again.
 """
 
 from __future__ import annotations
@@ -13,29 +13,31 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
+from ros2_mcp.model.text import named
+
 State = Literal["moving", "still", "not observed"]
 
 _AHEAD_NS = 100_000_000
-"""A stamp that is further ahead of its receipt comes from another clock: machines with chrony or PTP agree better."""
+"""A stamp further ahead of its receipt is from a clock that is ahead: with chrony or PTP clocks agree better."""
 _SAME_CLOCK_NS = 60_000_000_000
-"""A header's stamp that is closer to the time of sending is of the same clock: a pipeline lags by seconds at most."""
+"""A header whose stamp is further from the time of sending is from another clock: pipelines lag by seconds at most."""
 _OWN_CLOCK_NS = 946_684_800_000_000_000
-"""The year 2000. A simulation and a controller without a real-time clock count from their own start: stamps below this
-are of a clock of their own."""
+"""The year 2000. An earlier stamp is from a clock that counts from its own start: of a simulation, or of a controller
+without a real-time clock."""
 JOINT_WINDOW_S, JOINT_STANDS = 0.4, 0.002
 """A joint stands if it moves by less than this (rad or m) in that time: a 12-bit encoder flickers by 0.0015 rad."""
 _POSE_NOISE_M, _POSE_NOISE_RAD = 0.002, 0.005
-"""By which the pose of a robot that stands may change, beside the speed that counts as standing. Not measured."""
+"""How much the pose of a standing robot may change by noise, beyond the speed that counts as standing. Not measured."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reading:
-    """One message about motion: when it was received, sent, and measured, and what it says.
+    """One message about motion: when it was received, sent and measured, and what it reports.
 
     Times are Unix times in ns, 0 where there is none: `received_ns` by the receiver's clock, `source_ns` by the
-    publisher's (the source timestamp of DDS), `header_ns` by whoever measured. `velocity` is linear x, y, z in m/s and
-    angular x, y, z in rad/s; `position` is in m, `orientation` a quaternion (x, y, z, w); `joints` are positions in rad
-    or m, not finite where the message gives none.
+    publisher's (the source timestamp of DDS), `header_ns` by the clock of whoever measured. `velocity` is linear x, y,
+    z in m/s and angular x, y, z in rad/s; `position` is in m, `orientation` a quaternion (x, y, z, w); `joints` are
+    positions in rad or m, not finite where the message gives none.
     """
 
     received_ns: int
@@ -54,8 +56,8 @@ class Reading:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Still:
-    """What counts as standing: each speed at most `linear` (m/s) and `angular` (rad/s), and the mean over `window_s` at
-    most `mean_linear` and `mean_angular`.
+    """What counts as standing: every speed is at most `linear` (m/s) and `angular` (rad/s), and the means over
+    `window_s` are at most `mean_linear` and `mean_angular`.
     """
 
     linear: float = 0.03
@@ -66,14 +68,14 @@ class Still:
 
 
 HOVERING = Still(linear=0.3, angular=0.2, mean_linear=0.1, mean_angular=0.1, window_s=1.0)
-"""A vehicle that keeps its place in gusts sways with several times the drift of the simulated one, but does not get
-away: over a second it is where it was. One that climbs at 0.25 m/s is not."""
+"""A vehicle that holds its position in gusts sways at several times the drift of the simulated one, but over a second
+it stays where it is. One that climbs at 0.25 m/s does not."""
 
 
 class Freshness:
     """Which readings of one topic were published after `began_ns` (Unix time), and measured after it as well.
 
-    `is_latched` says that the subscription is given what was published before it, too.
+    `is_latched` says that the subscription also gets what was published before it.
     """
 
     def __init__(self, began_ns: int, *, is_latched: bool) -> None:
@@ -82,19 +84,19 @@ class Freshness:
         self._headers: dict[str, int] = {}
 
     def problem(self, reading: Reading, key: str = "") -> str:
-        """Why a reading shows nothing of now; empty if it does. Headers have to advance from one reading to the next of
-        the same `key`, such as a joint of which one of several publishers tells.
+        """Why a reading shows nothing about now; empty if it does. Headers must advance from one reading to the next of
+        the same `key`, such as a joint, as several publishers may share a topic.
         """
         return self._problem_of_source(reading) or self._problem_of_header(reading, key)
 
     def _problem_of_source(self, reading: Reading) -> str:
         if not reading.source_ns:
             is_known = bool(reading.header_ns) or not self._is_latched
-            return "" if is_known else "it does not say when its messages were published"
+            return "" if is_known else "its messages do not say when they were published"
         if reading.source_ns < self._began_ns:
-            return "all that came was published before the stop"
+            return "all that came was published before the stop, by the publisher's clock"
         if self._is_latched and reading.source_ns > reading.received_ns + _AHEAD_NS:
-            return "the clock of its publisher is ahead, so that old messages look new"
+            return "the clock of its publisher is ahead, so old messages look new"
         return ""
 
     def _problem_of_header(self, reading: Reading, key: str) -> str:
@@ -108,8 +110,8 @@ class Freshness:
         if 0 < stamp < _OWN_CLOCK_NS:  # only the second one shows that its clock runs
             return "" if before is not None else "one message alone does not show that its clock runs"
         if abs(stamp - (reading.source_ns or reading.received_ns)) > _SAME_CLOCK_NS:
-            return "its messages carry the time of another clock"
-        return "" if stamp >= self._began_ns else "what it tells was measured before the stop"
+            return "its headers carry the time of another clock"
+        return "" if stamp >= self._began_ns else "all that came was measured before the stop"
 
 
 class Judge(Protocol):
@@ -121,12 +123,12 @@ class Judge(Protocol):
 
     @property
     def state(self) -> State:
-        """What the readings up to now show."""
+        """What the readings so far show."""
         ...
 
     @property
     def why(self) -> str:
-        """In words what they say, or why they show nothing."""
+        """In words: what they report, or why they show nothing."""
         ...
 
 
@@ -134,7 +136,7 @@ NOTHING_CAME = "nothing was published on it since the stop"
 
 
 class BaseJudge:
-    """Judges a topic with velocities, and the poses that are with them: some odometry never says a velocity."""
+    """Judges a topic by its velocities, and by the poses beside them: some odometry never fills in a velocity."""
 
     def __init__(self, freshness: Freshness, still: Still) -> None:
         self._freshness = freshness
@@ -145,7 +147,7 @@ class BaseJudge:
     def hear(self, reading: Reading) -> None:
         """Takes in a message; one without a finite velocity shows nothing."""
         if reading.velocity is None or not all(map(math.isfinite, reading.velocity)):
-            self._problem = "it told nothing of the robot's speed"
+            self._problem = "it did not report the robot's speed"
             return
         if problem := self._freshness.problem(reading):
             self._problem = problem
@@ -169,11 +171,11 @@ class BaseJudge:
 
     @property
     def why(self) -> str:
-        """What it says, or why that shows nothing."""
+        """What it reports, or why that shows nothing."""
         if not self._fresh:
             return self._problem
         linear, angular = self.speeds
-        said = f"says {linear:.2f} m/s and {angular:.2f} rad/s"
+        said = f"reports {linear:.2f} m/s and {angular:.2f} rad/s"
         if self.state == "not observed":
             return f"{said}, but for less than {self._still.window_s:g} s"
         if self.state == "moving" and linear <= self._still.linear and angular <= self._still.angular:
@@ -182,7 +184,7 @@ class BaseJudge:
 
     @property
     def speeds(self) -> tuple[float, float]:
-        """The last ones, in m/s and rad/s."""
+        """The latest ones, in m/s and rad/s."""
         velocity = self._fresh[-1].velocity or (0.0,) * 6
         return math.hypot(*velocity[:3]), math.hypot(*velocity[3:])
 
@@ -195,7 +197,7 @@ class BaseJudge:
         return math.hypot(*velocity[:3]) <= self._still.linear and math.hypot(*velocity[3:]) <= self._still.angular
 
     def _keeps_its_place(self) -> bool:
-        """Whether the means over the window are small: that of the velocities, and the way from the first pose."""
+        """Whether the means over the window are small: of the velocities, and by the distance between the poses."""
         first, last = self._fresh[0], self._fresh[-1]
         elapsed_s = last.sent_s - first.sent_s
         means = [
@@ -212,10 +214,10 @@ class BaseJudge:
 
 
 class JointJudge:
-    """Judges the positions of joints over time, of all joints that the topic has told of; not what it says of their
-    velocities, which a broadcaster may leave out or fill with noise.
+    """Judges all joints of a topic by their positions over time, not by the velocities in its messages, which a
+    broadcaster may leave out or fill with noise.
 
-    `expected` are joints that it has told of before: one that has fallen silent does not stand.
+    `expected` are the joints that it reported before: one that has fallen silent does not count as standing.
     """
 
     def __init__(self, freshness: Freshness, expected: Sequence[str] = ()) -> None:
@@ -224,11 +226,11 @@ class JointJudge:
         self._problem = NOTHING_CAME
 
     def hear(self, reading: Reading) -> None:
-        """Takes in a message, which need not tell of all joints."""
+        """Takes in a message, which need not have all joints."""
         for name, position in reading.joints.items():
             told = self._joints.setdefault(name, deque())
             if not math.isfinite(position):
-                self._problem = f"it tells no position of {name}"
+                self._problem = f"it reports no position of {named(name)}"
             elif problem := self._freshness.problem(reading, name):
                 self._problem = problem
             else:
@@ -238,26 +240,26 @@ class JointJudge:
 
     @property
     def state(self) -> State:
-        """`still` if every joint was heard of for a whole window and did not move; one that moved is enough."""
+        """`still` if every joint was reported for a whole window and did not move; one that moves makes it `moving`."""
         if any(self._way(told) > JOINT_STANDS for told in self._joints.values()):
             return "moving"
         return "still" if self._joints and all(map(self._is_whole, self._joints.values())) else "not observed"
 
     @property
     def why(self) -> str:
-        """What it says, or why that shows nothing."""
+        """What it reports, or why that shows nothing."""
         if self.state == "moving":
-            return f"says that {max(self._joints, key=lambda name: self._way(self._joints[name]))} moves"
+            return f"reports that {named(max(self._joints, key=lambda name: self._way(self._joints[name])))} moves"
         if self.state == "still":
-            return "says that no joint moves"
+            return "reports that no joint moves"
         silent = [name for name, told in self._joints.items() if not told]
         if silent and len(silent) < len(self._joints):
-            return f"it told nothing new of {silent[0]}"
-        return self._problem if silent or not self._joints else f"it told of joints for less than {JOINT_WINDOW_S:g} s"
+            return f"it reported nothing new of {named(silent[0])}"
+        return self._problem if silent or not self._joints else f"it reported joints for less than {JOINT_WINDOW_S:g} s"
 
     @property
     def names(self) -> Sequence[str]:
-        """All joints that it has told of."""
+        """All joints that it has reported."""
         return list(self._joints)
 
     @staticmethod
@@ -271,14 +273,14 @@ class JointJudge:
 
 
 def distance_m(one: Sequence[float] | None, other: Sequence[float] | None) -> float:
-    """Between two positions; 0 where one is not given or not finite."""
+    """The distance between two positions; 0 where one is not given or not finite."""
     if one is None or other is None or not all(map(math.isfinite, (*one, *other))):
         return 0.0
     return math.dist(one, other)
 
 
 def angle_rad(one: Sequence[float] | None, other: Sequence[float] | None) -> float:
-    """Of the rotation between two quaternions of any length; 0 where one is not given, not finite, or zero."""
+    """The rotation between two quaternions of any length; 0 where one is not given, not finite, or zero."""
     if one is None or other is None or not all(map(math.isfinite, (*one, *other))):
         return 0.0
     lengths = math.hypot(*one) * math.hypot(*other)
@@ -296,38 +298,40 @@ NO_ODOMETRY = "Not observed: no odometry reports whether the robot has stopped."
 
 @dataclass(frozen=True, slots=True)
 class Account:
-    """What one topic shows, and in words what it says or why it shows nothing."""
+    """What one topic shows, and in words what it reports or why it shows nothing; `is_base` if of velocities."""
 
     topic: str
     state: State
     why: str
+    is_base: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Observation:
-    """`verdict`, and a sentence with what it is known by. `is_moving` if the robot was seen to move at the end;
-    `is_open` if something that reports its motion, or should, does not show whether it stands. Neither, with *not
-    observed*: nothing on this robot reports motion.
+    """`verdict`, and a sentence that says by what it is known. `is_moving` if the robot was still moving at the end;
+    `is_open` if something that reports its motion, or should, does not show whether it stands. Where neither is set and
+    the verdict is *not observed*, nothing on this robot reports motion. `has_base` if odometry was among the reports.
     """
 
     verdict: Observed
     sentence: str
     is_moving: bool = False
     is_open: bool = False
+    has_base: bool = False
 
     @property
     def stands(self) -> bool:
-        """Whether it was seen to."""
+        """Whether the robot was seen to stand."""
         return self.verdict != "not observed"
 
 
 def observation(
     accounts: Sequence[Account], *, missing: Sequence[str] = (), unreported: Sequence[str] = (), hovers: bool = False
 ) -> Observation:
-    """Whether the robot stands: all that report motion have to say so.
+    """Whether the robot stands: everything that reports motion must say so.
 
-    `missing` says in words what should report and does not, `unreported` of which parts nothing ever reports. Without
-    any account nothing reports motion.
+    `missing` says in words what should report and does not; `unreported` says which parts nothing reports. Without any
+    account, nothing reports motion.
     """
     said = "; ".join(f"{account.topic} {account.why}" for account in accounts if account.state != "not observed")
     silent = [f"{account.topic}: {account.why}" for account in accounts if account.state == "not observed"]
@@ -340,14 +344,18 @@ def observation(
         return Observation(verdict="not observed", sentence=NO_ODOMETRY)
     if unreported:
         return Observation(verdict="not observed", sentence=f"Not observed: {'; '.join(unreported)} ({said}).")
+    has_base = any(account.is_base for account in accounts)
     if hovers:
         over = f"over {HOVERING.window_s:g} s"
-        return Observation(verdict="observed hovering", sentence=f"Observed hovering, {over}: {said}.")
-    return Observation(verdict="observed still", sentence=f"Observed still: {said}.")
+        return Observation(
+            verdict="observed hovering", sentence=f"Observed hovering, {over}: {said}.", has_base=has_base
+        )
+    return Observation(verdict="observed still", sentence=f"Observed still: {said}.", has_base=has_base)
 
 
 def is_confirmed(doubts: Sequence[str], seen: Observation, unsettled: Sequence[object]) -> bool:
     """Whether a stop is confirmed: the robot was seen to stand after it, nothing is in doubt (somebody else commands
-    it, a zero did not arrive, a goal goes on), and nothing `unsettled` was begun of which it is not known how it ends.
+    it, a zero did not arrive, a goal continues), and nothing is `unsettled`: sent since the robot last stood, with no
+    known way to stop what it began.
     """
     return seen.stands and not doubts and not unsettled

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from time import monotonic
 from typing import Any, cast
@@ -13,13 +13,12 @@ from ros2_mcp.guard.document import ODOMETRY, Feedback
 from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.graph import TopicRow
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.model.text import listed, named
+from ros2_mcp.model.text import counted, listed, named
 from ros2_mcp.ops.motion.controllers import FOLLOW
 from ros2_mcp.ops.motion.joint_states import JOINT_STATE
 from ros2_mcp.ops.observed.judge import (
     HOVERING,
     JOINT_WINDOW_S,
-    NOTHING_CAME,
     Account,
     BaseJudge,
     Freshness,
@@ -33,30 +32,30 @@ from ros2_mcp.robot import HOLD_TYPES, VELOCITY_TYPES, Robot
 from ros2_mcp.robot.goals import Goal
 from ros2_mcp.robot.seen import is_of_robot
 
-_KINDS: Mapping[str, int] = {ODOMETRY: 3, JOINT_STATE: 8}
-"""What reports motion, and how many topics of each are read: wheels, fused, visual; arm, gripper, wheels. All that are
-read have to say that it stands."""
+_KINDS: Mapping[str, int] = {ODOMETRY: 4, JOINT_STATE: 8}
+"""The types that report motion, and how many topics of each are read: wheels, fused, visual; arms, grippers, wheels.
+All of them must report that the robot stands."""
 _MOST_INPUTS = 5
-"""Velocity topics that are looked up where no odometry is: a base, its multiplexer, a servo."""
+"""Command topics that are looked up where nothing reports their motion: a base, its multiplexer, a servo."""
 _FOUND_S = 0.3
-"""For a look at the graph: the bridge has it at once, unless discovery is still under way."""
+"""For a look at the graph: the bridge knows it at once, unless discovery is still under way."""
 _FIRST_S = 2.5
-"""For a first message: publishers are matched in 0.02 to 0.2 s on one host, and tell of motion at 1 Hz or more."""
+"""For a first message: publishers are matched in 0.02 to 0.2 s on one host, and report motion at 1 Hz or more."""
 _RESTS_S = 1.5
-"""For joints to come to rest: a hold is there within tenths of a second, and an arm then brakes."""
+"""For joints to come to rest: a hold arrives within tenths of a second, and the arm then brakes."""
 _BRAKED_S = 3.0
-"""From 5 m/s, with the 2.5 m/s² at which ArduCopter brakes by default, and a second for the mode to be taken."""
+"""From 5 m/s at the 2.5 m/s² at which ArduCopter brakes by default, and a second until the mode takes effect."""
 _BEGINS_S = 0.5
-"""For subscribing, beyond the time that the robot has to come to rest."""
+"""For subscribing, in addition to the time that the robot has to come to rest."""
 _TAKE_S = 0.1
-"""Between two looks at the time while nothing comes."""
+"""How often the time is checked while nothing arrives."""
 _MESSAGE_BYTES = 1_000_000
-"""Of what waits: a second of odometry of 1 kHz with its covariances."""
+"""The most that may wait: a second of odometry at 1 kHz with its covariances."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Source:
-    """A topic that reports motion: of joints where it has no `path`. `most_s` is for coming to rest."""
+    """A topic that reports motion: of joints where `path` is None. `most_s` is the time for coming to rest."""
 
     topic: str
     type: str
@@ -66,10 +65,10 @@ class _Source:
 
 
 async def observe_still(robot: Robot, *, hovers: bool = False) -> Observation:
-    """What all topics that report motion say from now on, until they show that the robot stands, at most for the time
-    that it has to come to rest, and for 2.5 s where one tells nothing. Never raises a `RobotError`.
+    """Listens to all topics that report motion until they show that the robot stands: at most for the time that it has
+    to come to rest, or for 2.5 s where one is silent. Never raises a `RobotError`.
 
-    A vehicle that `hovers` is given time to brake, and may sway where it is.
+    A vehicle that `hovers` gets time to brake, and may sway where it is.
     """
     began_ns = robot.now_ns()
     try:
@@ -81,25 +80,30 @@ async def observe_still(robot: Robot, *, hovers: bool = False) -> Observation:
 
 
 async def _sources(robot: Robot, hovers: bool) -> tuple[Sequence[_Source], Sequence[str], Sequence[str]]:
-    """The topics to be read; in words, what should report motion and does not, and what nothing reports of."""
-    rows = list(await robot.graph.topics(_FOUND_S))
-    odometry, joint_states = await asyncio.gather(*(_published(robot, _first_of(rows, kind), kind) for kind in _KINDS))
-    beyond = {row.name for row in rows if row.publishers} - {*_first_of(rows, ODOMETRY), *_first_of(rows, JOINT_STATE)}
-    missing = [
+    """The topics to read; in words, what should report motion and does not; in words, what nothing reports on."""
+    rows = await robot.graph.topics(_FOUND_S)
+    found = {kind: sorted(row.name for row in rows if kind in row.types and row.publishers) for kind in _KINDS}
+    odometry, joint_states = await asyncio.gather(
+        *(_published(robot, found[kind][:most], kind) for kind, most in _KINDS.items())
+    )
+    beyond = [topic for kind, most in _KINDS.items() for topic in found[kind][most:]]
+    missing = [] if rows.settled else ["discovery is under way, and more may report motion"]
+    missing += [f"{counted(len(beyond), 'more topic')} with odometry or joint states, not read"] if beyond else []
+    missing += [
         f"{named(topic)} reported motion before, and nobody publishes it any more"
         for topic in robot.graph.seen.published(_KINDS)
         if topic not in {*odometry, *joint_states, *beyond}
     ]
     if not joint_states and _has_moved_joints(robot):
-        missing.append("no joint state says whether the joints stand that this server has moved")
-    named_ones = [found.feedback for found in robot.policy.documents if found.feedback]
+        missing.append("no joint states report whether the joints that this server has moved stand")
+    named_ones = [one.feedback for one in robot.policy.documents if one.feedback]
     sources = [_base_source(feedback, hovers=False) for feedback in named_ones]
     sources = sources or [_base_source(Feedback(topic=topic), hovers) for topic in odometry]
     unreported: list[str] = []
-    if joint_states and not sources:
-        inputs = [row.name for row in rows if VELOCITY_TYPES.keys() & {*row.types} and row.subscribers]
-        if driven := await _subscribed(robot, inputs[:_MOST_INPUTS]):
-            unreported = [f"no odometry says whether what {listed(driven, 3)} drives stands"]
+    if joint_states and not sources and (inputs := await _subscribed(robot, rows, VELOCITY_TYPES)):
+        unreported.append(f"no odometry reports whether what {listed(inputs, 3)} drives stands")
+    if sources and not joint_states and (inputs := await _subscribed(robot, rows, HOLD_TYPES)):
+        unreported.append(f"no joint states report whether what {listed(inputs, 3)} moves stands")
     rests_s = _RESTS_S + _BEGINS_S + JOINT_WINDOW_S
     sources += [_Source(topic=one, type=JOINT_STATE, most_s=rests_s) for one in joint_states]
     return sources, missing, unreported
@@ -124,13 +128,8 @@ def _base_source(feedback: Feedback, hovers: bool) -> _Source:
     return _Source(topic=feedback.topic, type=feedback.type, path=feedback.path, still=still, most_s=most_s)
 
 
-def _first_of(rows: Sequence[TopicRow], kind: str) -> Sequence[str]:
-    """The topics of that type that somebody publishes, as many as are read, in order of their names."""
-    return sorted(row.name for row in rows if kind in row.types and row.publishers)[: _KINDS[kind]]
-
-
 async def _published(robot: Robot, topics: Sequence[str], kind: str) -> Sequence[str]:
-    """Those that a node of the robot publishes, not only this server or another one; in order."""
+    """Those that a node of the robot publishes, not only this server or another one, in order."""
     found = await asyncio.gather(*(robot.graph.endpoints(topic, _FOUND_S) for topic in topics))
     return sorted(
         present.topic
@@ -139,9 +138,10 @@ async def _published(robot: Robot, topics: Sequence[str], kind: str) -> Sequence
     )
 
 
-async def _subscribed(robot: Robot, topics: Sequence[str]) -> Sequence[str]:
-    """Those that a node of the robot subscribes to."""
-    found = await asyncio.gather(*(robot.graph.endpoints(topic, _FOUND_S) for topic in topics))
+async def _subscribed(robot: Robot, rows: Iterable[TopicRow], kinds: Collection[str]) -> Sequence[str]:
+    """The command topics of these types that a node of the robot subscribes to."""
+    topics = sorted(row.name for row in rows if row.subscribers and not {*kinds}.isdisjoint(row.types))
+    found = await asyncio.gather(*(robot.graph.endpoints(topic, _FOUND_S) for topic in topics[:_MOST_INPUTS]))
     return sorted(
         present.topic for present in found if any(not one.ours and is_of_robot(one.node) for one in present.subscribers)
     )
@@ -150,9 +150,9 @@ async def _subscribed(robot: Robot, topics: Sequence[str]) -> Sequence[str]:
 async def _account(robot: Robot, source: _Source, began_ns: int) -> Account:
     """Listens to one topic until it shows that the robot stands, or the time is over."""
     began_at = monotonic()
-    judge: BaseJudge | JointJudge | None = None
+    judge: BaseJudge | JointJudge
     try:
-        # A volatile subscription is given nothing that was published before it, whatever the publisher has kept.
+        # A volatile subscription gets nothing that was published before it, whatever the publisher has kept.
         async with robot.listen(source.topic, source.type, is_volatile=True, max_bytes=_MESSAGE_BYTES) as listening:
             freshness = Freshness(began_ns, is_latched=listening.choice.qos.durability != "volatile")
             if source.path is None:
@@ -169,18 +169,14 @@ async def _account(robot: Robot, source: _Source, began_ns: int) -> Account:
         return Account(named(source.topic), "not observed", str(error).rstrip("."))
     if isinstance(judge, JointJudge):
         robot.reported.note_joints(source.topic, judge.names)
-    return (
-        Account(named(source.topic), judge.state, judge.why)
-        if judge
-        else Account(named(source.topic), "not observed", NOTHING_CAME)
-    )
+    return Account(named(source.topic), judge.state, judge.why, is_base=source.path is not None)
 
 
 # ── what messages say ──────────────────────────────────────────────────────────────────────────────────────────────
 
 
 def reading_of(message: Mapping[str, Any], sample: Sample, path: str | None) -> Reading:
-    """What a message says of motion: the velocity at a path and the pose beside it, or without one the joints."""
+    """What a message reports of motion: the velocity at a path and the pose beside it, or the joints without a path."""
     seconds, nanoseconds = _at(message, "header.stamp.sec") or 0, _at(message, "header.stamp.nanosec") or 0
     is_base = path is not None
     pose = (_at(message, "pose.pose") or _at(message, "pose")) if is_base else None
@@ -196,7 +192,7 @@ def reading_of(message: Mapping[str, Any], sample: Sample, path: str | None) -> 
 
 
 def velocity_of(message: Mapping[str, Any], path: str) -> Sequence[float] | None:
-    """`linear` and `angular` below a path, x, y, z of each; None where they are not there, or not finite."""
+    """`linear` and `angular` below a path, x, y, z of each; None where they are missing, or not finite."""
     found = _at(message, path)
     linear, angular = (_numbers(_at(found, part), "xyz") for part in ("linear", "angular"))
     if linear is None or angular is None or not all(map(math.isfinite, (*linear, *angular))):
@@ -219,7 +215,7 @@ def _at(message: Any, path: str) -> Any:
 
 
 def _numbers(of: Any, fields: str) -> Sequence[float] | None:
-    """These fields as numbers; None where one is not there or no number."""
+    """These fields as numbers; None where one is missing or no number."""
     if not isinstance(of, Mapping):
         return None
     try:
