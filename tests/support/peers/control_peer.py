@@ -1,9 +1,9 @@
-"""A base and an arm under controllers as ros2_control has them: one JSON list per line in, one JSON value per line out.
+"""A base and an arm under controllers like those of ros2_control: a JSON list per line in, a JSON value per line out.
 
-Under Fast DDS all its publishers are transient_local (SystemDefaultsQoS), with a depth of 1, and its subscription to
-velocities is best effort. The base goes on as it was told last, as wheels without a time-out do: what happens to its
-controllers, which may be made inactive, silent or leave, and are killed or frozen with this process, changes nothing of
-how the body moves. It knows ROS 2 and nothing of this project. Times: monotonic, in s.
+Its publishers are transient_local with a depth of 1, as SystemDefaultsQoS is under Fast DDS, and its subscription to
+velocities is best effort. The base keeps its last commanded speed, like wheels without a time-out: whether its
+controllers are inactive, silent or gone, or killed or frozen with this process, does not change how the body moves. It
+knows ROS 2 and nothing of this project. Times: monotonic, in s.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory
 
 STEP_S = 0.01
 ODOMETRY_EVERY, JOINTS_EVERY = 2, 1
@@ -49,8 +50,8 @@ class Robot:
         threading.Thread(target=self._executor.spin, daemon=True).start()
         threading.Thread(target=self._live, daemon=True).start()
 
-    def put(self, base: str, *, odometry: bool = True, joints: bool = True) -> None:
-        """At rest, under controllers with topics below `base`."""
+    def put(self, base: str, *, odometry: bool = True, joints: bool = True, arm: bool = False) -> None:
+        """At rest, under controllers with topics below `base`; that of an `arm` takes trajectories."""
         self.leave()
         node = Node(base.strip("/").replace("/", "_"))
         with self._lock:
@@ -59,6 +60,8 @@ class Robot:
             self._odometry = node.create_publisher(Odometry, f"{base}/odom", LATCHED) if odometry else None
             self._joints = node.create_publisher(JointState, f"{base}/joint_states", LATCHED) if joints else None
             node.create_subscription(Twist, f"{base}/cmd_vel", self._on_command, BEST_EFFORT)
+            if arm:
+                node.create_subscription(JointTrajectory, f"{base}/arm/joint_trajectory", lambda _: None, 1)
             node.create_service(Trigger, f"{base}/beep", lambda _, answer: answer)
             self._node = node
         self._executor.add_node(node)
