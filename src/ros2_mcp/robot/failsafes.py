@@ -273,7 +273,7 @@ class Failsafes:
                 raise Refused(
                     f"This server drives {MAX_FAILSAFES} velocity topics already, the most that are stopped if it "
                     "dies. Nothing was sent.",
-                    "Call ros2_stop: topics whose stop is confirmed make room.",
+                    "Call ros2_stop: topics whose zero was acknowledged, or has no receiver, make room.",
                 )
 
     async def _keep_driven(self, driven: Driven, held: _Held) -> None:
