@@ -85,6 +85,7 @@ def is_never_confirmed(stopped: list[dict]) -> None:
     assert [(one["confirmed"], one["observed"]) for one in stopped] == [(False, "not observed")] * len(stopped)
 
 
+@pytest.mark.promise("stopping", "(best effort, as diff_drive_controller) needs not to")
 def test_a_robot_that_stands_is_confirmed_although_its_subscription_is_best_effort(ground: Ground) -> None:
     """Nobody acknowledges the zero, which is seen in what the robot tells."""
     ground.put()
@@ -101,6 +102,7 @@ def test_a_robot_that_stands_is_confirmed_although_its_subscription_is_best_effo
     assert all(one["topics"][0]["acknowledged"] is None for one in stopped)
 
 
+@pytest.mark.promise("stopping", "which is all that an inactive controller of ros2_control has to give")
 def test_old_odometry_of_an_inactive_controller_does_not_say_that_the_robot_stands(ground: Ground) -> None:
     """The wheels are turned by another controller, and no joint state tells of them."""
 
@@ -167,6 +169,7 @@ def test_a_driver_that_repeats_what_it_told_last_does_not_say_that_the_robot_sta
     ground.confirms_again()
 
 
+@pytest.mark.promise("stopping", "no stop of this server is confirmed until that node is seen again")
 def test_a_base_that_took_a_velocity_and_is_gone_leaves_stops_unconfirmed_until_it_is_back(ground: Ground) -> None:
     def once() -> dict:
         base = ground.put()
@@ -219,6 +222,7 @@ def test_controllers_that_have_expired_in_the_graph_leave_a_stop_unconfirmed(gro
     ground.confirms_again()
 
 
+@pytest.mark.promise("stopping", "the robot was not observed, also where there was nothing to stop")
 def test_nothing_to_stop_is_not_confirmed_where_nothing_says_whether_the_robot_stands(ground: Ground) -> None:
     ground.put(odometry=False, joints=False)
     ground.robot.push(speed=SPEED)
@@ -239,6 +243,7 @@ def test_a_base_that_stands_does_not_say_that_an_arm_without_joint_states_does(g
     assert all("no joint states report whether what" in one["note"] for one in stopped)
 
 
+@pytest.mark.promise("stopping", "The next stop is confirmed, if this one has observed the robot")
 def test_a_harmless_service_leaves_only_the_next_stop_unconfirmed(ground: Ground) -> None:
     base = ground.put()
     until(lambda: f"{base}/beep" in str(ground.server.do("ros2_service_list")))

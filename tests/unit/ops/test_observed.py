@@ -183,7 +183,8 @@ NEVER = [
 ]
 
 
-@pytest.mark.promise("stopping", "Each stop says whether odometry tells that the robot stands")
+@pytest.mark.promise("stopping", "A message counts only if it was published after the zeros")
+@pytest.mark.promise("stopping", "neither does a driver that repeats an old measurement")
 @pytest.mark.parametrize("kind", NEVER, ids=lambda kind: kind.__name__)
 def test_what_moves_or_what_nobody_can_know_is_never_confirmed(kind: Callable[[random.Random], list[Account]]) -> None:
     said = [kind(random.Random(number)) for number in range(ROUNDS)]
@@ -233,6 +234,7 @@ def stands_in_a_simulation(chance: random.Random) -> list[Account]:
     return [base(own)]
 
 
+@pytest.mark.promise("stopping", "all of them showed for 0.3 s, joints for 0.4 s, that nothing moves")
 @pytest.mark.parametrize("kind", [comes_to_rest, stands_with_noise, stands_in_a_simulation], ids=lambda k: k.__name__)
 def test_a_robot_that_stands_and_says_so_is_confirmed(kind: Callable[[random.Random], list[Account]]) -> None:
     said = [kind(random.Random(number)) for number in range(ROUNDS)]
@@ -240,6 +242,7 @@ def test_a_robot_that_stands_and_says_so_is_confirmed(kind: Callable[[random.Ran
     assert len(failed) <= ROUNDS // 100, failed
 
 
+@pytest.mark.promise("stopping", "One that climbs or drifts away does not hover")
 def test_a_vehicle_that_climbs_does_not_hover_and_one_that_sways_does() -> None:
     for number in range(ROUNDS):
         chance = random.Random(number)

@@ -16,10 +16,8 @@ JOINTS_STAND = Observation(verdict="observed still", sentence="Observed still.")
 
 
 @pytest.mark.promise("stopping", "The answer of ros2_stop names them")
-@pytest.mark.promise(
-    "README", "Confirmed means: every zero was acknowledged (or nobody listens), nobody else publishes on those topics"
-)
-@pytest.mark.promise("stopping", "a subscriber does not acknowledge (best effort), or discovery is still under way")
+@pytest.mark.promise("README", "every zero was acknowledged (or nobody listens), nobody else publishes on those topics")
+@pytest.mark.promise("stopping", "a subscriber did not acknowledge the zero, or discovery is still under way")
 @pytest.mark.parametrize(
     ("topic", "doubt"),
     [

@@ -239,7 +239,7 @@ async def test_the_zero_of_a_successor_has_the_frame_of_the_last_command(robot: 
 # ── what has no known stop ─────────────────────────────────────────────────────────────────────────────────────────
 
 
-@pytest.mark.promise("README", "nobody knows how what they began is stopped, so it is not confirmed then")
+@pytest.mark.promise("README", "so it is not confirmed until the robot was seen to stand after them")
 async def test_a_stop_names_what_it_cannot_stop_and_is_not_confirmed_then(robot: Robot, bridge: Noting) -> None:
     assert "NOT judged" not in (await stop(robot)).note
     await robot.do(call("std_srvs/srv/SetBool", "/grip", {"data": True}))
