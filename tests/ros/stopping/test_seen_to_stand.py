@@ -34,12 +34,19 @@ class Ground:
         return self.base
 
     def drive(self, speed: float = SPEED) -> None:
-        """One command by the server, which the base follows until a zero comes."""
+        """Commands by the server until the base has taken one, which it follows until a zero comes.
+
+        The first may go only to a robot that was killed and has not expired in the graph.
+        """
         before = self.robot.state()["moves"]
         topic = f"{self.base}/cmd_vel"
         command = {"topic_name": topic, "message_type": TWIST, "data": {"linear": {"x": speed}}}
-        self.server.do("ros2_topic_publish", **command)
-        until(lambda: self.robot.state()["moves"] > before)
+
+        def has_taken_one() -> bool:
+            self.server.do("ros2_topic_publish", **command)
+            return self.robot.state()["moves"] > before
+
+        until(has_taken_one)
 
     def stop(self, *, moves: bool) -> dict:
         """What a stop says, and by the truth the body `moves` before and after it."""
