@@ -347,7 +347,7 @@ async def test_the_end_of_a_call_sends_its_zero_and_is_no_stop(
     bridge.zeros = [{"topic": "/cmd_vel", "type": TWIST, "matched": 2, "acked": True}]
     await call._stop(robot)  # pyright: ignore[reportPrivateUsage] - the rest of a call needs a terminal
     assert (bridge.sent.count("zero"), bridge.sent.count("stop"), robot.stops.epoch) == (1, 0, 0)
-    assert capsys.readouterr().err == "/cmd_vel: the call has ended, and a zero command was sent to 2 subscriber(s).\n"
+    assert capsys.readouterr().err == "/cmd_vel: the call has ended, and a zero command was sent to 2 subscribers.\n"
 
 
 @pytest.mark.parametrize(("acknowledged", "told"), [(False, "NOT confirmed: not every one"), (None, "NOT confirmed")])

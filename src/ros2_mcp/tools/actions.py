@@ -43,7 +43,7 @@ async def ros2_list_actions(robot: Robot, pattern: Pattern = "") -> ActionList:
     risk="actuate",
     group="actions",
     program="goal",
-    finds="gripper open or close, arm, dock, take off, start an action",
+    finds="gripper open or close, move the arm, dock, take off, start an action",
 )
 async def ros2_send_action_goal(
     robot: Robot,

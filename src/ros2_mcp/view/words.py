@@ -48,7 +48,7 @@ def _agent(content: Content) -> str:
     servers: list[Mapping[str, Any]] = list(content.get("servers") or ())
     moves = sorted({str(name) for server in servers for name in server.get("moves", ())})
     waiting = sum(len(server.get("waiting", ())) for server in servers)
-    parts = [f"{len(servers)} server(s)", f"moves {listed(moves, _MOST_NAMED)}" if moves else "nothing moves"]
+    parts = [counted(len(servers), "server"), f"moves {listed(moves, _MOST_NAMED)}" if moves else "nothing moves"]
     if waiting:
         parts.append(f"{waiting} wait for approval")
     if latch := content.get("latch"):
@@ -58,7 +58,7 @@ def _agent(content: Content) -> str:
 
 def _log(content: Content) -> str:
     lines = content.get("lines") or ()
-    return f"{len(lines)} line(s), the last: {str(lines[-1].get('text', ''))[:120]}" if lines else "no line"
+    return f"{counted(len(lines), 'line')}, the last: {str(lines[-1].get('text', ''))[:120]}" if lines else "no line"
 
 
 def _frames(content: Content) -> str:

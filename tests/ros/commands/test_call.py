@@ -121,7 +121,7 @@ def test_a_call_that_drives_is_ended_by_ctrl_c_with_its_zero_and_not_by_the_stop
         wait_for(lambda: moves(field) > before + 5)
         process.send_signal(signal.SIGINT)
         said = process.communicate(timeout=END_S)[1]
-    assert f"{field.name('cmd_vel')}: the call has ended, and a zero command was sent to 1 subscriber(s).\n" in said
+    assert f"{field.name('cmd_vel')}: the call has ended, and a zero command was sent to 1 subscriber.\n" in said
     assert process.returncode == 130 and "Traceback" not in said
     assert field.driven()[-1][1] == 0.0
 
@@ -133,7 +133,7 @@ def test_one_velocity_is_ended_by_a_zero_with_the_call_and_that_is_said(
     with begun(ros_environment, *driving(field)) as process:
         said = process.communicate(timeout=END_S)[1]
     assert (moves(field), field.driven()[-1][1], process.returncode) == (before + 1, 0.0, 0)
-    assert f"{field.name('cmd_vel')}: the call has ended, and a zero command was sent to 1 subscriber(s).\n" in said
+    assert f"{field.name('cmd_vel')}: the call has ended, and a zero command was sent to 1 subscriber.\n" in said
 
 
 def test_a_stop_from_a_shell_says_that_it_stops_only_its_own(ros_environment: dict[str, str]) -> None:

@@ -271,7 +271,8 @@ def test_a_lifecycle_node_is_moved_by_name_and_says_what_is_possible(agent, robo
     assert (failed["successful"], failed["state"]) == (False, "inactive")
     assert change("activate")["state"] == "active"
     said = agent.refusal("ros2_lifecycle_change", node_name=node, transition="configure")
-    assert said == f"BadInput: {node} is active: 'configure' is not possible. Possible now: deactivate, shutdown."
+    possible = "Possible now: deactivate, shutdown."
+    assert said == f"BadInput: {node} is active, where the transition 'configure' is not possible. {possible}"
     assert change("deactivate")["state"] == "inactive"
     assert change("cleanup")["state"] == "unconfigured"
 

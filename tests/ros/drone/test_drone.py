@@ -172,7 +172,7 @@ def test_wrong_orders_are_refused_in_words(drone: Drone) -> None:
         assert all(word in note for word in words), note
 
     heard(lambda: drone.mode("HOVER"), "has no mode", "HOVER")
-    heard(lambda: drone.mode("AUTO"), "NOT taken", "there is no mission", "not armed")
+    heard(lambda: drone.mode("AUTO"), "NOT accepted", "there is no mission", "not armed")
     assert "is now" in drone.mode("GUIDED")["note"]
     heard(lambda: take_off(5.0), "MAV_RESULT 4, FAILED", "the motors are not armed", "GUIDED, not armed")
     assert drone.order("cmd/arming", "CommandBool", value=True)["result"]["success"]

@@ -108,14 +108,14 @@ def test_nothing_in_that_time_is_said(agent: Agent) -> None:
     answer = ask(agent, time_start="2020-01-01T00:00:00Z", time_end="2020-01-02T00:00:00Z")
     assert answer["messages"] == [] and "No message in that time" in answer["note"]
     answer = ask(agent, topic_name="/kept/nothing")
-    assert answer["found"] == 0 and "none of this topic" in answer["note"]
+    assert answer["found"] == 0 and "no message of this topic" in answer["note"]
 
 
 def test_more_than_fits_is_evenly_thinned_and_counted(agent: Agent) -> None:
     answer = agent.call(
         TOOL, topic_name="/kept/many", message_type="sensor_msgs/msg/LaserScan", fields=["ranges[0:100]"]
     )
-    assert answer["found"] == 5000 and 5 < answer["count"] < 500 and "do not fit" in answer["note"]
+    assert answer["found"] == 5000 and 5 < answer["count"] < 500 and "left out, evenly, to fit" in answer["note"]
     at = seconds(answer)
     gaps = [round(later - earlier) for earlier, later in pairwise(at)]
     assert max(gaps) - min(gaps) <= 1 and at[-1] - at[0] == 4999
@@ -128,8 +128,8 @@ def test_more_than_fits_is_evenly_thinned_and_counted(agent: Agent) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ({"time_start": "soon"}, "time_start: 'soon' is not a moment"),
-        ({"time_start": "yesterday"}, "not a moment"),
+        ({"time_start": "soon"}, "time_start: 'soon' is not a time"),
+        ({"time_start": "yesterday"}, "is not a time"),
         ({"time_start": "first 30 s"}, "the beginning, which is not known"),
         ({"time_start": "2026-01-02T00:00:00Z", "time_end": "2026-01-01T00:00:00Z"}, "is before"),
         ({"fields": ["speed"]}, "speed"),
@@ -151,9 +151,9 @@ def test_the_type_is_known_by_the_second_generation_and_asked_for_by_the_first(a
     else:
         assert "Give message_type" in agent.refusal(TOOL, topic_name="/kept/Twist")
         wrong = agent.refusal(TOOL, topic_name="/kept/Float64", message_type="sensor_msgs/msg/LaserScan")
-        assert "none is a sensor_msgs/msg/LaserScan" in wrong
+        assert "none of type sensor_msgs/msg/LaserScan" in wrong
         unsure = agent.call(TOOL, topic_name="/kept/Twist", message_type="geometry_msgs/msg/Twist")["note"]
-        assert "does not keep types" in unsure
+        assert "stores no types" in unsure
 
 
 def test_the_error_of_a_box_is_told_in_its_own_words(agent: Agent) -> None:

@@ -172,7 +172,7 @@ def times_of(reading: dict[str, Any]) -> list[datetime]:
 
 def test_moments_without_a_recording_are_refused(start_agent: StartAgent) -> None:
     refusal = start_agent().refusal("ros2_topic_statistics", topic_names=["/odom"], start="last 1 s")
-    assert "none is named" in refusal and "ros2_bag_list" in refusal
+    assert "no recording is named" in refusal and "ros2_bag_list" in refusal
 
 
 def bare_python(root: Path) -> str:

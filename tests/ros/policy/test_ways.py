@@ -50,7 +50,7 @@ def test_what_is_too_fast_is_refused_or_scaled_whichever_way_it_takes(server, ob
 def test_one_command_begins_slowly_holds_for_a_moment_and_says_both(server, observer, within_s: float) -> None:
     topic = subscribed(server, observer)
     done = server.do("ros2_topic_publish", topic_name=topic, message_type=TWIST, data=speed(TWIST, 0.3))
-    assert "1 message(s) were sent slower than they were" in done["note"]
+    assert "reduced 1 message to stay" in done["note"]
     assert f"The robot keeps this velocity for {HOLD_S:g} s" in done["note"]
     assert observer.comes_to_rest(topic, within_s) == []
     assert 0.0 < max(speeds(observer, topic)) <= 0.05

@@ -40,7 +40,7 @@ def test_the_example_of_the_how_to_works_as_written(
     battery, rate = undisturbed(taken) if FULL else taken()
     assert 0 < battery["message"]["percentage"] <= 1
     assert rate["topics"][0]["count"] > 0
-    assert "seconds is '90'. Give a number from 1 to 30" in agent.refusal("battery-check", seconds="90")
+    assert "seconds cannot be '90'. Give a number from 1 to 30" in agent.refusal("battery-check", seconds="90")
     assert agent.complete("battery-check", "caution", "h") == ["high"]
     until(lambda: agent.complete("battery-check", "topic", "batt") == ["/battery_state"])
 

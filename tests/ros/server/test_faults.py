@@ -190,7 +190,7 @@ def test_reading_a_latched_topic_changes_no_later_publisher(agent, peer) -> None
     [
         ("std_msgs/msg/Bool", {"data": "false"}, 'data: "false" given, bool expected. Write true or false'),
         ("std_msgs/msg/UInt8", {"data": 300}, "data: 300 given, uint8, 0 to 255, expected"),
-        ("std_msgs/msg/Int32", {"data": 1.5}, "data: 1.5 given, int32 expected. It would lose its fraction"),
+        ("std_msgs/msg/Int32", {"data": 1.5}, "data: 1.5 given, int32 expected. Round it to an integer"),
         ("std_msgs/msg/Int32", {"data": True}, "data: true given, int32 expected"),
         ("std_msgs/msg/Float64", {"data": "1.0"}, 'data: "1.0" given, float64 expected. Write the number without'),
         ("geometry_msgs/msg/Twist", {"linear": {"q": 1}}, "linear.q: "),

@@ -191,7 +191,7 @@ def test_it_bears_a_chat_that_is_slow_or_fails_and_two_views_do_not_meet(chat: P
     pages = [page for page in agent.call("ros2_view_state")["pages"] if page["open"]]
     assert {any(line.startswith("values: /odom") for line in page["shows"]) for page in pages} == {True, False}
     note = agent.call("ros2_view", topics=["/map"])["note"]
-    assert re.search(r"[2-4] pages are open already and not changed", note), note  # one of a test before may still end
+    assert re.search(r"[2-4] pages are open already and unchanged", note), note  # one of a test before may still end
     assert "heads of its panels" in note
     state = "document.getElementById('state').textContent"
     chat.run("host.failing = 'the host has no time'")

@@ -169,7 +169,9 @@ def test_a_stop_that_is_not_confirmed_looks_like_an_alarm(
         until(lambda: "/stranger" in str(agent.call("ros2_topic_info", topic_name="/cmd_vel")))
         page.run(STOP)
         said = page.until(f"/of 1 server/.test({text('#said')}) && {text('#said')}")
-    assert "The robot was seen to stand, but that is NOT confirmed" in said and "also publishes on /cmd_vel" in said
+    assert (
+        "The robot appears to stand still, but this is NOT confirmed" in said and "also publishes on /cmd_vel" in said
+    )
     assert "emergency stop" in said
     assert not page.run("document.getElementById('said').classList.contains('ok')")
     pictured_in_all_sizes(page, "doubted")

@@ -85,7 +85,7 @@ def test_the_nodes_that_run_tell_overlays_domain_and_middleware(tmp_path: Path) 
     assert found.environment["AMENT_PREFIX_PATH"] == overlays
     assert "SECRET" not in found.environment
     assert found.scripts == ()
-    assert found.why.startswith("2 running process(es) have it (1 another one): CYCLONEDDS_URI=file:///etc/c.xml, ")
+    assert found.why.startswith("2 running processes have it (1 another one): CYCLONEDDS_URI=file:///etc/c.xml, ")
     assert found.why.endswith("RMW_IMPLEMENTATION=rmw_cyclonedds_cpp, ROS_DOMAIN_ID=7.")
 
 
@@ -108,7 +108,7 @@ def test_nodes_are_asked_before_shells_that_were_sourced_however_many(tmp_path: 
     process(processes, 10, maps=f"7f00-7f01 r-xp 00000000 08:01 1234 {library}\n", **in_ros(prefix, ROS_DOMAIN_ID="7"))
     found = running(Search(), machine(tmp_path), processes)
     assert found and found.environment["ROS_DOMAIN_ID"] == "7"
-    assert found.why == "1 running node(s) have it: ROS_DOMAIN_ID=7."
+    assert found.why == "1 running node has it: ROS_DOMAIN_ID=7."
 
 
 def wheels(prefix: Path, packages: Path) -> Path:

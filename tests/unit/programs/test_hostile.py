@@ -105,4 +105,4 @@ async def test_a_hostile_program_reaches_nothing_and_ends(
 def test_what_a_program_fails_with_is_not_told_as_the_servers_own_words() -> None:
     error = ProgramError(2, "raise ValueError(text)", f"ValueError: {FORGED}")
     ran = Ran(outcome="failed", error=error, elapsed_s=1.0, calls=1, program_id="program_1")
-    assert ran.summary() == f"failed at line 2: «ValueError: {FORGED}» after 1 s, 1 call(s), 0 command(s)."
+    assert ran.summary() == f"failed at line 2: «ValueError: {FORGED}» after 1 s, 1 call, 0 commands."

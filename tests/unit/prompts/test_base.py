@@ -130,8 +130,16 @@ async def test_given_values_stand_in_the_calls(robot: Robot) -> None:
 @pytest.mark.parametrize(
     ("name", "given", "complaint"),
     [
-        ("base.ros2-topic-relay", {"transform": "filtre"}, "transform is 'filtre'. Give one of identity, rate_limit"),
-        ("base.ros2-topic-relay", {"target_rate_hz": "0"}, "target_rate_hz is '0'. Give a number from 0.01 to 1000"),
+        (
+            "base.ros2-topic-relay",
+            {"transform": "filtre"},
+            "transform cannot be 'filtre'. Give one of identity, rate_limit",
+        ),
+        (
+            "base.ros2-topic-relay",
+            {"target_rate_hz": "0"},
+            "target_rate_hz cannot be '0'. Give a number from 0.01 to 1000",
+        ),
         ("base.ros2-topic-diff-monitor", {"topic1_name": ""}, "needs the argument topic1_name"),
         ("base.ros2-node-health-check", {"expected_nodes": "/a"}, "no argument 'expected_nodes'"),
     ],

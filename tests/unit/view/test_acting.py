@@ -89,7 +89,7 @@ async def test_a_stop_that_is_not_confirmed_says_whether_the_robot_was_seen_to_s
     async with server(folder, StopAnswer("NOT confirmed: /logger did not acknowledge.", True, is_observed_still=True)):
         stopped = await Acting(folder).stop(robot)
     assert not stopped.is_all_well
-    assert "The robot was seen to stand, but that is NOT confirmed" in stopped.summary()
+    assert "The robot appears to stand still, but this is NOT confirmed" in stopped.summary()
 
 
 def test_an_answer_to_a_request_is_told_with_what_it_is_about() -> None:

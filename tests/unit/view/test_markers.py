@@ -62,7 +62,7 @@ def test_markers_are_added_changed_deleted_and_end() -> None:
         ({"type": 99}, "the type 99"),
         ({"type": -1}, "the type -1"),
         ({"action": 77}, "the action 77"),
-        ({"scale": at(math.nan)}, "no number"),
+        ({"scale": at(math.nan)}, "not finite"),
         ({"scale": at(1e300)}, "too large"),
         ({"color": SimpleNamespace(r=math.nan, g=0.0, b=0.0, a=1.0)}, "colour"),
         ({"type": 4, "points": [at()]}, "only 1 points"),

@@ -63,7 +63,7 @@ async def test_a_plot_of_a_recording_ends_at_the_time_that_is_shown_also_after_a
 
 async def test_what_has_no_numbers_is_not_plotted(tmp_path: Path) -> None:
     async with looking(room_bag(tmp_path / "room"), 2.0, "/tf") as look:
-        with pytest.raises(NotFound, match="no numbers to draw"):
+        with pytest.raises(NotFound, match="no numbers to plot"):
             await PlotPanel().show(look)
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ros2_mcp.model.poses import Pose
-from ros2_mcp.model.text import named, quoted
+from ros2_mcp.model.text import counted, named, quoted
 
 MARKER, MARKER_ARRAY = "visualization_msgs/msg/Marker", "visualization_msgs/msg/MarkerArray"
 MOST_MARKERS = 1000
@@ -82,7 +82,7 @@ class MarkersOfTopic:
             f"{named(self.topic)}: the marker {_called(key)} {why}." for key, why in list(self.refused.items())[:2]
         ]
         if len(self.refused) > len(found):
-            found.append(f"{named(self.topic)}: {len(self.refused) - len(found)} more markers are not drawn.")
+            found.append(f"{named(self.topic)}: {counted(len(self.refused) - len(found), 'more marker')} not drawn.")
         if self.left_out:
             found.append(f"{named(self.topic)}: only {MOST_MARKERS} of its markers are drawn.")
         return found

@@ -126,7 +126,7 @@ def test_a_component_is_the_cause_only_where_the_robot_did_not_get_on():
 def test_where_nothing_else_is_known_the_failed_server_has_the_last_word():
     lines = [line("/planner_server", "no planner Foo"), line("/controller_server", "other")]
     assert "no planner Foo" in explained(200, lines=lines).cause
-    assert "There is no planner of that name: «Foo»" in explained(201, text="Foo", lines=lines).cause
+    assert "No planner has that name: «Foo»" in explained(201, text="Foo", lines=lines).cause
     assert "no tree" in explained(rejected=True, lines=[line("/bt_navigator", "no tree")]).cause
     ignored = line("/base_controller", "velocity commands are ignored: the mode is idle", "WARN")
     assert "the mode is idle" in explained(105, lines=[ignored]).cause

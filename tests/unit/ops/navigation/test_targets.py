@@ -41,11 +41,11 @@ def test_a_goal_without_a_heading_is_reached_as_one_comes(places):
         ({"x": 1.0}, "x and y"),
         ({"x": 1.0, "y": math.nan}, "finite"),
         ({"x": True, "y": 0}, "finite"),
-        ({"x": 1.0, "y": 2e9}, "farther"),
+        ({"x": 1.0, "y": 2e9}, "too far"),
         ({"x": 1.0, "y": 2.0, "yaw": 3}, "yaw_deg"),
         ({"x": 1.0, "y": 2.0, "frame": ""}, "frame"),
-        ("door", "no place to go to"),
-        ({"place": "door", "x": 1.0}, "no «place»"),
+        ("door", '"door" is not a place'),
+        ({"place": "door", "x": 1.0}, "no field «place»"),
     ],
 )
 def test_what_is_no_place_is_refused_with_how_one_is_written(places, to, says):
