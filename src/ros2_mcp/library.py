@@ -136,7 +136,7 @@ async def operated(robot: Robot, settings: Settings) -> AsyncGenerator[None, Non
     async def stop(by: str) -> StopAnswer:
         stopped = await stopping.stop(robot, by)
         is_still = stopped.observed != "not observed"
-        return StopAnswer(" ".join(lines_of(stopped.summary())), stopped.is_doubted, is_still)
+        return StopAnswer(" ".join(lines_of(stopped.summary())), not stopped.confirmed, is_still)
 
     def status() -> dict[str, Any]:
         jobs = robot.jobs.running(Job)

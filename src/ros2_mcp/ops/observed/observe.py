@@ -37,8 +37,10 @@ _KINDS: Mapping[str, int] = {ODOMETRY: 4, JOINT_STATE: 8}
 All of them must report that the robot stands."""
 _MOST_INPUTS = 5
 """Command topics that are looked up where nothing reports their motion: a base, its multiplexer, a servo."""
+_SETTLED_S = 2.0
+"""For discovery to settle, which takes about a second after the start of a bridge."""
 _FOUND_S = 0.3
-"""For a look at the graph: the bridge knows it at once, unless discovery is still under way."""
+"""For a further look at the graph: the bridge knows it at once."""
 _FIRST_S = 2.5
 """For a first message: publishers are matched in 0.02 to 0.2 s on one host, and report motion at 1 Hz or more."""
 _RESTS_S = 1.5
@@ -81,7 +83,7 @@ async def observe_still(robot: Robot, *, hovers: bool = False) -> Observation:
 
 async def _sources(robot: Robot, hovers: bool) -> tuple[Sequence[_Source], Sequence[str], Sequence[str]]:
     """The topics to read; in words, what should report motion and does not; in words, what nothing reports on."""
-    rows = await robot.graph.topics(_FOUND_S)
+    rows = await robot.graph.topics(_SETTLED_S)
     found = {kind: sorted(row.name for row in rows if kind in row.types and row.publishers) for kind in _KINDS}
     odometry, joint_states = await asyncio.gather(
         *(_published(robot, found[kind][:most], kind) for kind, most in _KINDS.items())
