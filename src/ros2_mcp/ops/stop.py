@@ -14,6 +14,7 @@ from ros2_mcp.guard.state import RESET_HINT
 from ros2_mcp.model.errors import BridgeLost, RobotError, TimedOut
 from ros2_mcp.model.goals import STATUS, TERMINAL
 from ros2_mcp.model.graph import TopicEndpoints
+from ros2_mcp.model.names import UNKNOWN_NODE
 from ros2_mcp.model.text import counted, listed
 from ros2_mcp.ops.actions.result import result_of
 from ros2_mcp.ops.flights import StoppedFlight, brake_flights
@@ -344,15 +345,16 @@ async def _judged(robot: Robot, topic: str, zero: Zero | None, missing: str) -> 
 
 def _gone(robot: Robot, topic: str, zero: Zero, present: TopicEndpoints) -> tuple[Sequence[str], bool]:
     """Who took commands on a topic and is gone, and whether nobody is left: a base that has lost its power or radio may
-    still move.
+    still move. A subscriber without a name may be one that took commands.
     """
     driven = next((one for one in robot.failsafes.driven if (one.topic, one.type) == (topic, zero["type"])), None)
     if driven is None:
         return (), False
     if not driven.takers:
         return (), driven.was_taken and not (zero["matched"] or present.subscribers_of(zero["type"]))
-    gone = driven.takers - {subscriber.node for subscriber in present.subscribers}
-    return sorted(gone), gone == driven.takers
+    nodes = {subscriber.node for subscriber in present.subscribers}
+    gone = driven.takers - nodes
+    return sorted(gone), gone == driven.takers and UNKNOWN_NODE not in nodes
 
 
 async def cancel_goals(robot: Robot) -> list[StoppedGoal]:

@@ -221,7 +221,7 @@ def test_a_stop_in_the_middle_of_a_trajectory_on_a_topic_holds_the_joints_where_
     held(witness, before)
     assert [topic["topic_name"] for topic in stopped["topics"]] == [TOPIC]
     assert stopped["topics"][0]["acknowledged"] is True
-    assert "joint states" in stopped["note"]  # how fast it braked is the machine's affair
+    assert "/joint_states reports that" in stopped["note"]  # how fast it braked is the machine's affair
     assert stopped["confirmed"] or "NOT observed still" in stopped["note"], stopped["note"]
 
 

@@ -40,20 +40,25 @@ class Robot:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._node: Node | None = None
-        self._executor = SingleThreadedExecutor()
+        self._context = rclpy.Context()
+        self._executor: SingleThreadedExecutor | None = None
         self._odometry: Any = None
         self._joints: Any = None
         self._speed = self._joint_speed = self._x = self._wheel = self._joint = self._climb = self._z = 0.0
         self._is_active = True
         self._kept: Odometry | None = None
         self._zeros = self._moves = 0
-        threading.Thread(target=self._executor.spin, daemon=True).start()
         threading.Thread(target=self._live, daemon=True).start()
 
     def put(self, base: str, *, odometry: bool = True, joints: bool = True, arm: bool = False) -> None:
         """At rest, under controllers with topics below `base`; that of an `arm` takes trajectories."""
         self.leave()
-        node = Node(base.strip("/").replace("/", "_"))
+        # A participant of its own each time, as of a process that is started again: while two nodes of one participant
+        # have the same name, ROS mixes up their endpoints.
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        node = Node(base.strip("/").replace("/", "_"), context=self._context)
         with self._lock:
             self._speed = self._joint_speed = self._climb = 0.0
             self._is_active, self._kept, self._zeros, self._moves = True, None, 0, 0
@@ -65,15 +70,17 @@ class Robot:
             node.create_service(Trigger, f"{base}/beep", lambda _, answer: answer)
             self._node = node
         self._executor.add_node(node)
+        threading.Thread(target=self._executor.spin, daemon=True).start()
 
     def leave(self) -> None:
         """The controllers leave the graph; the body goes on."""
         node = self._node
         with self._lock:
             self._node = self._odometry = self._joints = None
-        if node:
-            self._executor.remove_node(node)
+        if node and self._executor:
+            self._executor.shutdown()
             node.destroy_node()
+            self._context.try_shutdown()
 
     def deactivate(self) -> None:
         """The base's controller is inactive from now on: its last odometry stays with its publisher."""
@@ -140,7 +147,6 @@ class Robot:
 
 
 def main() -> None:
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     robot = Robot()
     print('"ready"', flush=True)
     for line in sys.stdin:

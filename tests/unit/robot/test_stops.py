@@ -320,6 +320,10 @@ async def test_whoever_took_a_command_and_is_gone_leaves_a_stop_open_until_it_is
     for _ in range(2):
         stopped = await stop(robot)
         assert stopped.is_doubted and "/base took commands on /cmd_vel and is gone" in stopped.note
+        assert stopped.topics[0].is_deserted
+    bridge.subscribers = [{**base, "node": "_NODE_NAME_UNKNOWN_", "namespace": "_NODE_NAMESPACE_UNKNOWN_"}]
+    stopped = await stop(robot)
+    assert stopped.is_doubted and not stopped.topics[0].is_deserted  # it may be the base
     bridge.zeros[0] |= {"matched": 1, "acked": True}
     bridge.subscribers = [base]
     assert not (await stop(robot)).is_doubted
