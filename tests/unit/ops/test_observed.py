@@ -307,7 +307,7 @@ async def test_without_a_policy_the_odometry_that_is_there_is_read(
     assert (await observe_still(robot)).sentence == sentence  # this bridge sends no samples
 
 
-@pytest.mark.promise("stopping", "discovery is under way; nothing reports motion")
+@pytest.mark.promise("stopping", "discovery is under way")
 async def test_before_discovery_has_settled_nothing_is_observed(robot: Robot, bridge: MadeBridge) -> None:
     bridge.has_settled = False
     seen = await observe_still(robot)
