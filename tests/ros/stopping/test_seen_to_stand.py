@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from support.agent import FULL, until
+from support.agent import FULL, Refusal, until
 from support.commanded import CommandedProcess
 from support.driver import Driver, fresh
 from support.velocities import TWIST
@@ -31,7 +31,17 @@ class Ground:
         """A robot at rest, which the server has discovered."""
         self.robot.put(base=self.base, **which)
         self.server.knows(f"{self.base}/cmd_vel", 1)
+        for kind, topic in (("odometry", "odom"), ("joints", "joint_states")):
+            if which.get(kind, True):
+                until(lambda name=f"{self.base}/{topic}": self._publishes(name))
         return self.base
+
+    def _publishes(self, topic: str) -> bool:
+        """Whether the server knows a publisher of it."""
+        try:
+            return bool(self.server.do("ros2_topic_info", topic_name=topic)["publishers"])
+        except Refusal:
+            return False
 
     def drive(self, speed: float = SPEED) -> None:
         """Commands by the server until the base has taken one, which it follows until a zero comes.
