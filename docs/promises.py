@@ -44,7 +44,7 @@ NO_PROMISES: Mapping[str, Mapping[str, Sequence[str]]] = {
         ),
         "stopping": (
             "Keep the emergency stop at hand",
-            "It is not confirmed, and the answer says why, where",
+            "A stop is not confirmed, and the answer says why, where",
             "Make room and reset it then",
             "a proxy has to close what its clients close",
         ),

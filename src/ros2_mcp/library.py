@@ -146,8 +146,8 @@ async def operated(robot: Robot, settings: Settings) -> AsyncGenerator[None, Non
 
     async def stop(by: str) -> StopAnswer:
         stopped = await stopping.stop(robot, by)
-        is_still = stopped.observed == "observed still"
-        return StopAnswer(" ".join(lines_of(stopped.summary())), stopped.is_doubted, is_still)
+        is_still = stopped.observed != "not observed"
+        return StopAnswer(" ".join(lines_of(stopped.summary())), not stopped.confirmed, is_still)
 
     def status() -> dict[str, Any]:
         jobs = robot.jobs.running(Job)

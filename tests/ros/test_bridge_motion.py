@@ -499,7 +499,7 @@ def test_publishers_of_every_quality_send_the_zero(begin, observer: Observer, to
     assert observer.comes_to_rest(topic, within_s=REST_S) == []
 
 
-@pytest.mark.promise("stopping", "Every zero was acknowledged by all subscribers of its topic (or there are none)")
+@pytest.mark.promise("stopping", "every zero was acknowledged by all subscribers of its topic (or there are none)")
 def test_a_zero_is_acknowledged_if_every_subscriber_says_so(begin, observer: Observer, topic: str) -> None:
     """A recorder that acknowledges does not speak for a base that does not."""
     bridge = begin()

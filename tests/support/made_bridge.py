@@ -22,7 +22,8 @@ class MadeBridge(Bridge):
     """Its relays open as soon as it `is_ready`, and end with so many messages `limited`; `heard` has the topics and
     times of what was published.
 
-    `topics` answers who wants to know which there are, `sent` are the types that are published on each of them.
+    `topics` answers who wants to know which there are, `sent` are the types that are published on each of them;
+    `has_settled` says whether discovery has.
     """
 
     def __init__(self) -> None:
@@ -37,6 +38,7 @@ class MadeBridge(Bridge):
         self.trouble: Exception | None = None
         self.topics: Callable[[], Any] = list
         self.sent: Sequence[str] = ()
+        self.has_settled = True
 
     async def request(self, op: str, body: bytes = b"", *, timeout_s: float, **arguments: Any) -> Reply:
         del body, timeout_s
@@ -89,7 +91,7 @@ class MadeBridge(Bridge):
 
     async def _topics(self, **_: Any) -> Any:
         found = self.topics()
-        return {"settled": True, "topics": await found if asyncio.iscoroutine(found) else found}
+        return {"settled": self.has_settled, "topics": await found if asyncio.iscoroutine(found) else found}
 
 
 def _no_carrier() -> NoReturn:

@@ -69,7 +69,7 @@ async def test_robots_that_cannot_be_reached_are_shown_with_the_reason_and_a_sto
     async with assembly.running(), Client(assembly.server) as client:
         stopped = (await client.call_tool("ros2_stop", {}, meta=META)).structured_content or {}
         assert [one["robot"] for one in stopped["robots"]] == ["lab", "yard"]
-        assert stopped["confirmed"] and "has never reached it" in stopped["robots"][0]["stopped"]["note"]
+        assert not stopped["confirmed"] and "has never reached it" in stopped["robots"][0]["stopped"]["note"]
         assert all(member.robot.bridge.generation == 0 for member in assembly.fleet.members.values())
         shown = (await client.call_tool("ros2_robots", {}, meta=META)).structured_content or {}
         assert [(robot["robot"], robot["state"]) for robot in shown["robots"]] == [("lab", "away"), ("yard", "away")]
@@ -133,7 +133,7 @@ async def test_a_robot_that_is_out_of_reach_does_not_hold_up_the_answer_of_its_s
 async def test_a_robot_that_was_just_heard_of_is_waited_for() -> None:
     noting = Noting()
     noting.is_remote, noting.nodes = True, {"/bridge"}
-    assert (await stopping.stop_in_reach(Robot(cast(Bridge, noting)))).confirmed
+    assert "in the background" not in (await stopping.stop_in_reach(Robot(cast(Bridge, noting)))).note
 
 
 def test_the_robot_that_a_call_names_is_known_before_it_is_bound() -> None:

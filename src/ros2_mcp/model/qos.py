@@ -76,8 +76,10 @@ class Choice:
     reason: str
 
 
-def for_subscribing(publishers: Sequence[Endpoint], depth: int = 100) -> Choice:
-    """What a subscription needs so that it matches every publisher and loses as little as possible."""
+def for_subscribing(publishers: Sequence[Endpoint], depth: int = 100, *, is_volatile: bool = False) -> Choice:
+    """What a subscription needs so that it matches every publisher and loses as little as possible; with `is_volatile`
+    it gets nothing that was published before it.
+    """
     if not publishers:
         return Choice(QoS("best_effort", "volatile", depth=depth), "no publisher is known; this QoS matches any")
     reliable = sum(publisher.qos.reliability == "reliable" for publisher in publishers)
@@ -85,7 +87,7 @@ def for_subscribing(publishers: Sequence[Endpoint], depth: int = 100) -> Choice:
     return Choice(
         QoS(
             "reliable" if reliable == len(publishers) else "best_effort",
-            "transient_local" if latched == len(publishers) else "volatile",
+            "transient_local" if latched == len(publishers) and not is_volatile else "volatile",
             depth=depth,
         ),
         f"of {counted(len(publishers), 'publisher')} {reliable} offer reliable, {latched} transient_local",

@@ -13,10 +13,13 @@ import anyio
 from ros2_mcp.guard.state import RESET_HINT
 from ros2_mcp.model.errors import BridgeLost, RobotError, TimedOut
 from ros2_mcp.model.goals import STATUS, TERMINAL
-from ros2_mcp.model.text import counted
+from ros2_mcp.model.graph import TopicEndpoints
+from ros2_mcp.model.names import UNKNOWN_NODE
+from ros2_mcp.model.text import counted, listed
 from ros2_mcp.ops.actions.result import result_of
 from ros2_mcp.ops.flights import StoppedFlight, brake_flights
-from ros2_mcp.ops.observed import Observed, observe_still
+from ros2_mcp.ops.observed.judge import Observation, Observed, is_confirmed
+from ros2_mcp.ops.observed.observe import observe_still
 from ros2_mcp.ops.results import HIDDEN, IF_ANY, SAID
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.goals import UNKNOWN_GOAL, Goal
@@ -41,6 +44,8 @@ _LATCH_S = 0.2
 """A bridge that is alive has ended what moves, and sent its zeros, within a tenth of that."""
 _MOST_NAMED = 20
 """Of each kind: enough to see what it was. All else is counted."""
+_MOST_GONE = 3
+"""Nodes that took commands and are gone, in one sentence: a base, its multiplexer, a logger."""
 _going_on: set[asyncio.Task[Stopped]] = set()
 """Stops that go on behind their answer; a task that nobody holds may vanish."""
 _NOTHING: StopReply = {"repeats": 0, "relays": 0, "dropped": [], "topics": []}
@@ -60,6 +65,8 @@ class StoppedTopic:
     others: Sequence[str] = ()
     error: str = ""
     unreached: int = 0
+    gone: Sequence[str] = ()
+    is_deserted: bool = field(default=False, metadata=HIDDEN)
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,11 +91,12 @@ class Stopped:
     `dropped` was accepted before the stop, had not been sent yet, and is not sent any more. `unknown_services` were
     called and `unknown_topics` published on by this server since it was started, the last ones first; it does not know
     how what they set in motion is stopped (parameters and lifecycle transitions are configuration, and not among them).
-    `observed` says whether odometry told afterwards that the robot stands; `latched` whether it has to be reset by an
-    operator before anything acts again.
-    `confirmed` is true if every zero command was acknowledged, or nobody listens; nobody else publishes on those
-    topics; every goal has ended; every vehicle says that it is in a mode in which it stands; and there are no such
-    services and topics.
+    `observed` says whether odometry and joint states from after the stop report that the robot stands, or hovers;
+    `latched` whether it has to be reset by an operator before anything acts again.
+    `confirmed` is true if the robot was so observed; every zero command reached its subscribers, and those that had
+    taken commands are still there; nobody else publishes on those topics; every goal has ended; every vehicle reports
+    a mode in which it stands; and no such service was called or topic published on since the robot was last observed to
+    stand.
     """
 
     repeats_stopped: int = field(metadata=SAID)
@@ -198,7 +206,7 @@ async def stop_unreached(robot: Robot, note: str) -> Stopped:
         relays_stopped=0,
         topics=(),
         goals=(),
-        confirmed=not unwritten,
+        confirmed=False,  # nobody has seen whether it stands
         latched=is_latched,
         note=" ".join(notes),
         is_doubted=bool(unwritten),
@@ -241,18 +249,25 @@ async def _stop(robot: Robot) -> Stopped:
     missing = problem or "the bridge has sent no zero on it"
     judging = [_judged(robot, topic, zeros.get((topic, kind)), missing) for topic, kind in _topics(robot, zeros)]
     hovers = any(flight.armed for flight in flights)
+    commands, unsettled = robot.failsafes.commands(), robot.no_known_stop.unsettled()
     observation, topics = await asyncio.gather(observe_still(robot, hovers=hovers), asyncio.gather(*judging))
     services, others = robot.no_known_stop.names("service"), robot.no_known_stop.names("topic")
     notes = [f"{problem}."] if problem else []
     notes += [f"The latch could not be saved ({unwritten}): it is lost when this server ends."] if unwritten else []
     notes += [f"{job.kind} {job.id} did not end cleanly: {error}" for job, error in jobs.items() if error]
-    doubts, unknown = [*notes, *_doubts(topics, goals)], _unknown(services, others)
+    doubts = [*notes, *_doubts(topics, goals, observation)]
+    unknown = _unknown(unsettled)
     doubts += [flight.sentence for flight in flights if not flight.confirmed]
-    if observation.is_moving:
+    is_doubtful = observation.is_moving or observation.is_open
+    if is_doubtful:
         doubts.append(observation.sentence)
+    if confirmed := is_confirmed(doubts, observation, unsettled):
+        robot.failsafes.stands(commands)
+    if observation.stands:
+        robot.no_known_stop.settle(unsettled)
     facts = [flight.sentence for flight in flights if flight.confirmed]
     facts += _facts(ended, topics, [*goals, *flights], jobs)
-    facts += [] if observation.is_moving else [observation.sentence]
+    facts += [] if is_doubtful else [observation.sentence]
     is_latched = robot.guard.latch.look().is_set
     facts += [f"The latch is set: commands are refused. {RESET_HINT}"] if is_latched else []
     dropped = _dropped(ended)
@@ -265,7 +280,7 @@ async def _stop(robot: Robot) -> Stopped:
         dropped=_first(dropped),
         unknown_services=_first(services),
         unknown_topics=_first(others),
-        confirmed=not (doubts or unknown),
+        confirmed=confirmed,
         observed=observation.verdict,
         latched=is_latched,
         note=" ".join([*doubts, *facts, *unknown]),
@@ -324,7 +339,22 @@ async def _judged(robot: Robot, topic: str, zero: Zero | None, missing: str) -> 
     others = sorted({publisher.node for publisher in present.publishers} - {*robot.graph.own_nodes})
     unseen = "" if present.settled else f"Discovery is under way: more may listen to {topic}, or publish on it."
     unreached = max(0, present.subscribers_of(zero["type"]) - zero["matched"])
-    return StoppedTopic(topic, zero["matched"], zero["acked"], others, unseen, unreached)
+    gone, is_deserted = _gone(robot, topic, zero, present)
+    return StoppedTopic(topic, zero["matched"], zero["acked"], others, unseen, unreached, gone, is_deserted)
+
+
+def _gone(robot: Robot, topic: str, zero: Zero, present: TopicEndpoints) -> tuple[Sequence[str], bool]:
+    """Who took commands on a topic and is gone, and whether nobody is left: a base that has lost its power or radio may
+    still move. A subscriber without a name may be one that took commands.
+    """
+    driven = next((one for one in robot.failsafes.driven if (one.topic, one.type) == (topic, zero["type"])), None)
+    if driven is None:
+        return (), False
+    if not driven.takers:
+        return (), driven.was_taken and not (zero["matched"] or present.subscribers_of(zero["type"]))
+    nodes = {subscriber.node for subscriber in present.subscribers}
+    gone = driven.takers - nodes
+    return sorted(gone), gone == driven.takers and UNKNOWN_NODE not in nodes
 
 
 async def cancel_goals(robot: Robot) -> list[StoppedGoal]:
@@ -359,8 +389,12 @@ async def _cancel(robot: Robot, goal: Goal) -> StoppedGoal | None:
 # ── in words ───────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def _doubts(topics: Sequence[StoppedTopic], goals: Sequence[StoppedGoal]) -> list[str]:
-    """Why it is not confirmed that the topics are still and the goals have ended; nothing if it is."""
+def _doubts(topics: Sequence[StoppedTopic], goals: Sequence[StoppedGoal], seen: Observation) -> list[str]:
+    """Why it is not confirmed that the topics are still and the goals have ended; nothing if it is.
+
+    Where the robot was seen to stand, a subscriber that does not acknowledge needs no acknowledgement, and, by its
+    odometry, one that left beside others that stay was a logger or the like.
+    """
     doubts: list[str] = []
     for topic in topics:
         if topic.others:
@@ -373,24 +407,28 @@ def _doubts(topics: Sequence[StoppedTopic], goals: Sequence[StoppedGoal]) -> lis
             doubts.append(topic.error)
         elif topic.subscribers and topic.acknowledged is None:
             unknown = f"Arrival of the zero on {topic.topic_name} is unknown"
-            doubts.append(f"{unknown}: not every subscriber acknowledges.")
+            doubts += [] if seen.stands else [f"{unknown}: not every subscriber acknowledges."]
         elif topic.subscribers and not topic.acknowledged:
             doubts.append(f"Not every subscriber of {topic.topic_name} has acknowledged the zero.")
+        if topic.is_deserted or (topic.gone and not (seen.stands and seen.has_base)):
+            who = listed(topic.gone, _MOST_GONE) or "A subscriber"
+            doubts.append(f"{who} took commands on {topic.topic_name} and is gone: it may move until it is seen again.")
     doubts += [goal.error for goal in goals if goal.error]
     doubts += [f"Goal {goal.goal_id} has not ended yet." for goal in goals if not goal.confirmed and not goal.error]
     return doubts
 
 
-def _unknown(services: Sequence[str], topics: Sequence[str]) -> list[str]:
-    """That there is something of which it is not known how it is stopped; nothing if there is none."""
+def _unknown(unsettled: Sequence[tuple[str, str]]) -> list[str]:
+    """That it is not known how to stop these, by kinds and names; nothing if there are none."""
+    services, topics = ([name for of, name in unsettled if of == kind] for kind in ("service", "topic"))
     sent = [f"called {counted(len(services), 'service')}"] if services else []
     sent += [f"published on {counted(len(topics), 'topic')} without velocities"] if topics else []
     if not sent:
         return []
     named = _first([*services[: _MOST_NAMED // 2], *topics[: _MOST_NAMED // 2]])
     return [
-        f"NOT judged: since its start this server has {' and '.join(sent)} ({', '.join(named)}). It does not know how "
-        "to stop what these started, which may continue."
+        f"NOT judged: this server has {' and '.join(sent)} ({', '.join(named)}). It does not know how to stop what "
+        "these started, which may continue."
     ]
 
 

@@ -11,6 +11,7 @@ from ros2_mcp.robot.failsafes import Failsafes
 from ros2_mcp.robot.graph import Graph
 from ros2_mcp.robot.jobs import Jobs
 from ros2_mcp.robot.no_known_stop import NoKnownStop
+from ros2_mcp.robot.reported import Reported
 from ros2_mcp.robot.resolution import Types
 from ros2_mcp.robot.stops import Accepted, Stops
 from ros2_mcp.robot.values import Values
@@ -38,6 +39,7 @@ class Core:
         self.jobs = Jobs()
         self.stops = Stops(bridge)
         self.no_known_stop = NoKnownStop()
+        self.reported = Reported()
         self.principal = LOCAL
         self.accepted: Accepted | None = None
         self.notes: list[str] = []

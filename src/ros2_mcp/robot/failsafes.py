@@ -64,7 +64,9 @@ class Driven:
     `owner` is who commanded it last, `users` whose commands are under way on it and how many, `commands` counts all.
     It is at rest once every subscriber has acknowledged a zero, or there is none, and nothing was commanded since;
     `has_ended` if the last command on it ended with a zero of which that is not known, or by itself. `joints` are those
-    that were commanded, where it is trajectories of joints that it takes.
+    that were commanded, where it is trajectories of joints that it takes. Since the robot was last seen to stand:
+    `takers` are the robot's nodes that subscribed when it was commanded, and `was_taken` says that a command reached a
+    subscriber.
     """
 
     topic: str
@@ -75,6 +77,8 @@ class Driven:
     has_ended: bool = False
     is_at_rest: bool = False
     joints: Sequence[str] = ()
+    takers: set[str] = field(default_factory=set[str])
+    was_taken: bool = False
     held: dict[tuple[str, str], _Held] = field(default_factory=dict[tuple[str, str], _Held])
 
     def close(self) -> None:
@@ -167,6 +171,7 @@ class Failsafes:
             held.task = asyncio.create_task(self._keep_driven(driven, held))
         driven.owner, driven.is_at_rest, driven.has_ended = owner, False, False
         driven.joints = tuple(dict.fromkeys((*driven.joints, *joints)))
+        driven.takers |= {*self._graph.seen.subscribers(topic)}
         driven.commands += 1
         driven.users[owner] += 1
         for held in driven.held.values():
@@ -181,6 +186,15 @@ class Failsafes:
         """Notes that what was commanded on a topic has come to its end by itself, and was seen there."""
         if driven := self._driven.get((topic, type_name)):
             driven.has_ended = not driven.users
+
+    def stands(self, before: Mapping[tuple[str, str], int]) -> None:
+        """Notes that the robot was seen to stand: a subscriber that leaves from now on leaves nothing moving, unless it
+        was commanded since `before`.
+        """
+        for key, driven in self._driven.items():
+            if not driven.users and driven.commands == before.get(key):
+                driven.takers.clear()
+                driven.was_taken = False
 
     def commands(self) -> Mapping[tuple[str, str], int]:
         """How many commands each topic has had: what `rest` is to be told, taken before zeros are asked for."""
@@ -259,7 +273,7 @@ class Failsafes:
                 raise Refused(
                     f"This server drives {MAX_FAILSAFES} velocity topics already, the most that are stopped if it "
                     "dies. Nothing was sent.",
-                    "Call ros2_stop: topics whose stop is confirmed make room.",
+                    "Call ros2_stop: topics whose zero was acknowledged, or has no receiver, make room.",
                 )
 
     async def _keep_driven(self, driven: Driven, held: _Held) -> None:

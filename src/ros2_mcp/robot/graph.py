@@ -356,6 +356,7 @@ class Graph:
         for publisher in publishers:
             self.seen.note(publisher.node, {topic: publisher.type})
         subscribers = [Endpoint.parse(endpoint, own) for endpoint in reply["subscribers"]]
+        self.seen.note_subscribers(topic, [subscriber.node for subscriber in subscribers])
         return TopicEndpoints(topic, publishers, subscribers, reply["settled"])
 
     async def no_such_topic(self, topic: str) -> NotFound:

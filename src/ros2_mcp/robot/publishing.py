@@ -24,7 +24,7 @@ _HEARD_S = 6.0
 async def publish(core: Core, command: Publish) -> Sent:
     """One message, acknowledged where that is possible."""
     body = await core.values.encode(command.type, command.value)
-    async with _sending(core, command, command.choice.qos):
+    async with _sending(core, command, command.choice.qos) as driven:
         answer = await core.act(
             "publish",
             body,
@@ -34,6 +34,7 @@ async def publish(core: Core, command: Publish) -> Sent:
             **_destination(command, command.choice.qos),
         )
     reply = cast("protocol.PublishReply", answer.ok)
+    _note_taken(driven, reply["matched"] - reply["ours"])
     return Sent(
         topic=command.name,
         type=command.type,
@@ -67,6 +68,7 @@ async def repeat(core: Core, command: Repeat) -> Sent:
             **_destination(command, command.choice.qos),
         )
         reply = cast("protocol.RepeatReply", answer.ok)
+        _note_taken(driven, reply["matched"] - reply["ours"])
         _note_end(driven, number, reply["final_sent"])
     return _sent(command, reply)
 
@@ -89,6 +91,7 @@ async def move(core: Core, command: Move) -> Moved:
             **_destination(command, command.choice.qos),
         )
         reply = cast("protocol.MotionReply", answer.ok)
+        _note_taken(driven, reply["matched"] - reply["ours"])
         _note_end(driven, number, reply["final_sent"])
     return Moved(sent=_sent(command, reply), outcome=reply["outcome"], why=reply["why"], report=reply["report"])
 
@@ -129,6 +132,7 @@ async def relay(core: Core, command: Relay | Play) -> RelayCounts:
             **arguments,
         )
         counts = RelayCounts(**answer.ok)
+        _note_taken(driven, counts.matched if counts.passed else 0)
         _note_end(driven, number, counts.final_sent)
     return counts
 
@@ -155,7 +159,7 @@ async def _sending(
         yield None  # what stops it is the brake of that flight
         return
     if command.type not in MOTION_TYPES:
-        with core.no_known_stop.sending("topic", f"{command.name} ({command.type})"):
+        with core.no_known_stop.sending("topic", command.name, command.type):
             yield None
         return
     if frame_id := _frame_id_of(command.value):
@@ -163,6 +167,12 @@ async def _sending(
     joints = _joints_of(command.value) if command.type in HOLD_TYPES else ()
     async with core.failsafes.driving(command.name, command.type, qos, command.principal, joints) as driven:
         yield driven
+
+
+def _note_taken(driven: Driven | None, matched: int) -> None:
+    """Notes whether a command on a topic reached anybody but this server."""
+    if driven and matched > 0:
+        driven.was_taken = True
 
 
 def _note_end(driven: Driven | None, number: int, has_final: bool) -> None:

@@ -129,7 +129,7 @@ class Robot(Core):
         self.joints = RobotJoints(lambda topic: self.listen(topic, TEXT, keep="latest"), self.graph, self.values)
         self.beginnings = Beginnings()
         self.programs_folder: Path | None = None  # of kept programs; None: none are kept
-        self._listened: dict[tuple[str, str, str], tuple[str, Choice]] = {}
+        self._listened: dict[tuple[str, str, str, bool], tuple[str, Choice]] = {}
         self.result_bytes = result_bytes
 
     def acting_for(self, principal: Principal, accepted: Accepted | None = None) -> Robot:
@@ -304,6 +304,7 @@ class Robot(Core):
         every_n: int = 1,
         newest_of_old: bool = False,
         drain_s: float | None = None,
+        is_volatile: bool = False,
     ) -> AsyncGenerator[Listening, None]:
         """A subscription that matches every publisher there is.
 
@@ -320,13 +321,14 @@ class Robot(Core):
             every_n: only every n-th sample is needed; those between stay on the robot, and count as received.
             newest_of_old: of what a latched topic replays, only the newest.
             drain_s: how long a sample may wait in the bridge; None: as mostly.
+            is_volatile: get nothing that was published before, whatever a latched topic has kept.
 
         Raises:
             NotFound: if the topic is not there and no type is given.
             TypeConflict: if it has several types and none is given, or not the given one.
         """
         topic = names.absolute(topic)
-        key, depth = (topic, type_name, keep), 1 if keep == "latest" else _DEPTH
+        key, depth = (topic, type_name, keep, is_volatile), 1 if keep == "latest" else _DEPTH
 
         def subscribed(full_type: str, choice: Choice) -> Coroutine[Any, Any, Subscription]:
             qos_request = choice.qos.request()
@@ -356,7 +358,7 @@ class Robot(Core):
             present = await self.graph.wait_for(topic, publishers=1, timeout_s=wait_s, present=present)
             full_type = await self.types.topic(present, type_name)
             publishers = [publisher for publisher in present.publishers if publisher.type == full_type]
-            choice = qos.for_subscribing(publishers, depth=depth)
+            choice = qos.for_subscribing(publishers, depth=depth, is_volatile=is_volatile)
             if subscription is None or former is None or (former[0], former[1].qos) != (full_type, choice.qos):
                 if subscription:
                     await subscription.close()
@@ -370,7 +372,7 @@ class Robot(Core):
     async def _fits(self, listening: Listening) -> bool:
         return listening.still_fits(await self.graph.endpoints(listening.topic))
 
-    def _remember(self, key: tuple[str, str, str], how: tuple[str, Choice]) -> None:
+    def _remember(self, key: tuple[str, str, str, bool], how: tuple[str, Choice]) -> None:
         """Notes how a topic was subscribed to, for the next time; the topic that was read longest ago is forgotten."""
         self._listened.pop(key, None)
         self._listened[key] = how

@@ -52,6 +52,7 @@ class Seen:
         self._nodes: dict[str, None] = {}
         self._publishers: dict[str, set[str]] = {}
         self._types: dict[str, str] = {}
+        self._subscribers: dict[str, frozenset[str]] = {}
 
     def knows(self, node: str) -> bool:
         """Whether the node was seen before, or is one that is never noted."""
@@ -73,6 +74,21 @@ class Seen:
         for kept in (self._nodes, self._publishers, self._types):
             if len(kept) > _MOST:
                 del kept[next(iter(kept))]
+
+    def note_subscribers(self, topic: str, nodes: Collection[str]) -> None:
+        """Notes which nodes subscribe to a topic now."""
+        self._subscribers.pop(topic, None)
+        self._subscribers[topic] = frozenset(node for node in nodes if is_of_robot(node) and node != names.UNKNOWN_NODE)
+        if len(self._subscribers) > _MOST:
+            del self._subscribers[next(iter(self._subscribers))]
+
+    def subscribers(self, topic: str) -> Collection[str]:
+        """The robot's nodes that subscribed to a topic when its endpoints were last looked up."""
+        return self._subscribers.get(topic, frozenset())
+
+    def published(self, types: Collection[str]) -> Sequence[str]:
+        """The topics of these types that a node of the robot was ever seen to publish."""
+        return [topic for topic, type_name in self._types.items() if type_name in types]
 
     def left(self, nodes: Collection[str], topics: Mapping[str, TopicEndpoints]) -> Left:
         """What of it is not there any more, where these are the nodes, and the topics with their endpoints."""

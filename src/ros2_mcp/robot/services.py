@@ -34,6 +34,6 @@ async def call(core: Core, command: ServiceBorne) -> Answer:
         # configuration is no motion (decision 21), and a flight is a job
         reply = await core.act("call", body, **arguments)
     else:
-        with core.no_known_stop.sending("service", f"{command.service} ({command.service_type})"):
+        with core.no_known_stop.sending("service", command.service, command.service_type):
             reply = await core.act("call", body, **arguments)
     return Answer(f"{command.service_type}_Response", reply.body, reply.ok["elapsed_s"])

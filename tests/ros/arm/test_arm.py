@@ -211,7 +211,7 @@ def test_a_stop_in_the_middle_of_a_goal_cancels_it_and_the_controller_holds(agen
 
 
 @pytest.mark.promise("stopping", "joints are held where they are measured to be")
-@pytest.mark.promise("stopping", "it asks the joint states, too")
+@pytest.mark.promise("stopping", "odometry (at most four topics) and joint states (at most eight)")
 def test_a_stop_in_the_middle_of_a_trajectory_on_a_topic_holds_the_joints_where_they_are(agent, witness) -> None:
     sent = agent.call("ros2_topic_publish", topic_name=TOPIC, data=trajectory(far(), TAKES_S))
     assert sent["subscribers"] == 1
@@ -221,7 +221,7 @@ def test_a_stop_in_the_middle_of_a_trajectory_on_a_topic_holds_the_joints_where_
     held(witness, before)
     assert [topic["topic_name"] for topic in stopped["topics"]] == [TOPIC]
     assert stopped["topics"][0]["acknowledged"] is True
-    assert "joint states" in stopped["note"]  # how fast it braked is the machine's affair
+    assert "/joint_states reports that" in stopped["note"]  # how fast it braked is the machine's affair
     assert stopped["confirmed"] or "NOT observed still" in stopped["note"], stopped["note"]
 
 

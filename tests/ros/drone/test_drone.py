@@ -205,6 +205,7 @@ async def test_the_mission_is_flown_from_the_prompt_to_the_landing(agent: Agent,
 
 
 @pytest.mark.promise("stopping", "a flight: its vehicle is told to stand")
+@pytest.mark.promise("stopping", "an armed vehicle stayed where it is for 1 s")
 def test_a_stop_in_the_middle_of_a_flight_makes_it_stand_in_the_air(drone: Drone) -> None:
     drone.take_off(6.0)
     drone.wait("/mavros/global_position/rel_alt", "data > 2")
@@ -214,6 +215,7 @@ def test_a_stop_in_the_middle_of_a_flight_makes_it_stand_in_the_air(drone: Drone
     assert not [service for service in stopped["unknown_services"] if "mavros" in service]
     drone.wait("/odom", "abs(twist.twist.linear.z) < 0.15 and pose.pose.position.z > 2")
     drone.until("BRAKE", armed=True)
+    until(lambda: drone.call("ros2_stop")["observed"] == "observed hovering")
 
 
 POLICY = """

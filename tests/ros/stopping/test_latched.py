@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from contextlib import closing
+
 import pytest
 
+from ros2_mcp.guard.servers import servers_in
 from ros2_mcp.guard.state import StateFolder
 from support.agent import FULL, Refusal, until
 from support.driver import Driver, fresh
@@ -50,3 +53,15 @@ def test_it_holds_over_a_restart_and_for_a_second_server_of_which_one_acts(
     assert observer.moved(sent_after=answered_ns, topic=topic) == []
     second.do("ros2_topic_publish", topic_name=topic, message_type=TWIST, data=SLOW)
     assert f"Another server acts on this robot, too: process {second.process.pid}" in refusal(restarted, topic)
+
+
+def test_a_stop_by_a_person_is_in_doubt_where_nothing_reports_whether_the_robot_stands(
+    start_server, ros_environment: dict[str, str]
+) -> None:
+    start_server().do("ros2_status")
+    folder = StateFolder.of(domain_id=int(ros_environment["ROS_DOMAIN_ID"]), env=ros_environment)
+    (server,) = servers_in(folder.path)
+    with closing(server):
+        answer = server.do("stop")
+    folder.latch().reset(by="operator", seen=folder.latch().look().count)
+    assert (answer["is_doubted"], answer["is_observed_still"]) == (True, False), answer["done"]

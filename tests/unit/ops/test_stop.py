@@ -6,16 +6,18 @@ from dataclasses import replace
 
 import pytest
 
+from ros2_mcp.ops.observed.judge import Observation
 from ros2_mcp.ops.stop import Stopped, StoppedGoal, StoppedTopic, _doubts, _facts, _unknown
 
 ENDED = {"repeats": 0, "relays": 0, "dropped": [], "topics": []}
+UNSEEN = Observation(verdict="not observed", sentence="Not observed.")
+BASE_STANDS = Observation(verdict="observed still", sentence="Observed still.", has_base=True)
+JOINTS_STAND = Observation(verdict="observed still", sentence="Observed still.")
 
 
 @pytest.mark.promise("stopping", "The answer of ros2_stop names them")
-@pytest.mark.promise(
-    "README", "Confirmed means: every zero was acknowledged (or nobody listens), nobody else publishes on those topics"
-)
-@pytest.mark.promise("stopping", "a subscriber does not acknowledge (best effort), or discovery is still under way")
+@pytest.mark.promise("README", "every zero was acknowledged (or nobody listens), nobody else publishes on those topics")
+@pytest.mark.promise("stopping", "a subscriber did not acknowledge the zero, or discovery is still under way")
 @pytest.mark.parametrize(
     ("topic", "doubt"),
     [
@@ -45,7 +47,22 @@ ENDED = {"repeats": 0, "relays": 0, "dropped": [], "topics": []}
 def test_a_topic_is_still_only_if_everybody_who_listens_has_said_that_the_zero_arrived(
     topic: StoppedTopic, doubt: str
 ) -> None:
-    assert " ".join(_doubts([topic], [])) == doubt
+    assert " ".join(_doubts([topic], [], UNSEEN)) == doubt
+
+
+def test_a_subscriber_that_never_acknowledges_needs_to_where_nothing_shows_that_the_robot_stands() -> None:
+    topic = StoppedTopic("/cmd_vel", 1, None)
+    assert _doubts([topic], [], UNSEEN) != [] and _doubts([topic], [], BASE_STANDS) == []
+
+
+def test_a_subscriber_that_left_is_a_doubt_unless_another_stays_and_odometry_shows_that_the_base_stands() -> None:
+    said = ["/base took commands on /cmd_vel and is gone: it may move until it is seen again."]
+    one_left = StoppedTopic("/cmd_vel", 1, True, gone=["/base"])
+    assert _doubts([one_left], [], UNSEEN) == _doubts([one_left], [], JOINTS_STAND) == said
+    assert _doubts([one_left], [], BASE_STANDS) == []
+    assert _doubts([replace(one_left, subscribers=0, is_deserted=True)], [], BASE_STANDS) == said
+    nameless = StoppedTopic("/cmd_vel", 0, None, is_deserted=True)
+    assert _doubts([nameless], [], BASE_STANDS)[0].startswith("A subscriber took commands on /cmd_vel and is gone")
 
 
 @pytest.mark.promise("README", "(or nobody listens)")
@@ -55,11 +72,11 @@ def test_that_nobody_listens_is_said() -> None:
 
 
 def test_what_cannot_be_stopped_is_named_up_to_a_bound() -> None:
-    services = [f"/s{number} (std_srvs/srv/Trigger)" for number in range(30)]
-    [doubt] = _unknown(services, ["/lamp (std_msgs/msg/Bool)"])
-    assert doubt.startswith("NOT judged: since its start this server has called 30 services and published on 1")
+    services = [("service", f"/s{number} (std_srvs/srv/Trigger)") for number in range(30)]
+    [doubt] = _unknown([*services, ("topic", "/lamp (std_msgs/msg/Bool)")])
+    assert doubt.startswith("NOT judged: this server has called 30 services and published on 1 topic")
     assert "/s9 (" in doubt and "/s10 (" not in doubt and "/lamp (std_msgs/msg/Bool)" in doubt
-    assert _unknown([], []) == []
+    assert _unknown([]) == []
 
 
 def test_goals_that_had_ended_are_not_counted_as_cancelled() -> None:
@@ -73,4 +90,4 @@ def test_a_goal_that_goes_on_has_not_ended_already() -> None:
     nothing = Stopped(repeats_stopped=0, relays_stopped=0, topics=[], goals=goals, confirmed=False, note="")
     stopped = replace(nothing, is_doubted=True)
     assert stopped.summary().startswith("NOT confirmed") and "had ended already" not in stopped.summary()
-    assert _doubts([], goals) == ["Goal a has not ended yet."]
+    assert _doubts([], goals, UNSEEN) == ["Goal a has not ended yet."]
