@@ -30,10 +30,12 @@ from ros2_mcp.tools.declare import ForPage
 from ros2_mcp.tools.injection import Call
 from ros2_mcp.tools.leniency import as_meant
 from ros2_mcp.tools.misnamed import hint_for
-from ros2_mcp.tools.schema import argument_schema, result_schema, text_for_number
+from ros2_mcp.tools.schema import argument_schema, expected_kind, node_at, result_schema, text_for_number
 from ros2_mcp.view.viewing import Viewing
 
 _PLAIN_WORDS = {"dict_type": "an object is expected", "list_type": "a list is expected"}
+_NO_NUMBER = frozenset({"finite_number", "float_type", "float_parsing", "int_type", "int_parsing", "int_parsing_size"})
+"""The types of validation errors of what is no number, or none that can be used."""
 # What of a recording is damaged or missing, in every answer made from it; results with `problems` say it there.
 _DAMAGE = "damage"
 SUMMARY = "summary"
@@ -196,7 +198,7 @@ class BoundTool:
         unknown: list[str] = []
         for name, value in arguments.items():
             own_name = self.declaration.aliases.get(name, name)
-            if not own_name:
+            if not own_name and name:  # an alias that is accepted and has no meaning here
                 continue
             if self.declaration.risk == "stop" and own_name not in self.arguments.model_fields:
                 unknown.append(name)
@@ -392,7 +394,11 @@ def _explain_one(tool: str, problem: Mapping[str, Any], schema: Mapping[str, Any
         return f"{tool} needs the argument {path!r}."
     if problem["type"] == WHOLE_SENTENCE:
         return f"BadInput: {path}: {problem['msg']}"
-    message = _PLAIN_WORDS.get(problem["type"], str(problem["msg"]).removeprefix("Value error, "))
+    kind = expected_kind(node_at(schema, problem["loc"]))
+    if kind and (problem["input"] is None or problem["type"] in _NO_NUMBER):
+        message = f"{kind} is expected"
+    else:
+        message = _PLAIN_WORDS.get(problem["type"], str(problem["msg"]).removeprefix("Value error, "))
     path = path or "the name of an argument"  # that is no text, such as half a character
     return f"BadInput: {path}: {message}, not {json.dumps(problem['input'], default=str)[:100]}."
 
