@@ -53,9 +53,9 @@ _MOST_BYTES = 1_000_000
 over SSE. The link lease is 1 s."""
 _TOO_LARGE = f"A request over HTTP has at most {_MOST_BYTES:,} bytes: send smaller requests, or use stdio."
 _MOST_NESTED = 50_000
-"""Lists and objects in a body, those that only stand in a text counted too. Each is an object that the garbage collector
-visits while the event loop waits: 400,000 of them in 0.8 MB take 0.5 s, and twelve such bodies delayed a stop by 3 s. A
-megabyte of points or poses has 40,000 at most."""
+"""Lists and objects in a body, those that only stand in a text counted too. Each is an object that the garbage
+collector visits while the event loop waits: 400,000 of them in 0.8 MB take 0.5 s, and twelve such bodies delayed a stop
+by 3 s. A megabyte of points or poses has 40,000 at most."""
 _TOO_NESTED = (
     f"A request over HTTP has at most {_MOST_NESTED:,} objects and lists: send smaller requests, or use stdio."
 )
