@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 from ros2_mcp.model.aside import aside, extent
 from ros2_mcp.model.errors import BadInput, RobotError
 from ros2_mcp.model.finite import finite
+from ros2_mcp.model.system_limits import system_limit
 from ros2_mcp.model.text import as_sent, quoted, visible, visible_json
 from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.results import Report, as_json, at_most_every, lines_of, structured
@@ -160,7 +161,12 @@ class BoundTool:
             viewing=self.viewing,
             shows_pages=shows_pages,
         )
-        return await self.declaration.perform(made_for, values)
+        try:
+            return await self.declaration.perform(made_for, values)
+        except Exception as error:
+            if limit := system_limit(error):
+                raise limit from error
+            raise
 
     def _checked(self, arguments: Mapping[str, Any]) -> tuple[StrictArguments, list[str]]:
         """The arguments as declared, and what is to be told of how they were taken; raises `ValidationError` too."""
