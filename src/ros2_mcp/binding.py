@@ -133,7 +133,7 @@ class BoundTool:
             RobotError: as the tool does; `BadInput` for arguments that it does not take.
         """
         try:
-            checked, _ = self._checked(arguments)
+            checked, _ = self._checked(arguments, are_exact=True)
         except ValidationError as error:
             raise BadInput(_explain(self.name, error, self.listed.input_schema)) from error
         except CallFailed as error:
@@ -168,9 +168,9 @@ class BoundTool:
                 raise limit from error
             raise
 
-    def _checked(self, arguments: Mapping[str, Any]) -> tuple[StrictArguments, list[str]]:
+    def _checked(self, arguments: Mapping[str, Any], *, are_exact: bool = False) -> tuple[StrictArguments, list[str]]:
         """The arguments as declared, and what is to be told of how they were taken; raises `ValidationError` too."""
-        meant, told = self._as_meant(arguments)
+        meant, told = self._as_meant(arguments, are_exact=are_exact)
         self._refuse_texts(meant)
         return self.arguments.model_validate(meant), told
 
@@ -192,12 +192,13 @@ class BoundTool:
             (name, item) for name, field in fields.items() for item in field.metadata if isinstance(item, TimeArgument)
         ]
 
-    def _as_meant(self, arguments: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
+    def _as_meant(self, arguments: Mapping[str, Any], *, are_exact: bool = False) -> tuple[dict[str, Any], list[str]]:
         """The arguments as they are meant, and what is to be told of that.
 
         They have their own names, are taken apart where they came as text, and have the robot's own texts; what counts
         as not given is left out. One desktop client sends a list or an object as a string of JSON, always. What the
-        model was shown with its hidden characters escaped, and sends back, means those characters.
+        model was shown with its hidden characters escaped, and sends back, means those characters; arguments that
+        `are_exact` come from a program, which was shown nothing.
         """
         meant: dict[str, Any] = {}
         spelled: dict[str, str] = {}
@@ -216,7 +217,7 @@ class BoundTool:
             field = self.arguments.model_fields.get(own_name)
             if isinstance(value, str) and field and field.annotation is not str:
                 value = _parsed(value, acts=self.acts)  # noqa: PLW2901
-            meant[own_name] = _as_sent(value)
+            meant[own_name] = value if are_exact else _as_sent(value)
         taken, told = as_meant(self.listed.input_schema, meant, acts=self.acts)
         if unknown:  # what stops is not refused because of them
             told.append(f"{self.name} has no argument {', '.join(map(quoted, unknown[:_MOST_NAMED]))}: ignored.")
