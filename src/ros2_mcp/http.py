@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import socket
 from collections import Counter
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, contextmanager
 from copy import deepcopy
 from typing import TYPE_CHECKING, Any
 
@@ -28,13 +28,13 @@ from ros2_mcp.connections import Connections
 from ros2_mcp.incoming import Refusal, read_message
 from ros2_mcp.leases import MESSAGES, session_of
 from ros2_mcp.login import LoginLayer, challenge
-from ros2_mcp.model.aside import READING, aside
+from ros2_mcp.model.aside import LARGE, READING, aside
 from ros2_mcp.presence import Presence
 from ros2_mcp.scopes import login_name, login_of
 from ros2_mcp.sessions import MOST_SESSIONS, REQUEST, ReadRequest, Sessions
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncGenerator, Callable
+    from collections.abc import AsyncGenerator, Callable, Generator
 
     from mcp.server.lowlevel import Server
     from mcp.types import JSONRPCMessage
@@ -63,6 +63,8 @@ _SMALL_BYTES = 4000
 """A body up to this size is always read, and by one parser only (`incoming.LARGE`): a stop has some 200."""
 _MOST_HELD_BYTES = 64_000_000
 """Of bodies that are read or answered at the same time: 64 of the largest."""
+_LET_PASS_S = 3.0
+"""At most so long a large body waits for stops that are under way: who stops all the time keeps nobody out."""
 _BUSY = "Too many large requests are being processed: repeat this one in 1 s."
 _CANCELLED = 0
 """The SDK's code for a request that its client has cancelled."""
@@ -203,6 +205,7 @@ class _Readable:
         self._in_flight: set[_Key] = set()
         self._being_read: Counter[str] = Counter()
         self._cancelled: set[_Key] = set()
+        self._stops: set[anyio.Event] = set()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http" or scope["method"] != "POST" or not scope["path"].startswith(_MESSAGE_PATHS):
@@ -228,7 +231,7 @@ class _Readable:
             await PlainTextResponse(_TOO_LARGE, 413)(request.scope, request.receive, send)
             return
         if body.count(b"[") + body.count(b"{") > _MOST_NESTED:
-            await PlainTextResponse(_TOO_NESTED, 413)(request.scope, request.receive, send)
+            await PlainTextResponse(_TOO_NESTED, 400)(request.scope, request.receive, send)
             return
         self._leases.received(request.scope)
         await self._answer(body, request.scope, request.receive, send)
@@ -255,6 +258,32 @@ class _Readable:
         if isinstance(message, (JSONRPCRequest, JSONRPCNotification)):
             stops = len(body) <= _SMALL_BYTES and self._scopes.stops(message.method, message.params)
             scope[REQUEST] = ReadRequest(message.method, stops, body)
+            if stops:
+                with self._stop_under_way():
+                    await self._pass_on(message, session, scope, replay, send)
+                return
+        await self._pass_on(message, session, scope, replay, send)
+
+    @contextmanager
+    def _stop_under_way(self) -> Generator[None]:
+        ended = anyio.Event()
+        self._stops.add(ended)
+        try:
+            yield
+        finally:
+            self._stops.discard(ended)
+            ended.set()
+
+    async def _let_stops_pass(self) -> None:
+        """Waits until no stop is under way: what is large is parsed by the SDK on the event loop, where stops run."""
+        with anyio.move_on_after(_LET_PASS_S):
+            while self._stops:
+                await next(iter(self._stops)).wait()
+
+    async def _pass_on(
+        self, message: JSONRPCMessage | list[Refusal], session: str, scope: Scope, replay: Receive, send: Send
+    ) -> None:
+        """Gives the transport a request, unless one of its id is not answered yet; or answers what is none."""
         if isinstance(message, JSONRPCRequest) and session:
             key = _key(session, message.id)
             if key in self._in_flight:
@@ -268,7 +297,7 @@ class _Readable:
                 return
         if isinstance(message, list) and message:
             answers = [refusal.answer for refusal in message]
-            await JSONResponse(answers[0] if len(answers) == 1 else answers, 400)(scope, receive, send)
+            await JSONResponse(answers[0] if len(answers) == 1 else answers, 400)(scope, replay, send)
         else:
             await self._app(scope, replay, send)
 
@@ -277,6 +306,8 @@ class _Readable:
         self._being_read[session] += 1
         try:
             message = await aside(len(body), read_message, body, turn=READING)
+            if len(body) > LARGE:
+                await self._let_stops_pass()
             if isinstance(message, JSONRPCRequest) and _key(session, message.id) in self._cancelled:
                 return [Refusal(message.id, _CANCELLED, "Request cancelled")]
         finally:
