@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 from ros2_mcp.model.aside import aside, extent
 from ros2_mcp.model.errors import BadInput, RobotError
 from ros2_mcp.model.finite import finite
+from ros2_mcp.model.system_limits import system_limit
 from ros2_mcp.model.text import as_sent, quoted, visible, visible_json
 from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.results import Report, as_json, at_most_every, lines_of, structured
@@ -30,10 +31,12 @@ from ros2_mcp.tools.declare import ForPage
 from ros2_mcp.tools.injection import Call
 from ros2_mcp.tools.leniency import as_meant
 from ros2_mcp.tools.misnamed import hint_for
-from ros2_mcp.tools.schema import argument_schema, result_schema, text_for_number
+from ros2_mcp.tools.schema import argument_schema, expected_kind, node_at, result_schema, text_for_number
 from ros2_mcp.view.viewing import Viewing
 
 _PLAIN_WORDS = {"dict_type": "an object is expected", "list_type": "a list is expected"}
+_NO_NUMBER = frozenset({"finite_number", "float_type", "float_parsing", "int_type", "int_parsing", "int_parsing_size"})
+"""The types of validation errors of what is no number, or none that can be used."""
 # What of a recording is damaged or missing, in every answer made from it; results with `problems` say it there.
 _DAMAGE = "damage"
 SUMMARY = "summary"
@@ -130,7 +133,7 @@ class BoundTool:
             RobotError: as the tool does; `BadInput` for arguments that it does not take.
         """
         try:
-            checked, _ = self._checked(arguments)
+            checked, _ = self._checked(arguments, are_exact=True)
         except ValidationError as error:
             raise BadInput(_explain(self.name, error, self.listed.input_schema)) from error
         except CallFailed as error:
@@ -158,11 +161,16 @@ class BoundTool:
             viewing=self.viewing,
             shows_pages=shows_pages,
         )
-        return await self.declaration.perform(made_for, values)
+        try:
+            return await self.declaration.perform(made_for, values)
+        except Exception as error:
+            if limit := system_limit(error):
+                raise limit from error
+            raise
 
-    def _checked(self, arguments: Mapping[str, Any]) -> tuple[StrictArguments, list[str]]:
+    def _checked(self, arguments: Mapping[str, Any], *, are_exact: bool = False) -> tuple[StrictArguments, list[str]]:
         """The arguments as declared, and what is to be told of how they were taken; raises `ValidationError` too."""
-        meant, told = self._as_meant(arguments)
+        meant, told = self._as_meant(arguments, are_exact=are_exact)
         self._refuse_texts(meant)
         return self.arguments.model_validate(meant), told
 
@@ -184,19 +192,20 @@ class BoundTool:
             (name, item) for name, field in fields.items() for item in field.metadata if isinstance(item, TimeArgument)
         ]
 
-    def _as_meant(self, arguments: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
+    def _as_meant(self, arguments: Mapping[str, Any], *, are_exact: bool = False) -> tuple[dict[str, Any], list[str]]:
         """The arguments as they are meant, and what is to be told of that.
 
         They have their own names, are taken apart where they came as text, and have the robot's own texts; what counts
         as not given is left out. One desktop client sends a list or an object as a string of JSON, always. What the
-        model was shown with its hidden characters escaped, and sends back, means those characters.
+        model was shown with its hidden characters escaped, and sends back, means those characters; arguments that
+        `are_exact` come from a program, which was shown nothing.
         """
         meant: dict[str, Any] = {}
         spelled: dict[str, str] = {}
         unknown: list[str] = []
         for name, value in arguments.items():
             own_name = self.declaration.aliases.get(name, name)
-            if not own_name:
+            if not own_name and name:  # an alias that is accepted and has no meaning here
                 continue
             if self.declaration.risk == "stop" and own_name not in self.arguments.model_fields:
                 unknown.append(name)
@@ -208,7 +217,7 @@ class BoundTool:
             field = self.arguments.model_fields.get(own_name)
             if isinstance(value, str) and field and field.annotation is not str:
                 value = _parsed(value, acts=self.acts)  # noqa: PLW2901
-            meant[own_name] = _as_sent(value)
+            meant[own_name] = value if are_exact else _as_sent(value)
         taken, told = as_meant(self.listed.input_schema, meant, acts=self.acts)
         if unknown:  # what stops is not refused because of them
             told.append(f"{self.name} has no argument {', '.join(map(quoted, unknown[:_MOST_NAMED]))}: ignored.")
@@ -392,7 +401,11 @@ def _explain_one(tool: str, problem: Mapping[str, Any], schema: Mapping[str, Any
         return f"{tool} needs the argument {path!r}."
     if problem["type"] == WHOLE_SENTENCE:
         return f"BadInput: {path}: {problem['msg']}"
-    message = _PLAIN_WORDS.get(problem["type"], str(problem["msg"]).removeprefix("Value error, "))
+    kind = expected_kind(node_at(schema, problem["loc"]))
+    if kind and (problem["input"] is None or problem["type"] in _NO_NUMBER):
+        message = f"{kind} is expected"
+    else:
+        message = _PLAIN_WORDS.get(problem["type"], str(problem["msg"]).removeprefix("Value error, "))
     path = path or "the name of an argument"  # that is no text, such as half a character
     return f"BadInput: {path}: {message}, not {json.dumps(problem['input'], default=str)[:100]}."
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import logging
 import socket
 from collections import Counter
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, contextmanager
+from copy import deepcopy
 from typing import TYPE_CHECKING, Any
 
 import anyio
 import uvicorn
+import uvicorn.config
 from mcp.server.sse import SseServerTransport
 from mcp.server.streamable_http_manager import StreamableHTTPSessionManager
 from mcp.server.transport_security import (
@@ -25,13 +28,13 @@ from ros2_mcp.connections import Connections
 from ros2_mcp.incoming import Refusal, read_message
 from ros2_mcp.leases import MESSAGES, session_of
 from ros2_mcp.login import LoginLayer, challenge
-from ros2_mcp.model.aside import READING, aside
+from ros2_mcp.model.aside import LARGE, READING, aside
 from ros2_mcp.presence import Presence
 from ros2_mcp.scopes import login_name, login_of
 from ros2_mcp.sessions import MOST_SESSIONS, REQUEST, ReadRequest, Sessions
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncGenerator, Callable
+    from collections.abc import AsyncGenerator, Callable, Generator
 
     from mcp.server.lowlevel import Server
     from mcp.types import JSONRPCMessage
@@ -49,10 +52,19 @@ _MOST_BYTES = 1_000_000
 """Of a body: the SDK parses it once more on the event loop, which takes 0.01 to 0.13 s for so much, and 0.25 s at most
 over SSE. The link lease is 1 s."""
 _TOO_LARGE = f"A request over HTTP has at most {_MOST_BYTES:,} bytes: send smaller requests, or use stdio."
+_MOST_NESTED = 50_000
+"""Lists and objects in a body, those that only stand in a text counted too. Each is an object that the garbage
+collector visits while the event loop waits: 400,000 of them in 0.8 MB take 0.5 s, and twelve such bodies delayed a stop
+by 3 s. A megabyte of points or poses has 40,000 at most."""
+_TOO_NESTED = (
+    f"A request over HTTP has at most {_MOST_NESTED:,} objects and lists: send smaller requests, or use stdio."
+)
 _SMALL_BYTES = 4000
 """A body up to this size is always read, and by one parser only (`incoming.LARGE`): a stop has some 200."""
 _MOST_HELD_BYTES = 64_000_000
 """Of bodies that are read or answered at the same time: 64 of the largest."""
+_LET_PASS_S = 3.0
+"""At most so long a large body waits for stops that are under way: who stops all the time keeps nobody out."""
 _BUSY = "Too many large requests are being processed: repeat this one in 1 s."
 _CANCELLED = 0
 """The SDK's code for a request that its client has cancelled."""
@@ -89,6 +101,7 @@ async def serve_http(
             ssl_keyfile=settings.tls_key and settings.tls_key.expanduser(),
             ws="none",  # a way in that no guard, lease or test of ours knows
             log_level=settings.log_level,
+            log_config=_log_config(),
             http=connections.protocol(),
             proxy_headers=False,  # they say what the client likes
         )
@@ -118,6 +131,24 @@ async def _transport(
         yield Sessions(in_session, without_session.handle_request)
 
 
+class _WithoutQuery(logging.Filter):
+    """Leaves what follows `?` out of the lines of uvicorn's access log: clients write tokens there, and session ids."""
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Always keeps the line."""
+        if isinstance(record.args, tuple):  # client, method, address, version, status
+            record.args = tuple(one.partition("?")[0] if isinstance(one, str) else one for one in record.args)
+        return True
+
+
+def _log_config() -> dict[str, Any]:
+    """uvicorn's own, with an access log that names paths only."""
+    config = deepcopy(uvicorn.config.LOGGING_CONFIG)
+    config["filters"] = {"without_query": {"()": _WithoutQuery}}
+    config["loggers"]["uvicorn.access"]["filters"] = ["without_query"]
+    return config
+
+
 class _Announced(uvicorn.Server):
     """A server that says so once it listens."""
 
@@ -133,7 +164,9 @@ class _Announced(uvicorn.Server):
 
 
 class _KnownHosts:
-    """Refuses a request with a foreign Host or Origin, whatever its path and method, before anything else sees it."""
+    """Refuses a request with a foreign Host or Origin, or whose end can be read in two ways, whatever its path and
+    method, before anything else sees it.
+    """
 
     def __init__(self, app: ASGIApp, settings: TransportSecuritySettings) -> None:
         self._app = app
@@ -147,6 +180,12 @@ class _KnownHosts:
                 answer = Response(
                     "The header Host or Origin is given twice.", status_code=400
                 )  # the SDK looks at the first alone
+            elif "transfer-encoding" in request.headers and "content-length" in request.headers:
+                # A proxy before us may go by the length, and we by the chunks: what is behind them would be a second
+                # request (RFC 9112, section 6.1). Whatever follows on this connection is not read.
+                answer = Response(
+                    "The headers Content-Length and Transfer-Encoding exclude each other.", 400, {"Connection": "close"}
+                )
             else:
                 answer = await self._security.validate_request(request)
         await (answer or self._app)(scope, receive, send)
@@ -166,6 +205,7 @@ class _Readable:
         self._in_flight: set[_Key] = set()
         self._being_read: Counter[str] = Counter()
         self._cancelled: set[_Key] = set()
+        self._stops: set[anyio.Event] = set()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http" or scope["method"] != "POST" or not scope["path"].startswith(_MESSAGE_PATHS):
@@ -189,6 +229,9 @@ class _Readable:
             return
         if body is None:
             await PlainTextResponse(_TOO_LARGE, 413)(request.scope, request.receive, send)
+            return
+        if body.count(b"[") + body.count(b"{") > _MOST_NESTED:
+            await PlainTextResponse(_TOO_NESTED, 400)(request.scope, request.receive, send)
             return
         self._leases.received(request.scope)
         await self._answer(body, request.scope, request.receive, send)
@@ -215,6 +258,32 @@ class _Readable:
         if isinstance(message, (JSONRPCRequest, JSONRPCNotification)):
             stops = len(body) <= _SMALL_BYTES and self._scopes.stops(message.method, message.params)
             scope[REQUEST] = ReadRequest(message.method, stops, body)
+            if stops:
+                with self._stop_under_way():
+                    await self._pass_on(message, session, scope, replay, send)
+                return
+        await self._pass_on(message, session, scope, replay, send)
+
+    @contextmanager
+    def _stop_under_way(self) -> Generator[None]:
+        ended = anyio.Event()
+        self._stops.add(ended)
+        try:
+            yield
+        finally:
+            self._stops.discard(ended)
+            ended.set()
+
+    async def _let_stops_pass(self) -> None:
+        """Waits until no stop is under way: what is large is parsed by the SDK on the event loop, where stops run."""
+        with anyio.move_on_after(_LET_PASS_S):
+            while self._stops:
+                await next(iter(self._stops)).wait()
+
+    async def _pass_on(
+        self, message: JSONRPCMessage | list[Refusal], session: str, scope: Scope, replay: Receive, send: Send
+    ) -> None:
+        """Gives the transport a request, unless one of its id is not answered yet; or answers what is none."""
         if isinstance(message, JSONRPCRequest) and session:
             key = _key(session, message.id)
             if key in self._in_flight:
@@ -228,7 +297,7 @@ class _Readable:
                 return
         if isinstance(message, list) and message:
             answers = [refusal.answer for refusal in message]
-            await JSONResponse(answers[0] if len(answers) == 1 else answers, 400)(scope, receive, send)
+            await JSONResponse(answers[0] if len(answers) == 1 else answers, 400)(scope, replay, send)
         else:
             await self._app(scope, replay, send)
 
@@ -237,6 +306,8 @@ class _Readable:
         self._being_read[session] += 1
         try:
             message = await aside(len(body), read_message, body, turn=READING)
+            if len(body) > LARGE:
+                await self._let_stops_pass()
             if isinstance(message, JSONRPCRequest) and _key(session, message.id) in self._cancelled:
                 return [Refusal(message.id, _CANCELLED, "Request cancelled")]
         finally:

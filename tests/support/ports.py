@@ -59,12 +59,18 @@ def until_listening(host: str, port: int) -> None:
 
 @contextmanager
 def listening(
-    environment: dict[str, str], transport: str, *options: str, host: str = "127.0.0.1"
+    environment: dict[str, str],
+    transport: str,
+    *options: str,
+    host: str = "127.0.0.1",
+    log: IO[bytes] | None = None,
 ) -> Iterator[tuple[int, subprocess.Popen[bytes]]]:
-    """A server over HTTP for the time of a block: its port and its process."""
+    """A server over HTTP for the time of a block: its port and its process. What it prints goes to `log`."""
     port = free_port(host)
     at = ("--transport", transport, "--host", host, "--port", str(port))
-    process = subprocess.Popen([sys.executable, "-m", "ros2_mcp", *at, *options], env=environment)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "ros2_mcp", *at, *options], env=environment, stdout=log, stderr=log
+    )
     try:
         until_listening(host, port)
         yield port, process

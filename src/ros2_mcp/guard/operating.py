@@ -11,7 +11,7 @@ import json
 import logging
 import secrets
 import socket
-from collections.abc import AsyncGenerator, Awaitable, Callable, Mapping
+from collections.abc import AsyncGenerator, Awaitable, Callable, Collection, Mapping
 from contextlib import asynccontextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -21,7 +21,7 @@ from ros2_mcp.guard.approvals import Approvals, Grant, Request
 from ros2_mcp.guard.audit import Audit
 from ros2_mcp.guard.exact import word
 from ros2_mcp.guard.modes import Modes
-from ros2_mcp.guard.operators import SHOWN_S, OperatorSocket, listen_at, may_operate, name_of
+from ros2_mcp.guard.operators import SHOWN_S, OperatorSocket, is_left_behind, listen_at, may_operate, name_of
 from ros2_mcp.guard.policy import Policy
 from ros2_mcp.guard.state import StateFolder
 from ros2_mcp.model.errors import BadInput, RobotError
@@ -83,6 +83,7 @@ async def operating(
         clients = _Clients(operated, at)
         server = await asyncio.start_server(clients.serve, sock=at.listener, limit=_LINE_BYTES)
         link = _linked(path, usual) if usual and usual != folder else None
+        await asyncio.to_thread(_clear, {path, link}, {folder.path, (usual or folder).path})
     except (OSError, RobotError) as error:
         _logger.warning("no operator can connect: %s", error)
     try:
@@ -109,6 +110,14 @@ def _linked(path: Path, usual: StateFolder) -> Path | None:
 def sockets_of(folder: Path) -> list[Path]:
     """The sockets of servers that may be there, and links to those of robots with a folder of their own."""
     return sorted(folder.glob(f"{_PREFIX}*{_SUFFIX}"))
+
+
+def _clear(own: Collection[Path | None], folders: Collection[Path]) -> None:
+    """Removes the sockets of servers that were killed, and links to them; those that listen stay."""
+    for path in (each for folder in folders for each in sockets_of(folder) if each not in own):
+        if is_left_behind(path):
+            with suppress(OSError):  # of another user, or removed by another server meanwhile
+                path.unlink()
 
 
 class _Clients:

@@ -72,13 +72,16 @@ def listen_at(path: Path, warn: Callable[[str], None], *, by_secret: bool = sys.
     if sys.platform == "win32":
         raise OSError("Python knows no Unix sockets on Windows")
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    hidden = path.with_name(f".{path.name}")
     try:
         before = os.umask(0o177)
         try:
-            with _Short(path) as short:
+            with _Short(hidden) as short:
                 listener.bind(short)
         finally:
             os.umask(before)
+        listener.listen()
+        hidden.replace(path)  # by its name it always listens: another server takes one that does not for left behind
         if (group := _group()) is not None:
             os.chown(path, -1, group.gr_gid)
             os.chown(path.parent, -1, group.gr_gid)
@@ -90,6 +93,24 @@ def listen_at(path: Path, warn: Callable[[str], None], *, by_secret: bool = sys.
             raise
         warn(f"the group {GROUP} cannot operate: {error}")
     return OperatorSocket(listener)
+
+
+def is_left_behind(path: Path) -> bool:
+    """Whether the server has ended that made this socket, or what this link leads to. It is not waited for."""
+    try:
+        if stat.S_ISREG(path.stat().st_mode):
+            connected(path).close()
+            return False
+        if sys.platform == "win32":
+            return False
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe, _Short(path) as short:
+            probe.setblocking(False)  # one that hangs has no room for connections, and is not left behind
+            probe.connect(short)
+    except (ConnectionRefusedError, FileNotFoundError):
+        return True
+    except (OSError, ValueError):
+        return False
+    return False
 
 
 def connected(path: Path) -> socket.socket:

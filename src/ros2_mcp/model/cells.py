@@ -5,11 +5,10 @@ A text of the robot is bare only where it can be nothing but a name, else a JSON
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
-from ros2_mcp.model.text import LAYOUT, is_name, visible, visible_json
+from ros2_mcp.model.text import exact_json, is_name
 
 NOTHING = "-"
 """What stands in the place of an empty value."""
@@ -43,12 +42,12 @@ def cell(value: Any) -> str:
         items = cast("Sequence[Any]", value)
         if all(isinstance(item, str) for item in items):
             return ", ".join(map(cell, items))
-    return visible_json(value)[1]
+    return exact_json(value)
 
 
 def quoted_json(text: str) -> str:
     """A text of the robot as a JSON string, visible."""
-    return json.dumps(visible(text, keep=LAYOUT), ensure_ascii=False)
+    return exact_json(text)
 
 
 def short_number(value: float) -> str:

@@ -20,6 +20,7 @@ Every error carries a message that says what was wrong and a hint that says what
     ├── AllFailed             everything that one call asked for failed
     ├── BadData               bytes from the robot that do not fit their definition
     ├── Locked                a file that another program is writing to
+    ├── SystemLimit           the operating system gives this server no more files, memory or disk
     └── LinkError             between this server and the robot
         ├── RosNotFound       no ROS 2 installation to run the bridge with
         ├── Unreachable       the machine of the robot was not reached, or lets nobody in
@@ -159,6 +160,10 @@ class BadData(RobotError):
 
 class Locked(RobotError):
     """A file that cannot be read just now, because another program is writing to it."""
+
+
+class SystemLimit(RobotError):
+    """The operating system gives this server no more of something, such as open files: nobody's request is wrong."""
 
 
 class LinkError(RobotError):

@@ -85,6 +85,27 @@ def visible_json(value: Any) -> tuple[Any, str]:
     return value, _json(value)
 
 
+def exact_json(value: Any) -> str:
+    """A JSON value as compact JSON text that hides nothing, and that every parser reads as the value itself."""
+    return with_json_escapes(visible_json(value)[1])
+
+
+def with_json_escapes(text: str) -> str:
+    """JSON text of what was made visible, with the escapes of JSON in place of ours: `\\u200d` for `⟦U+200D⟧`.
+
+    What JSON cannot say keeps ours: the brackets, which `as_sent` would take for an escape, and halves of a character.
+    """
+    return _ESCAPE.sub(_as_json_escapes, text) if _OPEN in text else text
+
+
+def _as_json_escapes(escape: re.Match[str]) -> str:
+    codes = [int(code, 16) for code in escape[1].split()]
+    return "".join(
+        _escape(chr(code)) if 0xD800 <= code <= 0xDFFF or chr(code) in (_OPEN, _CLOSE) else json.dumps(chr(code))[1:-1]
+        for code in codes
+    )
+
+
 def quoted(text: str) -> str:
     """Text of the robot within a sentence of ours: `«text»`, on one line, cut to 80 characters as they are shown."""
     line = _LINE_BREAKS.sub(" ⏎ ", text[: 2 * _MOST_QUOTED].strip()).replace("\t", " ")

@@ -14,7 +14,7 @@ from typing import Any, TypeAlias, cast
 
 from ros2_mcp.model.alike import differences, written
 from ros2_mcp.model.cells import Exact, cell, is_empty, line, pairs, table, told_apart
-from ros2_mcp.model.text import visible, visible_json
+from ros2_mcp.model.text import exact_json, visible, visible_json, with_json_escapes
 from ros2_mcp.model.values import DIAGONAL, DIAGONAL_EXPLAINED
 from ros2_mcp.ops.results import PictureFacts, as_json, lines_of
 
@@ -166,7 +166,7 @@ class _Body:
             rows = [f"  {visible(text)}" for text in str(value).splitlines()]
             self.parts.append(_Part([f"{name}:", *rows], f"lines of {name}", len(rows)))
         elif isinstance(value, Mapping) or "exact" in declared.metadata:
-            self._line(f"{name}: {visible_json(as_json(value))[1]}")
+            self._line(f"{name}: {exact_json(as_json(value))}")
         elif is_dataclass(value):
             self.add(value, path=f"{name}.", is_row=is_row)
         else:
@@ -188,7 +188,7 @@ class _Body:
             else:
                 self._line(f"{name}: {', '.join(texts)}")
         else:
-            self._line(f"{name}: {visible_json(as_json(values))[1]}")
+            self._line(f"{name}: {exact_json(as_json(values))}")
 
     # ── lists of objects ───────────────────────────────────────────────────────────────────────────────────────
 
@@ -207,7 +207,7 @@ class _Body:
     def _messages(self, name: str, values: Sequence[Any], beside: Beside) -> None:
         """Objects of the robot, exact: the first whole, of the others what differs, where that is shorter."""
         shown = [visible_json(value)[0] for value in values]
-        whole = [written(value) for value in shown]
+        whole = [_exact(value) for value in shown]
         times = beside if beside and len(beside[1]) == len(values) else None
         if len(whole) == 1:
             when = f" ({times[0]}: {cell(times[1][0])})" if times and times[1][0] else ""
@@ -226,17 +226,22 @@ def _alike(
         return None
     title = f"{name} ({len(whole)}), the first whole, then"
     if len(columns) <= _MOST_COLUMNS:
-        rows = [{path: Exact(written(values[at])) for path, values in columns} for at in range(len(whole))]
+        rows = [{path: Exact(_exact(values[at])) for path, values in columns} for at in range(len(whole))]
         rows = _with(times, rows)
         title = f"{title} the differences of each:" if columns else f"{name} ({len(whole)}), all equal:"
         return _Part([title, whole[0], *table(rows, list(rows[0]))], name, len(rows) if rows[0] else 0)
-    texts = [(json.dumps(path, ensure_ascii=False), [written(value) for value in values]) for path, values in columns]
+    texts = [(json.dumps(path, ensure_ascii=False), [_exact(value) for value in values]) for path, values in columns]
     changes = [
         f"{{{','.join(f'{path}:{values[at]}' for path, values in texts if values[at] != values[0])}}}"
         for at in range(1, len(whole))
     ]
     later = (times[0], times[1][1:]) if times else None
     return _Part([f"{title} the differences from it, by path:", whole[0], *_listed(changes, later)], name, len(changes))
+
+
+def _exact(shown: Any) -> str:
+    """JSON of a value that was made visible, which every parser reads as the value that it was."""
+    return with_json_escapes(written(shown))
 
 
 def _listed(texts: Sequence[str], times: Beside) -> list[str]:
@@ -321,7 +326,7 @@ def _row(one: Any) -> dict[str, Any]:
 
 
 def _cell_value(declared: Field[Any], value: Any) -> Any:
-    return Exact(visible_json(as_json(value))[1]) if "exact" in declared.metadata and value is not None else value
+    return Exact(exact_json(as_json(value))) if "exact" in declared.metadata and value is not None else value
 
 
 def _beside(declared: Field[Any]) -> bool:

@@ -2,12 +2,13 @@
 
 A null is never anything but *not given*. A tool that only reads cannot do harm by asking less strictly: an empty value
 that its schema does not have means *not given* there, and a number above the maximum means the maximum, which is told.
-A tool that acts takes nothing but what its schema says.
+A tool that acts takes nothing but what its schema says. No tool takes a number that is not finite.
 """
 
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from typing import Any, cast
 
@@ -72,10 +73,15 @@ def _is_nothing(node: Schema, value: object, acts: bool) -> bool:
 
 
 def _number(value: object) -> int | float | None:
-    """A number, also one that came as text, as some clients send all of a form; None for anything else."""
+    """A finite number, also one that came as text, as some clients send all of a form; None for anything else."""
     if isinstance(value, str):
         try:
             value = json.loads(value)
         except (ValueError, RecursionError):
             return None
-    return value if isinstance(value, (int, float)) and not isinstance(value, bool) else None
+    if not isinstance(value, (int, float)) or isinstance(value, bool):
+        return None
+    try:
+        return value if math.isfinite(value) else None
+    except OverflowError:  # an integer beyond the largest floating-point number
+        return None

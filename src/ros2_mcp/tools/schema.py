@@ -17,6 +17,12 @@ _BOUNDS = {"ge": "minimum", "gt": "exclusiveMinimum", "le": "maximum", "lt": "ex
 _SCALARS: Mapping[Any, str] = {str: "string", bool: "boolean", int: "integer", float: "number"}
 _IN_SECONDS = re.compile("timeout|duration|^wait_")
 """Names of arguments that say for how long something goes on, or is waited for."""
+_KINDS: Mapping[Any, str] = {
+    "string": "a text",
+    "boolean": "true or false",
+    "array": "a list",
+    "object": "an object",
+}
 _NULL: Schema = {"type": "null"}
 _ANY_SCALAR: list[Schema] = [{"type": "boolean"}, {"type": "number"}, {"type": "string"}]
 # Of a value whose type is known only at run time, such as that of a parameter. Some clients refuse a schema without a
@@ -66,6 +72,27 @@ def result_schema(kind: Any) -> Schema:
     if origin in (dict, Mapping):
         return {"type": "object", "additionalProperties": True}
     return {"type": _SCALARS[origin]} if origin in _SCALARS else dict(_ANY_VALUE)
+
+
+def node_at(schema: Mapping[str, Any], path: Sequence[str | int]) -> Mapping[str, Any]:
+    """The part of a schema that a path of names and indices leads to; empty if none is there."""
+    for part in path:
+        if isinstance(part, int):
+            schema = schema.get("items", {})
+        else:
+            others = schema.get("additionalProperties")
+            schema = schema.get("properties", {}).get(part, others if isinstance(others, dict) else {})
+    return schema
+
+
+def expected_kind(node: Mapping[str, Any]) -> str:
+    """In words, what a part of a schema takes: "a whole number of at least 1 and at most 2000"; empty if it is open."""
+    kind = node.get("type")
+    if kind not in ("number", "integer"):
+        return _KINDS.get(kind, "")
+    bounds = ((" of at least", "minimum"), (" above", "exclusiveMinimum"), (" at most", "maximum"))
+    said = [f"{words} {node[key]:g}" for words, key in bounds if key in node]
+    return ("a whole number" if kind == "integer" else "a finite number") + " and".join(said)
 
 
 def text_for_number(schema: Mapping[str, Any], value: Any, path: str = "") -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator
 from itertools import count
 from pathlib import Path
@@ -169,9 +170,14 @@ def test_a_robot_whose_every_text_is_hostile_forges_nothing(server: RawServer) -
 def test_what_was_shown_escaped_and_is_sent_back_reaches_the_robot_as_it_was(server: RawServer) -> None:
     read = server.call("ros2_parameter_get", node_name="/hostile")["structuredContent"]["parameters"]
     assert "⟦U+" in read["kept"]
-    written = server.call("ros2_parameter_set", node_name="/hostile", values=read)
-    assert not written["isError"] and written["structuredContent"]["successful"], written
-    fields = {"string_value": read["kept"]}
-    arguments = {"service_name": "/hostile/basic", "fields": fields, "force_call": True}
-    answered = server.call("ros2_service_call", **arguments)
-    assert answered["structuredContent"]["result"]["bool_value"] is True
+    text = server.call("ros2_parameter_get", node_name="/hostile")["content"][0]["text"]
+    (line,) = [line for line in text.splitlines() if line.startswith("parameters: ")]
+    from_text = json.loads(line.removeprefix("parameters: "))
+    assert "\u200d" in from_text["kept"], "JSON has an escape for it: who reads it has the robot's own text"
+    for values in (read, from_text):
+        written = server.call("ros2_parameter_set", node_name="/hostile", values=values)
+        assert not written["isError"] and written["structuredContent"]["successful"], written
+        fields = {"string_value": values["kept"]}
+        arguments = {"service_name": "/hostile/basic", "fields": fields, "force_call": True}
+        answered = server.call("ros2_service_call", **arguments)
+        assert answered["structuredContent"]["result"]["bool_value"] is True

@@ -159,6 +159,25 @@ def test_a_token_in_the_address_is_refused_also_beside_a_good_one(served: Served
             assert b"never in the address" in answer.read()
 
 
+@pytest.mark.parametrize("level", ["info", "debug"])
+def test_what_is_written_into_an_address_stands_in_no_log(
+    ros_environment: dict[str, str], tmp_path: Path, level: str
+) -> None:
+    """Whoever reads the log could use a token that was refused there, for it is a good one."""
+    secrets = [f"secret-{number}" for number in range(4)]
+    with (tmp_path / "log").open("wb") as log:
+        with listening(ros_environment, "streamable-http", "--log-level", level, log=log) as (port, _):
+            own, foreign = f"127.0.0.1:{port}", "robot.example"
+            for host, query in itertools.product((own, foreign), ("access_token={}", "key={}", "{}", "a=%2e&b={}#c")):
+                for secret, named in zip(secrets, ({}, headers(TOKEN)) * 2, strict=True):
+                    with closing(HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)) as connection:
+                        connection.request("GET", f"/mcp?{query.format(secret)}", headers={**named, "Host": host})
+                        assert connection.getresponse().status >= 400
+        said = (tmp_path / "log").read_text()
+    assert "GET /mcp HTTP/1.1" in said
+    assert [secret for secret in (*secrets, TOKEN) if secret in said] == []
+
+
 def test_a_doubled_authorization_is_refused_whichever_is_right(served: Served) -> None:
     good = f"Bearer {served.tokens['observe,act,stop']}"
     for first, second in ((good, good), (good, "Bearer x"), ("Bearer x", good)):

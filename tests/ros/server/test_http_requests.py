@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import socket
+import time
 from collections.abc import Iterator
 from contextlib import closing
 from http.client import HTTPConnection, HTTPResponse
@@ -264,6 +265,104 @@ def test_a_body_that_is_too_large_is_refused(ports: dict[str, int], transport: s
         chunked = [*usual(port, **era), ("Transfer-Encoding", "chunked")]
         assert answer(port, "POST", path, chunked, chunk * (TOO_LARGE // 0x10000 + 1))[0] == 413
     assert is_well(ports["streamable-http"])
+
+
+@pytest.mark.parametrize("length", [0, 5, 10**6])
+@pytest.mark.parametrize(("transport", "path"), [("streamable-http", "/mcp"), ("sse", "/messages/"), ("sse", "/x")])
+def test_a_request_with_a_length_and_chunks_is_refused_and_its_connection_ends(
+    ports: dict[str, int], transport: str, path: str, length: int
+) -> None:
+    """What stands behind the chunks would else be a second request, which a proxy before us took for a body."""
+    port = ports[transport]
+    lengths = [("Content-Length", str(length)), ("Transfer-Encoding", "chunked")]
+    for more in (lengths, lengths[::-1]):
+        hidden = f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nAuthorization: {BEARER}\r\n\r\n"
+        lines = [f"POST {path} HTTP/1.1", *(f"{name}: {value}" for name, value in [*usual(port), *more])]
+        with socket.create_connection(("127.0.0.1", port), PATIENCE_S) as connection:
+            connection.sendall("\r\n".join([*lines, "", f"0\r\n\r\n{hidden}"]).encode())
+            received = b""
+            while part := connection.recv(65536):
+                received += part
+        head = received.partition(b"\r\n\r\n")[0].lower()
+        assert head.startswith(b"http/1.1 400 ") and b"connection: close" in head
+        assert received.count(b"HTTP/1.1 ") == 1
+    assert is_well(ports["streamable-http"])
+
+
+def calling(arguments: bytes) -> bytes:
+    """A call of the modern era with these arguments, in JSON."""
+    call = request("tools/call", {"name": "ros2_topic_publish", "arguments": "here", "_meta": META})
+    return call.replace(b'"here"', arguments)
+
+
+MANY_BYTES = 800_000
+NESTED = {
+    "deep": b"[" * 100 + b"]" * 100,
+    "empty lists": b"[]",
+    "deep objects": b'{"a":' * 100 + b"1" + b"}" * 100,
+}
+"""What lists are made of that hold a process up for as long as nothing else of that size does."""
+
+
+def nested(of: bytes) -> bytes:
+    return calling(b'{"data": [' + b",".join([of] * (MANY_BYTES // (len(of) + 1))) + b"]}")
+
+
+@pytest.mark.parametrize("what", NESTED)
+def test_a_body_of_too_many_lists_and_objects_is_refused_unread(ports: dict[str, int], what: str) -> None:
+    body = nested(NESTED[what])
+    for transport, path in (("streamable-http", "/mcp"), ("sse", "/messages/")):
+        for era in ({}, {"Mcp_Protocol_Version": MODERN, "Mcp_Method": "tools/call"}):
+            port = ports[transport]
+            with closing(HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)) as connection:
+                connection.request("POST", path, body, dict(usual(port, **era)))
+                refused = connection.getresponse()
+                assert refused.status == 400 and b"at most 50,000 objects and lists" in refused.read()
+    assert is_well(ports["streamable-http"])
+
+
+@pytest.mark.parametrize(
+    "part", [b'{"x":0.12,"y":-1.5,"z":0.0}', b"0", b'"\xe2\x9c\x93 text"'], ids=["points", "numbers", "texts"]
+)
+def test_a_large_body_of_an_honest_client_is_read(ports: dict[str, int], part: bytes) -> None:
+    port, body = ports["streamable-http"], nested(part)
+    headers = usual(port, Mcp_Protocol_Version=MODERN, Mcp_Method="tools/call", Mcp_Name="ros2_topic_publish")
+    with closing(HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)) as connection:
+        connection.request("POST", "/mcp", body, dict(headers))
+        answered = connection.getresponse()
+        assert answered.status == 200 and b"needs the argument 'topic_name'" in answered.read()
+
+
+STOPS_S = 0.25
+"""For a stop beside twelve such bodies, on a quiet machine; it took 3 s."""
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("what", [*NESTED, "points"])
+def test_a_stop_does_not_wait_behind_large_bodies_of_others(ports: dict[str, int], what: str) -> None:
+    port, body = ports["streamable-http"], nested(NESTED.get(what, b'{"x":0.12,"y":-1.5,"z":0.0}'))
+    headers = {name: value for name, value in usual(port) if name != "Host"} | {"Mcp-Protocol-Version": MODERN}
+    large = {**headers, "Mcp-Method": "tools/call", "Mcp-Name": "ros2_topic_publish"}
+    stop = request("tools/call", {"name": "ros2_stop", "arguments": {}, "_meta": META})
+    taken: list[float] = []
+    for _ in range(2):  # the first stop imports what it needs
+        others = [HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S) for _ in range(12)]
+        stopping = HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)
+        for other in others:
+            other.putrequest("POST", "/mcp")
+            for name, value in {**large, "Content-Length": str(len(body))}.items():
+                other.putheader(name, value)
+            other.endheaders(body[:-1])
+        for other in others:
+            other.send(body[-1:])
+        began = time.monotonic()
+        stopping.request("POST", "/mcp", stop, {**large, "Mcp-Name": "ros2_stop"})
+        assert stopping.getresponse().read()
+        taken.append(time.monotonic() - began)
+        for connection in (*others, stopping):
+            connection.close()
+    print(f"{what}: a stop took {taken[-1]:.3f} s")
+    assert taken[-1] < STOPS_S
 
 
 def test_a_page_cannot_post_without_asking_first(ports: dict[str, int]) -> None:

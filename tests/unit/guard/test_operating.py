@@ -215,6 +215,32 @@ def test_the_socket_is_for_nobody_else_and_one_that_a_dead_server_left_is_remove
     run(work)
 
 
+def test_a_server_removes_what_killed_ones_left_and_leaves_those_that_listen(tmp_path: Path) -> None:
+    """Also the links to them, and not one that hangs, whose queue of connections is full."""
+
+    async def work() -> None:
+        usual = StateFolder(tmp_path / "usual")
+        async with served(tmp_path, usual) as (_, folder):
+            (alive,) = operating_module.sockets_of(folder.path)
+            for number in range(5):
+                dead = folder.path / f"operate-dead{number}.sock"
+                listen_at(dead, print).listener.close()
+                (usual.path / dead.name).symlink_to(dead)
+            (usual.path / "operate-gone.sock").symlink_to(folder.path / "operate-gone.sock")
+            hanging = listen_at(folder.path / "operate-hangs.sock", print)
+            hanging.listener.listen(0)
+            waiting_there = connected(folder.path / "operate-hangs.sock")
+            async with served(tmp_path, usual):
+                left = set(operating_module.sockets_of(folder.path))
+                assert {alive, folder.path / "operate-hangs.sock"} < left and len(left) == 3
+                assert len(operating_module.sockets_of(usual.path)) == 2
+            waiting_there.close()
+            hanging.listener.close()
+            assert (await asked(folder))[0] == 0
+
+    run(work)
+
+
 def test_where_the_kernel_tells_nothing_of_users_a_secret_that_only_its_user_can_read_opens(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-from ros2_mcp.model.text import as_sent, counted, in_quotes, named, quoted, visible, visible_json
+from ros2_mcp.model.text import as_sent, counted, exact_json, in_quotes, named, quoted, visible, visible_json
 from support.hidden import HIDDEN
 
 SEEN = (
@@ -64,6 +64,26 @@ def test_what_was_escaped_and_is_sent_back_is_the_same_text_again() -> None:
         text = "".join(dice.choices(signs, k=dice.randint(0, 12)))
         assert as_sent(visible(text)) == text
         assert as_sent(visible(text, keep="\n\t")) == text
+
+
+def test_exact_json_hides_nothing_and_every_parser_reads_the_value_itself() -> None:
+    astronaut = "👩\u200d🚀"
+    assert exact_json({"name": astronaut}) == '{"name":"👩\\u200d🚀"}'
+    assert json.loads(exact_json([astronaut, "\U000e0001\r"])) == [astronaut, "\U000e0001\r"]
+    dice = random.Random(11)
+    signs = [*'U+20 \n\n\tFEé漢😀"\\', *HIDDEN.values()]
+    for _ in range(3000):
+        text = "".join(dice.choices(signs, k=dice.randint(0, 12)))
+        shown = exact_json({text: [text]})
+        assert visible(shown) == shown and json.loads(shown) == {text: [text]}
+
+
+def test_what_is_read_from_exact_json_and_sent_back_is_the_same_also_with_escapes_of_ours_in_it() -> None:
+    dice = random.Random(12)
+    signs = [*"⟦⟧U+20 é😀", *HIDDEN.values(), "⟦U+202E⟧", "⟦U+", "200B⟧"]
+    for _ in range(3000):
+        text = "".join(dice.choices(signs, k=dice.randint(0, 12)))
+        assert as_sent(json.loads(exact_json(text))) == text
 
 
 def test_a_text_cannot_be_taken_for_an_escape() -> None:

@@ -130,6 +130,36 @@ async def test_messages_of_the_past_come_with_the_damage_of_where_they_are_from(
     assert "are lost" in summary and structured["damage"]
 
 
+async def test_the_newest_messages_come_with_the_damage_behind_them(tmp_path: Path) -> None:
+    path = whole_mcap(tmp_path / "run")
+    whole = bytearray(path.read_bytes())
+    whole[len(whole) * 9 // 10] ^= 0xFF  # in one of the ten chunks that have the newest 200 messages
+    path.write_bytes(whole)
+    store = BagStore(tmp_path, subject=tmp_path / "run")
+    tools = tools_of(recorded_robot(store, 32_000), store)
+    asked = {"topic_name": "/odom", "number_of_messages": 200}
+    summary, structured = await answer_of(tools, "ros2_get_messages", asked)
+    await store.close()
+    assert "are lost" in summary and any("are lost" in line for line in structured["damage"])
+
+
+async def test_topics_of_which_damage_left_nothing_are_not_said_to_be_silent(damaged: Damaged) -> None:
+    store = BagStore(damaged.folder)
+    tools = tools_of(robot_of(MadeBridge()), store)
+    with store.reading("run") as bag:
+        assert list(bag.messages())
+        start_ns, end_ns = bag.holes[0].start_ns, bag.holes[0].end_ns
+    quarter_ns = (end_ns - start_ns) // 4
+    span = {"start": iso_time(start_ns + quarter_ns), "end": iso_time(end_ns - quarter_ns)}
+    asked = {**READERS["ros2_topic_compare"], "bag": "run", **span}
+    summary, structured = await answer_of(tools, "ros2_topic_compare", asked)
+    await store.close()
+    assert structured["reasons"] == [
+        "Nothing was compared: of /odom and /odom_again nothing can be read, for the recording is damaged."
+    ]
+    assert "are lost" in summary and "sent nothing" not in summary
+
+
 async def test_an_error_names_the_damage_too(damaged: Damaged) -> None:
     store = BagStore(damaged.folder)
     tools = tools_of(robot_of(MadeBridge()), store)

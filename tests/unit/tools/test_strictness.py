@@ -93,3 +93,11 @@ async def test_a_name_that_is_no_text_is_told_as_one() -> None:
 async def test_coordinates_alone_are_no_place_and_the_error_shows_one(to: Any) -> None:
     said = await refusal("ros2_navigate", to=to)
     assert said.startswith("BadInput: to: ") and 'is not a place: write {"x": 1, "y": 0} or its name.' in said
+
+
+async def test_what_a_program_gives_is_taken_as_it_is_and_what_a_model_was_shown_as_it_was_meant() -> None:
+    shown = {"node_name": "/n", "values": {"name": "⟦U+200D⟧"}}
+    bound = tool("ros2_parameter_set")
+    for are_exact, value in ((False, "\u200d"), (True, "⟦U+200D⟧")):
+        checked, _ = bound._checked(shown, are_exact=are_exact)  # pyright: ignore[reportPrivateUsage] - nothing is set
+        assert checked.model_dump()["values"] == {"name": value}

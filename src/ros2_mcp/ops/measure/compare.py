@@ -279,9 +279,14 @@ def _judge(
     """The verdict as `Comparison` says, and its reasons, the largest differences first."""
     counts = first.kept.rows, second.kept.rows
     if not pairs:
-        silent_topics = [capture.topic for capture in (first, second) if not capture.kept.rows]
-        why = f"{' and '.join(silent_topics)} sent nothing." if silent_topics else "No two messages are close in time."
-        return "VERY DIFFERENT", [why]
+        without = [capture for capture in (first, second) if not capture.kept.rows]
+        lost = " and ".join(capture.topic for capture in without if capture.holes)
+        silent_topics = " and ".join(capture.topic for capture in without if not capture.holes)
+        reasons = (
+            [f"Nothing was compared: of {lost} nothing can be read, for the recording is damaged."] if lost else []
+        )
+        reasons += [f"{silent_topics} sent nothing."] if silent_topics else []
+        return "VERY DIFFERENT", reasons or ["No two messages are close in time."]
 
     def percent(row: FieldComparison) -> float:
         return math.inf if row.rms_percent is None else row.rms_percent  # null: it does not fit a number

@@ -1,0 +1,62 @@
+"""Errors that say that a limit of the operating system is reached, wherever they come from."""
+
+from __future__ import annotations
+
+import errno
+import re
+import sys
+from collections.abc import Iterator
+
+from ros2_mcp.model.errors import RobotError, SystemLimit
+
+if sys.platform != "win32":
+    import resource
+
+_OF_RUST = re.compile(r"\(os error (\d+)\)")
+"""How libraries written in Rust, such as the sandbox, say the number of an error of the system."""
+_FILES = (errno.EMFILE, errno.ENFILE)
+_MEMORY = "This machine has no more memory for this server."
+_DISK = "The disk is full."
+_WORDS = {errno.ENOMEM: _MEMORY, errno.ENOSPC: _DISK, errno.EDQUOT: "The disk quota of this server's user is used up."}
+_FILES_HINT = (
+    "Stop recordings, playbacks or programs, or disconnect clients; or start the server with a higher limit "
+    "(ulimit -n, LimitNOFILE= of systemd)."
+)
+
+
+def system_limit(error: BaseException) -> SystemLimit | None:
+    """The limit of the system that an error is about; None if it is about none.
+
+    An error that was raised on purpose says itself what is wrong, except where it was led astray: with no file left
+    nothing can be opened, and each place that opens something blames what it was to open.
+    """
+    on_purpose = isinstance(error, RobotError)
+    for number in _numbers(error):
+        if number == errno.EMFILE:
+            return SystemLimit(
+                f"This server cannot open another file: it has as many as it may have{_most()}.", _FILES_HINT
+            )
+        if number == errno.ENFILE:
+            return SystemLimit("This machine cannot open another file: it has as many as it may have.", _FILES_HINT)
+        if number in _WORDS and not on_purpose:
+            return SystemLimit(_WORDS[number])
+    return None
+
+
+def _numbers(error: BaseException | None) -> Iterator[int]:
+    """The numbers of the system's errors that an error names, and those it was raised from."""
+    seen: set[int] = set()
+    while error is not None and id(error) not in seen:
+        seen.add(id(error))
+        if isinstance(error, OSError) and error.errno is not None:
+            yield error.errno
+        elif found := _OF_RUST.search(str(error)):
+            yield int(found[1])
+        error = error.__cause__ or error.__context__
+
+
+def _most() -> str:
+    """How many files this process may have open, in parentheses; empty where nobody tells."""
+    if sys.platform == "win32":
+        return ""
+    return f" ({resource.getrlimit(resource.RLIMIT_NOFILE)[0]})"
