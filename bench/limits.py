@@ -18,8 +18,8 @@ QOS = {"reliability": "reliable", "durability": "volatile", "history": "keep_las
 
 def rules() -> bytes:
     """Like the profile `teleop-slow`: two norms, four zeros, ramps and a hold time, for any `cmd_vel`."""
-    from ros2_mcp_bridge.checks import Checks
-    from ros2_mcp_bridge.rules import Allowance, Limit, Ramp, Rules, RuleSet
+    from ros2_mcp_common.policy.checks import Checks
+    from ros2_mcp_common.policy.rules import Allowance, Limit, Ramp, Rules, RuleSet
 
     limit = Limit(
         rule="limits.slow",
@@ -43,11 +43,11 @@ class _Middleware:
 
 def _exit_seconds(count: int, *, limited: bool) -> list[float]:
     """How long decoding, judging, stamping and serializing of each of many Twists take, by the thread's own time."""
-    from ros2_mcp_bridge import interfaces, rcl
-    from ros2_mcp_bridge.limiter import Limiter
-    from ros2_mcp_bridge.publishers import Publisher
+    from ros2_mcp_bridge.exit.limiter import Limiter
+    from ros2_mcp_bridge.exit.velocities import Velocities
     from ros2_mcp_bridge.request import Request
-    from ros2_mcp_bridge.velocities import Velocities
+    from ros2_mcp_bridge.ros import interfaces, rcl
+    from ros2_mcp_bridge.topics.publishers import Publisher
 
     limiter, nothing = Limiter(limited), _Middleware()
     if limited:
@@ -83,7 +83,7 @@ class _Bridge:
     """A bridge, spoken to raw; use as a context manager."""
 
     def __init__(self, *options: str) -> None:
-        from ros2_mcp_bridge.packets import PacketReader
+        from ros2_mcp_common.wire.packets import PacketReader
 
         command = [sys.executable, "-m", "ros2_mcp_bridge", *options]
         pipe = subprocess.PIPE
@@ -99,7 +99,7 @@ class _Bridge:
         self._process.wait(timeout=10)
 
     def send(self, op: str, body: bytes = b"", **arguments: Any) -> int:
-        from ros2_mcp_bridge.packets import pack
+        from ros2_mcp_common.wire.packets import pack
 
         assert self._process.stdin
         self._number += 1

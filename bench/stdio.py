@@ -10,7 +10,7 @@ from typing import Any
 
 PROTOCOL = "2025-11-25"
 STRUCTURED = "io.github.ros2-mcp/structured"
-"""As in `ros2_mcp/server.py`, which takes a second to import: asks for structured content."""
+"""As in `ros2_mcp/mcp/server.py`, which takes a second to import: asks for structured content."""
 LONGEST_LINE = 64 * 1024 * 1024
 LEAVE_S = 5.0
 

@@ -16,7 +16,7 @@ from typing import Any
 from mcp.types import Tool
 from promises import PROMISES, promises
 
-from ros2_mcp.assembly import assemble
+from ros2_mcp.compose.server import assemble
 from ros2_mcp.settings import OPTIONS, Option, Settings
 from ros2_mcp.tools import TOOLS, ToolDeclaration
 

@@ -24,7 +24,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from ros2_mcp.library import connect
+    from ros2_mcp.compose.robot import connect
     from ros2_mcp.model.errors import RobotError
     from ros2_mcp.robot import Robot
     from ros2_mcp.settings import Settings
@@ -35,7 +35,7 @@ _HOMES = {
     "Robot": "ros2_mcp.robot",
     "RobotError": "ros2_mcp.model.errors",
     "Settings": "ros2_mcp.settings",
-    "connect": "ros2_mcp.library",
+    "connect": "ros2_mcp.compose.robot",
 }
 
 

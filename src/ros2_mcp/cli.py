@@ -43,7 +43,7 @@ def _serve(arguments: argparse.Namespace) -> int:
 
 def _doctor(arguments: argparse.Namespace) -> int:
     from ros2_mcp.commands.doctor import doctor
-    from ros2_mcp.entries import entries_of
+    from ros2_mcp.compose.entries import entries_of
 
     codes: list[int] = []
     for entry in entries_of(settings_from(arguments)):
@@ -105,7 +105,7 @@ class _HelpOnTool(argparse.Action):
 
 
 def _call(arguments: argparse.Namespace) -> int:
-    from ros2_mcp.entries import named_in
+    from ros2_mcp.compose.entries import named_in
 
     settings, words = named_in(settings_from(arguments), arguments.arguments, needed=bool(arguments.tool))
     if arguments.tool is None or arguments.help:
@@ -189,7 +189,7 @@ def _declare_view(view: argparse.ArgumentParser) -> None:
 
 def _view(arguments: argparse.Namespace) -> int:
     from ros2_mcp.commands.view import view
-    from ros2_mcp.entries import only_one
+    from ros2_mcp.compose.entries import only_one
 
     settings = only_one(settings_from(arguments), "view")
     return view(settings, _state(arguments), arguments.page_port)
@@ -230,7 +230,7 @@ def _state(arguments: argparse.Namespace) -> Path:
     """The state folder that is meant."""
     if arguments.state:
         return arguments.state
-    from ros2_mcp.entries import only_one
+    from ros2_mcp.compose.entries import only_one
     from ros2_mcp.guard.policy_file import policy_for
     from ros2_mcp.guard.state import state_of
 
@@ -272,7 +272,7 @@ def _policy(arguments: argparse.Namespace) -> int:
         case "test":
             return policy.test(arguments.which, arguments.table)
         case _:
-            from ros2_mcp.entries import only_one
+            from ros2_mcp.compose.entries import only_one
 
             return policy.init(only_one(settings, "policy init"), arguments.output)
 

@@ -14,23 +14,23 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn, TypeVar
 
-from . import definitions, interfaces, participants
-from .allocation import keep_freed_memory
-from .epoch import StopEpoch
-from .latch import FILE, Latch, LatchState
-from .lease import LinkLease
-from .lifeline import Lifeline
-from .limiter import Limiter
-from .loop import Loop, log_failure
-from .packets import PacketError
-from .protocol import Empty, Lapsed, PingReply, PolicyReply
-from .request import Request
-from .rules import meaning
-from .spawning import STOPPER_ARGUMENT, STOPPERS, copy_process
-from .stream import Outbox, claim_standard_streams, read_packets
+from ros2_mcp_bridge.epoch import StopEpoch
+from ros2_mcp_bridge.exit.lifeline import Lifeline
+from ros2_mcp_bridge.exit.limiter import Limiter
+from ros2_mcp_bridge.exit.spawning import STOPPER_ARGUMENT, STOPPERS, copy_process
+from ros2_mcp_bridge.lease import LinkLease
+from ros2_mcp_bridge.loop import Loop, log_failure
+from ros2_mcp_bridge.request import Request
+from ros2_mcp_bridge.ros import definitions, interfaces, participants
+from ros2_mcp_bridge.stream import Outbox, claim_standard_streams, read_packets
+from ros2_mcp_common.allocation import keep_freed_memory
+from ros2_mcp_common.latch import FILE, Latch, LatchState
+from ros2_mcp_common.policy.rules import meaning
+from ros2_mcp_common.wire.packets import PacketError
+from ros2_mcp_common.wire.protocol import Empty, Lapsed, PingReply, PolicyReply
 
 if TYPE_CHECKING:
-    from .operations import Operation, Operations
+    from ros2_mcp_bridge.operations import Operation, Operations
 
 T = TypeVar("T")
 
@@ -70,14 +70,14 @@ def main() -> None:
     options.add_argument(STOPPER_ARGUMENT, metavar="NAME", help="be a stopper of the bridge that starts it")
     chosen = options.parse_args()
     if chosen.arrival:
-        from . import stage1  # which else has done it before this process
+        from ros2_mcp_common.start import stage1  # which else has done it before this process
 
         why = f"ros2_mcp_bridge is installed in {Path(__file__).parent}."
         stage1.tell(chosen.arrival, "found", distro=os.environ.get("ROS_DISTRO", ""), python=sys.executable, why=why)
         stage1.tell(chosen.arrival, "bridge")
     incoming, outgoing = claim_standard_streams()
     if chosen.stopper:
-        from . import stopper  # which needs rclpy
+        from ros2_mcp_bridge.stopper import stopper  # which needs rclpy
 
         stopper.main(chosen.stopper, incoming, outgoing)
     keep_freed_memory()
@@ -134,7 +134,9 @@ class Bridge:
         """Be the ROS thread; ends the process."""
         missing = "no_rclpy"
         try:
-            from . import operations, ros, stopper
+            from ros2_mcp_bridge import operations
+            from ros2_mcp_bridge.ros import context as ros
+            from ros2_mcp_bridge.stopper import stopper
 
             missing = "init_failed"
             operations.load_types()

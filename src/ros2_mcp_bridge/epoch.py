@@ -12,10 +12,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Protocol
 
-from .latch import Latch
+from ros2_mcp_common.latch import Latch
 
 if TYPE_CHECKING:
-    from .protocol import EndedBy
+    from ros2_mcp_common.wire.protocol import EndedBy
 
 
 class Overtaken(Protocol):

@@ -6,7 +6,7 @@ import select
 import time
 from collections.abc import Callable
 
-from .packets import PacketError
+from ros2_mcp_common.wire.packets import PacketError
 
 # A machine that slept while something moved is noticed this soon after it went on. Chosen: ten looks a second cost
 # 0.2 % of a core. At rest it is noticed when the lease lapses, or with the next bytes.

@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Generic, Protocol, TypeVar
 
-from .request import Steps
+from ros2_mcp_bridge.request import Steps
 
 T = TypeVar("T")
 

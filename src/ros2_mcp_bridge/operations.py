@@ -12,31 +12,39 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from . import interfaces, shared_memory
-from .cancelling import Cancelling
-from .clients import Clients
-from .clock import CLOCK_TYPE, RobotClock
-from .controller import Make
-from .drive import Drive
-from .epoch import Overtaken, StopEpoch
-from .failsafes import FailSafes
-from .graph import Graph
-from .joint_states import JointStates
-from .lifeline import Lifeline
-from .limiter import Limiter
-from .loop import Loop, Seldom, log_failure
-from .motion import Motions
-from .protocol import Empty, LatchSet, RelayStopReply, ServicesReply, StatsReply, StopReply, ZeroReply
-from .publishers import Publisher, Publishers
-from .relay import Relay, Relays
-from .request import Answer, Cancelled, OperationError, Request, Steps
-from .stream import Outbox
-from .subscriptions import Subscriptions
-from .trajectories import topic_of
-from .until import Until
-from .velocities import Velocities, VelocityTopic
-from .velocity import VELOCITY_TYPES
-from .watching import Watching
+from ros2_mcp_bridge.epoch import Overtaken, StopEpoch
+from ros2_mcp_bridge.exit.failsafes import FailSafes
+from ros2_mcp_bridge.exit.lifeline import Lifeline
+from ros2_mcp_bridge.exit.limiter import Limiter
+from ros2_mcp_bridge.exit.trajectories import topic_of
+from ros2_mcp_bridge.exit.velocities import Velocities, VelocityTopic
+from ros2_mcp_bridge.loop import Loop, Seldom, log_failure
+from ros2_mcp_bridge.motion.cancelling import Cancelling
+from ros2_mcp_bridge.motion.controller import Make
+from ros2_mcp_bridge.motion.drive import Drive
+from ros2_mcp_bridge.motion.motion import Motions
+from ros2_mcp_bridge.motion.until import Until
+from ros2_mcp_bridge.motion.watching import Watching
+from ros2_mcp_bridge.request import Answer, Cancelled, OperationError, Request, Steps
+from ros2_mcp_bridge.ros import interfaces, shared_memory
+from ros2_mcp_bridge.ros.clock import CLOCK_TYPE, RobotClock
+from ros2_mcp_bridge.ros.graph import Graph
+from ros2_mcp_bridge.ros.joint_states import JointStates
+from ros2_mcp_bridge.stream import Outbox
+from ros2_mcp_bridge.topics.clients import Clients
+from ros2_mcp_bridge.topics.publishers import Publisher, Publishers
+from ros2_mcp_bridge.topics.relay import Relay, Relays
+from ros2_mcp_bridge.topics.subscriptions import Subscriptions
+from ros2_mcp_common.policy.velocity import VELOCITY_TYPES
+from ros2_mcp_common.wire.protocol import (
+    Empty,
+    LatchSet,
+    RelayStopReply,
+    ServicesReply,
+    StatsReply,
+    StopReply,
+    ZeroReply,
+)
 
 if TYPE_CHECKING:
     from rclpy.executors import Executor

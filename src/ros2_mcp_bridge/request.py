@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar, Union, cast
 
-from .limits import MAX_RATE_HZ
+from ros2_mcp_common.wire.limits import MAX_RATE_HZ
 
 if TYPE_CHECKING:
-    from .epoch import Acceptance
-    from .protocol import EndedBy, ErrorKind, Failure
+    from ros2_mcp_bridge.epoch import Acceptance
+    from ros2_mcp_common.wire.protocol import EndedBy, ErrorKind, Failure
 
 T = TypeVar("T")
 

@@ -11,11 +11,11 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import NamedTuple
 
-from .limits import BATCH_BYTES, MAX_BODY_BYTES, MOST_WAITING_BYTES, PIECE_BYTES
-from .packets import Packet, PacketError, PacketReader, pack
-from .pieces import LANE_OF_REQUESTS, Credit, Cut, Lanes
-from .protocol import Counts, SampleHead, Samples
-from .request import OperationError
+from ros2_mcp_bridge.request import OperationError
+from ros2_mcp_common.wire.limits import BATCH_BYTES, MAX_BODY_BYTES, MOST_WAITING_BYTES, PIECE_BYTES
+from ros2_mcp_common.wire.packets import Packet, PacketError, PacketReader, pack
+from ros2_mcp_common.wire.pieces import LANE_OF_REQUESTS, Credit, Cut, Lanes
+from ros2_mcp_common.wire.protocol import Counts, SampleHead, Samples
 
 # As much as a pipe of the local carrier holds; one that holds less gives less.
 READ_BYTES = BATCH_BYTES

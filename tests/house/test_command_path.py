@@ -12,13 +12,13 @@ from support.source import trees
 INSIDE = ("src/ros2_mcp/robot/", "src/ros2_mcp/link/")
 MAKES_A_LINK = {
     "src/ros2_mcp/commands/serve.py": {"client.Bridge", "carriers.start_carrier"},
-    "src/ros2_mcp/assembly.py": {"client.Bridge"},
-    "src/ros2_mcp/library.py": {"client.Bridge", "carriers.start_carrier"},
+    "src/ros2_mcp/compose/server.py": {"client.Bridge"},
+    "src/ros2_mcp/compose/robot.py": {"client.Bridge", "carriers.start_carrier"},
     "src/ros2_mcp/ops/sources/recorded_robot.py": {"client.Bridge"},
 }
 """What the composition imports of the stream. The last one makes a link that is never begun, for a recording in the
 place of the robot."""
-BEGINS_AND_ENDS = {"src/ros2_mcp/library.py": {"robot.bridge.attach", "robot.bridge.close"}}
+BEGINS_AND_ENDS = {"src/ros2_mcp/compose/robot.py": {"robot.bridge.attach", "robot.bridge.close"}}
 """What the composition does with the link of a robot."""
 STREAM_MODULES = {"client", "connection", "subscription", "carrier", "carriers", "local", "heartbeat"}
 """Modules of `link/` that carry the stream; the others look for installations."""
@@ -26,9 +26,9 @@ EXECUTORS = {"core", "facts", "failsafes", "goals", "publishing", "services", "t
 SPEAKING = {"ask", "query", "request", "subscribe"}
 OF_MCP = {
     "src/ros2_mcp/resources/push.py": {"self._bus.subscribe"},
-    "src/ros2_mcp/server.py": {"resources.push.subscribe"},
-    "src/ros2_mcp/leases.py": {"context.request"},
-    "src/ros2_mcp/scopes.py": {"context.request"},
+    "src/ros2_mcp/mcp/server.py": {"resources.push.subscribe"},
+    "src/ros2_mcp/mcp/leases.py": {"context.request"},
+    "src/ros2_mcp/mcp/scopes.py": {"context.request"},
 }
 """Who is subscribed with, or has made a request, is a client of ours, and no robot."""
 FAILSAFES = {"driving", "leave_cancel", "withdraw", "rest"}

@@ -8,7 +8,7 @@ import pytest
 
 from support.source import trees
 
-PUBLISHERS, CLIENTS = "src/ros2_mcp_bridge/publishers.py", "src/ros2_mcp_bridge/clients.py"
+PUBLISHERS, CLIENTS = "src/ros2_mcp_bridge/topics/publishers.py", "src/ros2_mcp_bridge/topics/clients.py"
 EXITS = {
     (PUBLISHERS, "publish", "publish_raw"): "self.limits.passing",
     (CLIENTS, "_send", "call_async"): "self._limiter.check_call",
@@ -16,8 +16,8 @@ EXITS = {
 """Where something leaves by which call, and what is asked there before."""
 ZEROS = {
     (PUBLISHERS, "publish_zero", "publish_raw"),
-    ("src/ros2_mcp_bridge/stopper.py", "publish_zero", "publish_raw"),
-    ("src/ros2_mcp_bridge/stopper.py", "make", "call_async"),
+    ("src/ros2_mcp_bridge/stopper/stopper.py", "publish_zero", "publish_raw"),
+    ("src/ros2_mcp_bridge/stopper/stopper.py", "make", "call_async"),
 }
 """What sends zeros alone, or what cancels a goal or makes a vehicle stand, and asks nobody."""
 SENDING = {"publish_raw", "publish", "call_async", "call", "send_goal", "send_goal_async"}
@@ -89,7 +89,7 @@ def test_a_zero_is_made_by_the_bridge_and_takes_nothing_of_others() -> None:
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "publish_zero"
     ]
     assert callers == [
-        ("src/ros2_mcp_bridge/publishers.py", "self.publish_zero(rcl.serialize(self._interface()))"),
-        ("src/ros2_mcp_bridge/velocities.py", "publisher.publish_zero(data)"),
-        ("src/ros2_mcp_bridge/velocities.py", "publisher.publish_zero(data)"),
+        ("src/ros2_mcp_bridge/topics/publishers.py", "self.publish_zero(rcl.serialize(self._interface()))"),
+        ("src/ros2_mcp_bridge/exit/velocities.py", "publisher.publish_zero(data)"),
+        ("src/ros2_mcp_bridge/exit/velocities.py", "publisher.publish_zero(data)"),
     ]

@@ -14,8 +14,8 @@ BEGINS_TASKS = {
     "ops/actions/send_goal.py:_ending": "the following of feedback, ended in the same function's `finally`",
     "ops/actions/result.py:result_of": "the request for a result, cancelled in the same function's `finally`",
     "ops/actions/send_goal.py:_submit": "the sending of a goal, cancelled in the same function's `finally`",
-    "ops/results.py:begin": "ended in the `finally` of `reporting`, around it",
-    "ops/stop.py:stop_in_reach": "a stop, which ends by itself within seconds and is to outlive its call",
+    "ops/results/results.py:begin": "ended in the `finally` of `reporting`, around it",
+    "ops/stop/stop.py:stop_in_reach": "a stop, which ends by itself within seconds and is to outlive its call",
     "ops/watch/watchers.py:__init__": "a watch ends with the last who listens to it, and moves nothing",
 }
 """Operations that begin tasks, and why none of them can outlive what began it unseen."""

@@ -11,7 +11,7 @@ import pytest
 from generate import served_tools
 from mcp.types import Tool
 
-from ros2_mcp.assembly import assemble
+from ros2_mcp.compose.server import assemble
 from ros2_mcp.settings import Settings
 
 TOOLS = served_tools()
@@ -114,7 +114,7 @@ def test_the_result_is_an_object(tool: Tool) -> None:
 
 @every_tool
 def test_no_argument_and_no_field_is_called_robot(tool: Tool) -> None:
-    """With several robots each tool takes the name of one by that name, and tells it so (`fleet/listing.py`)."""
+    """With several robots each tool takes the name of one by that name, and tells it so (`mcp/fleet/listing.py`)."""
     assert "robot" not in {**tool.input_schema["properties"], **(tool.output_schema or {}).get("properties", {})}
 
 

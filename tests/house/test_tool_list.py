@@ -8,9 +8,9 @@ import re
 import pytest
 from generate import REFERENCE, SETTINGS, SNAPSHOT, reference, served_tools, settings_reference, snapshot
 
-from ros2_mcp.assembly import Assembly, assemble
-from ros2_mcp.binding import CallFailed
-from ros2_mcp.ops.results import silent
+from ros2_mcp.compose.server import Assembly, assemble
+from ros2_mcp.mcp.binding import CallFailed
+from ros2_mcp.ops.results.results import silent
 from ros2_mcp.settings import Settings
 from ros2_mcp.tools import TOOLS
 from support.source import ROOT

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from ros2_mcp_bridge import latch
+from ros2_mcp_common import latch
 from support.agent import Agent, agent_for
 from support.demo_robot import build_interfaces, with_interfaces
 from support.domains import reserved_domains

@@ -12,10 +12,10 @@ pytest.importorskip("rclpy", reason="needs the ROS 2 wheels")
 
 from rclpy.serialization import deserialize_message, serialize_message
 
-from ros2_mcp_bridge import interfaces
+from ros2_mcp_bridge.exit.velocities import judged
 from ros2_mcp_bridge.request import OperationError
-from ros2_mcp_bridge.velocities import judged
-from ros2_mcp_bridge.velocity import VELOCITY_TYPES
+from ros2_mcp_bridge.ros import interfaces
+from ros2_mcp_common.policy.velocity import VELOCITY_TYPES
 from support.velocities import cdr
 
 COUNT = 10_000

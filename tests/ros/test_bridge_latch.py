@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from ros2_mcp_bridge.latch import FILE, Latch
-from ros2_mcp_bridge.rules import Rules, RuleSet
+from ros2_mcp_common.latch import FILE, Latch
+from ros2_mcp_common.policy.rules import Rules, RuleSet
 from support.agent import FULL, until
 from support.bridge_client import PATIENCE_S, RELIABLE, Client
 from support.observer import Observer

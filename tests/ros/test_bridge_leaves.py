@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 
-from ros2_mcp_bridge.rules import Rules, RuleSet
+from ros2_mcp_common.policy.rules import Rules, RuleSet
 from support import own_processes, shared_memory
 from support.bridge_client import PATIENCE_S, Client
 from support.observer import Observer

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from ros2_mcp_bridge.rules import Allowance, Limit, Rules, RuleSet
+from ros2_mcp_common.policy.rules import Allowance, Limit, Rules, RuleSet
 from support.agent import FULL, until
 from support.bridge_client import PATIENCE_S, RELIABLE, Client
 from support.limits import HOLD_S, LINEAR, RATE_HZ, SET_BOOL, STEP_S, UP, body, over, rules

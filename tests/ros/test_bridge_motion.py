@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from ros2_mcp_bridge.__main__ import LATE_S
-from ros2_mcp_bridge.limits import MAX_FAILSAFES
+from ros2_mcp_common.wire.limits import MAX_FAILSAFES
 from support.agent import FULL, until
 from support.bridge_client import PATIENCE_S, RELIABLE, Client
 from support.observer import Observer, observing

@@ -12,7 +12,7 @@ from statistics import median
 
 import pytest
 
-from ros2_mcp_bridge.rules import Rules, RuleSet
+from ros2_mcp_common.policy.rules import Rules, RuleSet
 from support.agent import until
 from support.bridge_client import PATIENCE_S, RELIABLE, Client
 from support.commanded import CommandedProcess

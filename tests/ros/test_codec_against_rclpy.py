@@ -17,10 +17,10 @@ pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2"
 from rclpy.serialization import deserialize_message, serialize_message
 from rosidl_parser import definition as idl
 
-from ros2_mcp.codec.cdr import Codec
-from ros2_mcp.codec.check import check
-from ros2_mcp.codec.definitions import Definitions, DefinitionText
-from ros2_mcp.codec.render import RenderOptions, example_of, render
+from ros2_mcp.values.cdr import Codec
+from ros2_mcp.values.check import check
+from ros2_mcp.values.definitions import Definitions, DefinitionText
+from ros2_mcp.values.render import RenderOptions, example_of, render
 
 EXACT = RenderOptions(exact=True)
 LIMITS = {

@@ -14,14 +14,15 @@ pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2"
 
 from rclpy.serialization import deserialize_message
 
-from ros2_mcp.codec.check import check
-from ros2_mcp.codec.definitions import Definitions
-from ros2_mcp.codec.select import known_to
 from ros2_mcp.model.errors import BadInput, BadValue
 from ros2_mcp.ops.measure.expression import condition
-from ros2_mcp_bridge import conditions, interfaces
-from ros2_mcp_bridge.message_types import MessageTypes
-from ros2_mcp_bridge.paths import PathError
+from ros2_mcp.values.check import check
+from ros2_mcp.values.definitions import Definitions
+from ros2_mcp.values.select import known_to
+from ros2_mcp_bridge.ros import interfaces
+from ros2_mcp_bridge.ros.message_types import MessageTypes
+from ros2_mcp_common.language import conditions
+from ros2_mcp_common.language.paths import PathError
 from support.made_windows import CODEC
 
 PAGE = Path(__file__).parents[2] / "docs/reference/conditions.md"

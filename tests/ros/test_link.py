@@ -22,7 +22,7 @@ from ros2_mcp.link.installation import WHEEL_GUARD
 from ros2_mcp.link.local import LocalBridge, start_local
 from ros2_mcp.model.errors import BridgeLost, BridgeRefused, LinkError, RosNotFound
 from ros2_mcp.settings import Settings
-from ros2_mcp_bridge.finding import rclpy_below
+from ros2_mcp_common.start.finding import rclpy_below
 from support.standstill import undisturbed_async
 from support.tasks import running_tasks
 

@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-from ros2_mcp_bridge.packets import Packet, PacketReader, pack
+from ros2_mcp_common.wire.packets import Packet, PacketReader, pack
 
 RELIABLE = {"reliability": "reliable", "durability": "volatile", "history": "keep_last", "depth": 10}
 BEST_EFFORT = {**RELIABLE, "reliability": "best_effort"}

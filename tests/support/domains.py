@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from ros2_mcp_bridge.spawning import STOPPERS
+from ros2_mcp_bridge.exit.spawning import STOPPERS
 from support import leaves_nothing, own_processes, shared_memory
 from support.own_processes import Process
 from support.processes import SHARED

@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 
-from ros2_mcp_bridge import limiter
-from ros2_mcp_bridge.checks import Checks
-from ros2_mcp_bridge.rules import Allowance, Forbidden, Limit, Ramp, Rules, RuleSet
+from ros2_mcp_bridge.exit import limiter
+from ros2_mcp_common.policy.checks import Checks
+from ros2_mcp_common.policy.rules import Allowance, Forbidden, Limit, Ramp, Rules, RuleSet
 from support.velocities import STAMPED, TWIST, TWIST_STAMPED
 
 LINEAR, ANGULAR = 0.4, 0.8

@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from ros2_mcp.codec.no_transform import located
-from ros2_mcp.codec.transforms import FrameTree
 from ros2_mcp.model.errors import NoTransform
+from ros2_mcp.world.no_transform import located
+from ros2_mcp.world.transforms import FrameTree
 
 SECOND = 1_000_000_000
 NOW_NS = 1_700_000_000 * SECOND

@@ -9,13 +9,13 @@ from typing import Any
 
 from rosbags.typesys import Stores, get_typestore
 
-from ros2_mcp.codec.cdr import Codec
-from ros2_mcp.codec.check import check
-from ros2_mcp.codec.definitions import Definitions, DefinitionText
 from ros2_mcp.model.errors import NotFound
 from ros2_mcp.model.qos import Endpoint, QoS
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.sources.source import Capture, GraphSnapshot, K, Keep, Source, Stream, in_batches
+from ros2_mcp.values.cdr import Codec
+from ros2_mcp.values.check import check
+from ros2_mcp.values.definitions import Definitions, DefinitionText
 from support.processes import SOURCES
 
 START_NS = 1_700_000_000_000_000_000

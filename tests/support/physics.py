@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any
 
-from ros2_mcp_bridge.drive import Drive
+from ros2_mcp_bridge.motion.drive import Drive
 
 STEP_S = 0.01
 """As often as the runner looks (`motion.LOOK_S`)."""

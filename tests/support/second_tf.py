@@ -1,6 +1,6 @@
 """tf2's look-up a second time, from the formulas and by other ways: 4 × 4 matrices and exact fractions of time.
 
-Rotations are matrices here, interpolated by the angle about their common axis (Rodrigues), where `codec/transforms.py`
+Rotations are matrices here, interpolated by the angle about their common axis (Rodrigues), where `world/transforms.py`
 has quaternions and slerp.
 """
 

@@ -8,7 +8,7 @@ from typing import Any
 from ros2_mcp.link.carrier import Vitality
 from ros2_mcp.link.connection import Connection
 from ros2_mcp.model.errors import LinkError
-from ros2_mcp_bridge.packets import Packet, PacketReader, pack
+from ros2_mcp_common.wire.packets import Packet, PacketReader, pack
 
 HELLO = {
     "event": "hello",

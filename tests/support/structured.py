@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
-from ros2_mcp.binding import answer_schema
-from ros2_mcp.server import STRUCTURED
+from ros2_mcp.mcp.binding import answer_schema
+from ros2_mcp.mcp.server import STRUCTURED
 from ros2_mcp.tools import TOOLS
 
 META: dict[str, Any] = {STRUCTURED: True}

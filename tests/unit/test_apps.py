@@ -11,8 +11,8 @@ import pytest
 from mcp import Client
 from mcp.types import TextResourceContents
 
-from ros2_mcp import apps
-from ros2_mcp.assembly import Assembly, assemble
+from ros2_mcp.compose.server import Assembly, assemble
+from ros2_mcp.mcp import apps
 from ros2_mcp.settings import Settings
 from ros2_mcp.tools import PAGE_TOOLS, TOOLS
 from ros2_mcp.view.page import page

@@ -9,15 +9,15 @@ import anyio
 import pytest
 from anyio import to_thread
 
-from ros2_mcp.assembly import assemble
 from ros2_mcp.bags.stored import StoredTopic
 from ros2_mcp.bags.writer import BagWriter
-from ros2_mcp.binding import CallFailed
 from ros2_mcp.cli import run
 from ros2_mcp.commands import call
 from ros2_mcp.commands.assignments import read_assignments
 from ros2_mcp.commands.operate import servers_in
 from ros2_mcp.commands.terminal import readable
+from ros2_mcp.compose.server import assemble
+from ros2_mcp.mcp.binding import CallFailed
 from ros2_mcp.model.commands import Record
 from ros2_mcp.model.errors import BadInput, NotFound, RosNotFound
 from ros2_mcp.model.samples import Sample

@@ -11,9 +11,9 @@ from collections.abc import Callable, Sequence
 import pytest
 from mcp.types import CallToolResult, ContentBlock, ImageContent, TextContent
 
-from ros2_mcp.binding import answer
-from ros2_mcp.fleet.about_all import RobotStates, StoppedRobots
-from ros2_mcp.server import text_alone
+from ros2_mcp.mcp.binding import answer
+from ros2_mcp.mcp.fleet.about_all import RobotStates, StoppedRobots
+from ros2_mcp.mcp.server import text_alone
 from ros2_mcp.tools import TOOLS
 from support.made_results import made
 

@@ -15,11 +15,11 @@ from mcp import Client
 from starlette.requests import Request
 
 import ros2_mcp
-from ros2_mcp.assembly import assemble
 from ros2_mcp.bags.stored import StoredTopic
 from ros2_mcp.bags.writer import BagWriter
 from ros2_mcp.cli import run
-from ros2_mcp.leases import principal_of, principal_of_session
+from ros2_mcp.compose.server import assemble
+from ros2_mcp.mcp.leases import principal_of, principal_of_session
 from ros2_mcp.model.commands import LOCAL
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.model.samples import Sample

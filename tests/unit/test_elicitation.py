@@ -13,7 +13,7 @@ import pytest
 from mcp import Client
 from mcp.types import ElicitRequestParams, ElicitResult
 
-from ros2_mcp.assembly import assemble
+from ros2_mcp.compose.server import assemble
 from ros2_mcp.link.client import Bridge
 from ros2_mcp.model.commands import Record
 from ros2_mcp.model.errors import RosNotFound

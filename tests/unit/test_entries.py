@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from ros2_mcp.entries import entries_of, named_in, only_one
+from ros2_mcp.compose.entries import entries_of, named_in, only_one
 from ros2_mcp.model.address import parse_address
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.settings import Settings

@@ -13,13 +13,13 @@ import anyio
 import pytest
 from mcp import Client
 
-from ros2_mcp.assembly import Assembly, assemble
-from ros2_mcp.fleet import Member, about_all
-from ros2_mcp.leases import Leases
+from ros2_mcp.compose.server import Assembly, assemble
 from ros2_mcp.link.client import Bridge
+from ros2_mcp.mcp.fleet import Member, about_all
+from ros2_mcp.mcp.leases import Leases
 from ros2_mcp.model.address import parse_address
 from ros2_mcp.model.commands import Principal
-from ros2_mcp.ops import stop as stopping
+from ros2_mcp.ops.stop import stop as stopping
 from ros2_mcp.robot import Robot
 from ros2_mcp.settings import Settings
 from support.noting_bridge import Noting

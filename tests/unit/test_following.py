@@ -13,8 +13,8 @@ from mcp import Client
 from mcp.shared.exceptions import MCPDeprecationWarning
 from mcp.types import LoggingMessageNotificationParams
 
-from ros2_mcp.assembly import assemble
-from ros2_mcp.following import MAX_TEXT, MAX_WAITING
+from ros2_mcp.compose.server import assemble
+from ros2_mcp.mcp.client_log import MAX_TEXT, MAX_WAITING
 from ros2_mcp.settings import Settings
 from support.tasks import soon
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from ros2_mcp.binding import CallFailed
 from ros2_mcp.cli import run
 from ros2_mcp.commands.serve import LogFormatter
+from ros2_mcp.mcp.binding import CallFailed
 from support.hidden import HIDDEN
 from support.hostile_bag import write_hostile_bag
 from support.outlets import FORGED, hostile, is_hidden

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from mcp.types import JSONRPCNotification
 
-from ros2_mcp.incoming import Refusal, read_message
-from ros2_mcp.stdio import _as_line  # pyright: ignore[reportPrivateUsage] - what no good client can cause
+from ros2_mcp.mcp.transports.jsonrpc import Refusal, read_message
+from ros2_mcp.mcp.transports.stdio import _as_line  # pyright: ignore[reportPrivateUsage] - what no good client can cause
 
 LARGE = b" " * 25_000
 PING = b'{"jsonrpc": "2.0", "id": 1, "method": "ping", "params": {"_meta": {"progressToken": "%b"}}}'

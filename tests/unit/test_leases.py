@@ -14,9 +14,9 @@ import anyio
 import pytest
 from anyio.lowlevel import checkpoint, checkpoint_if_cancelled
 
-from ros2_mcp import leases as subject
 from ros2_mcp.guard.entrance import entrance_of
-from ros2_mcp.leases import CLIENT_LEASE_S, RESPONSE, Leases, principal_of
+from ros2_mcp.mcp import leases as subject
+from ros2_mcp.mcp.leases import CLIENT_LEASE_S, RESPONSE, Leases, principal_of
 from ros2_mcp.model.commands import LOCAL, Principal, Publish, Repeat
 from ros2_mcp.model.errors import Stopped
 from ros2_mcp.robot import Robot

@@ -13,12 +13,12 @@ import anyio
 import anyio.lowlevel
 import pytest
 
-from ros2_mcp import connections
-from ros2_mcp.connections import Connections
 from ros2_mcp.guard.tokens import ALL, LOGIN, Login
-from ros2_mcp.http import _Readable  # pyright: ignore[reportPrivateUsage]
+from ros2_mcp.mcp.transports.http import connections
+from ros2_mcp.mcp.transports.http.app import _Readable  # pyright: ignore[reportPrivateUsage]
+from ros2_mcp.mcp.transports.http.connections import Connections
+from ros2_mcp.mcp.transports.sockets import _bound  # pyright: ignore[reportPrivateUsage]
 from ros2_mcp.model.errors import BadInput
-from ros2_mcp.sockets import _bound  # pyright: ignore[reportPrivateUsage]
 
 PATIENCE_S = 10.0
 

@@ -12,7 +12,7 @@ from typing import Any
 from mcp.server.lowlevel import Server
 from mcp.types import ListToolsResult, Tool
 
-from ros2_mcp.stdio import serve_stdio
+from ros2_mcp.mcp.transports.stdio import serve_stdio
 
 LONG = "é" * 100_000
 """Longer than what a pipe holds."""

@@ -8,7 +8,7 @@ import pytest
 from mcp import Client
 from mcp.types import ImageContent
 
-from ros2_mcp.assembly import assemble
+from ros2_mcp.compose.server import assemble
 from ros2_mcp.settings import Settings
 from support.room_bag import room_bag
 from support.structured import META

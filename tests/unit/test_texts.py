@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from ros2_mcp.ops.text import as_text
+from ros2_mcp.ops.results.text import as_text
 from ros2_mcp.tools import TOOLS, ToolDeclaration
 from support.made_results import made
 from support.snapshots import assert_as_snapshot

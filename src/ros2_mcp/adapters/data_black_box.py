@@ -20,14 +20,14 @@ from ros2_mcp.model.errors import BadData, BadValue, NotFound, RobotError, Timed
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import quoted
 from ros2_mcp.ops.memory.bag_store import BagStore
-from ros2_mcp.ops.results import iso_time
+from ros2_mcp.ops.results.results import iso_time
 from ros2_mcp.ops.sources.selection import MAX_MESSAGES
 from ros2_mcp.ops.sources.source import ANSWER_S, Source, SourceKind, SourceRequest, Stream, in_batches
 from ros2_mcp.ops.sources.times import last_ns_of, parsed_ns
 from ros2_mcp.robot import Robot
 
 if TYPE_CHECKING:
-    from ros2_mcp.codec.cdr import Codec
+    from ros2_mcp.values.cdr import Codec
 
 FIRST_TYPE = "lora_msgs/srv/GetMessages"
 SECOND_TYPE = "wisevision_msgs/srv/InfluxGetMessages"

@@ -27,7 +27,7 @@ from ros2_mcp.settings import Settings
 if TYPE_CHECKING:
     from mcp.types import CallToolResult
 
-    from ros2_mcp.binding import BoundTool
+    from ros2_mcp.mcp.binding import BoundTool
     from ros2_mcp.robot import Robot
     from ros2_mcp.robot.goals import Goal
     from ros2_mcp.robot.jobs import Job
@@ -63,7 +63,7 @@ def call(settings: Settings, tool: str, assignments: Sequence[str], *, as_json: 
     settings = of_call(settings)
     bridge = launch(settings)
     show_log(settings)
-    from ros2_mcp.assembly import assemble
+    from ros2_mcp.compose.server import assemble
 
     async def once() -> int:
         # Python 3.10 would cancel the bridge's supervisor together with this task: the bridge would be killed, and not
@@ -148,7 +148,7 @@ def _until_when(job: Job) -> str:
 async def _follow(robot: Robot, goal: Goal) -> bool:
     """Shows the feedback of a goal until it has ended, and then its result; whether it succeeded."""
     from ros2_mcp.ops.actions.send_goal import follow
-    from ros2_mcp.ops.results import as_json, at_most_every
+    from ros2_mcp.ops.results.results import as_json, at_most_every
 
     async def show(done: float, _: float, line: str) -> None:
         print(visible(f"{done:.0f} s  {line}"), file=sys.stderr, flush=True)
@@ -170,7 +170,7 @@ async def _stop(robot: Robot) -> None:
 
     The bridge would do it by itself when this program ends, but nobody would be there to say so.
     """
-    from ros2_mcp.ops.stop import cancel_goals
+    from ros2_mcp.ops.stop.stop import cancel_goals
 
     zeros, goals = await asyncio.gather(_zeros(robot, robot.failsafes.moving), cancel_goals(robot))
     cancelled = [
@@ -222,9 +222,9 @@ async def _end(robot: Robot, job: Job) -> None:
 
 async def approved(settings: Settings, tool: BoundTool, arguments: Mapping[str, Any]) -> CallToolResult:
     """The answer of the tool; what a person has to approve first waits for that. Raises `CallFailed`."""
-    from ros2_mcp.binding import CallFailed
+    from ros2_mcp.compose.robot import operated
     from ros2_mcp.guard.consent import Consent
-    from ros2_mcp.library import operated
+    from ros2_mcp.mcp.binding import CallFailed
 
     while True:
         try:
@@ -243,7 +243,7 @@ async def approved(settings: Settings, tool: BoundTool, arguments: Mapping[str, 
 async def _print_answer(
     settings: Settings, tool: BoundTool, arguments: dict[str, Any], as_json: bool, output: Path | None
 ) -> int:
-    from ros2_mcp.binding import SUMMARY, CallFailed
+    from ros2_mcp.mcp.binding import SUMMARY, CallFailed
 
     try:
         result = await approved(settings, tool, arguments)

@@ -20,8 +20,8 @@ from ros2_mcp.link.provenance import launch_command, own_provenance
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.model.shell import typed
 from ros2_mcp.settings import OPTIONS, Option, Settings
-from ros2_mcp_bridge.finding import path_entries
-from ros2_mcp_bridge.limits import MAX_DURATION_S
+from ros2_mcp_common.start.finding import path_entries
+from ros2_mcp_common.wire.limits import MAX_DURATION_S
 
 NAME = "ros2"
 # Clients end a call by themselves, some after 60 s. The longest call that a tool allows needs a little longer than it

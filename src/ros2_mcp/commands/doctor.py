@@ -13,8 +13,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib.metadata import version
 
-from ros2_mcp.entries import entries_of
-from ros2_mcp.library import guard_for
+from ros2_mcp.compose.entries import entries_of
+from ros2_mcp.compose.robot import guard_for
 from ros2_mcp.link.diagnosis import Finding, diagnose, probe
 from ros2_mcp.link.provenance import own_provenance
 from ros2_mcp.link.refusals import by_doctor, by_hand

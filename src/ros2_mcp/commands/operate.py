@@ -24,7 +24,7 @@ from ros2_mcp.guard.servers import Ended, Row, Server, servers_in
 from ros2_mcp.guard.state import StateFolder
 from ros2_mcp.model.errors import BadInput, NotFound, Refused, RobotError
 from ros2_mcp.model.text import visible
-from ros2_mcp_bridge.latch import ResetRefused
+from ros2_mcp_common.latch import ResetRefused
 
 _REFRESH_S = 0.5
 """How often the screen is drawn anew: a request is seen at once, and nothing flickers."""

@@ -20,7 +20,7 @@ from ros2_mcp.guard.watch import most_of
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.settings import Settings
-from ros2_mcp_bridge.rules import RuleSet
+from ros2_mcp_common.policy.rules import RuleSet
 
 _MEANT: Mapping[str, str] = {"allowed": "ALLOWED", "refused": "REFUSED", "consent": "A PERSON HAS TO APPROVE"}
 _TOLD: Mapping[str, Callable[[RuleSet], list[str]]] = {
@@ -117,7 +117,7 @@ def init(settings: Settings, output: Path | None) -> int:
 
 
 async def _draft(settings: Settings) -> str:
-    from ros2_mcp.library import connect
+    from ros2_mcp.compose.robot import connect
     from ros2_mcp.ops.policy.draft import draft
 
     async with connect(settings) as robot:

@@ -14,11 +14,11 @@ from ros2_mcp.commands.endings import when_told_to_end
 from ros2_mcp.guard.entrance import Entrance, check_tls, entrance_of
 from ros2_mcp.model.text import LAYOUT, visible
 from ros2_mcp.settings import Settings
-from ros2_mcp_bridge.allocation import keep_freed_memory
+from ros2_mcp_common.allocation import keep_freed_memory
 
 if TYPE_CHECKING:
-    from ros2_mcp.fleet import Member
     from ros2_mcp.link.client import Bridge
+    from ros2_mcp.mcp.fleet import Member
 
 
 _TO_A_PERSON = """\
@@ -75,7 +75,7 @@ def serve(settings: Settings) -> int:
 
 def launch(settings: Settings) -> Bridge | None:
     """Starts the bridge, if there is one robot; it comes up while the rest is imported. Several wait to be used."""
-    from ros2_mcp.entries import entries_of
+    from ros2_mcp.compose.entries import entries_of
     from ros2_mcp.guard.policy_file import policy_for
     from ros2_mcp.guard.state import state_of
     from ros2_mcp.link.carriers import start_carrier
@@ -101,13 +101,13 @@ def show_log(settings: Settings) -> None:
     # One line for each message, without time and place: it is read in a client's log, which adds its own.
     shown = logging.StreamHandler()
     shown.setFormatter(LogFormatter("%(message)s"))
-    shown.setLevel(settings.log_level.upper())  # a client that follows the log may want more (`following.py`)
+    shown.setLevel(settings.log_level.upper())  # a client that follows the log may want more (`mcp/client_log.py`)
     logging.basicConfig(level=settings.log_level.upper(), handlers=[shown])
 
 
 async def _operated_until(ending: asyncio.Event, member: Member) -> None:
     """Operators of a robot can reach the server until it ends."""
-    from ros2_mcp.library import operated  # imported by now
+    from ros2_mcp.compose.robot import operated  # imported by now
 
     async with operated(member.robot, member.settings):
         await ending.wait()
@@ -118,23 +118,23 @@ async def _serve(bridge: Bridge | None, settings: Settings, wire: Wire | None, e
     # Imported here because the bridge has been launched now, and comes up meanwhile.
     import anyio
 
-    from ros2_mcp.assembly import assemble
+    from ros2_mcp.compose.server import assemble
     from ros2_mcp.ops.memory.record import keep_black_box
 
     assembly = assemble(settings, bridge)
     show_log(settings)
     if wire:
-        from ros2_mcp.stdio import serve_stdio
+        from ros2_mcp.mcp.transports.stdio import serve_stdio
 
         serving = serve_stdio(assembly.server, wire.read_fd, wire.write_fd)
     elif settings.socket:
-        from ros2_mcp.sockets import serve_socket
+        from ros2_mcp.mcp.transports.sockets import serve_socket
 
         path = settings.socket.expanduser()
         told = f"ros2-mcp serves MCP at the socket {path}\nWhat a client starts:  ros2-mcp connect {path}\n"
         serving = serve_socket(assembly.server, assembly.leases, path, lambda: _say(told))
     else:
-        from ros2_mcp.http import serve_http  # brings uvicorn, which stdio does not need
+        from ros2_mcp.mcp.transports.http.app import serve_http  # brings uvicorn, which stdio does not need
 
         assert entrance
         serving = serve_http(

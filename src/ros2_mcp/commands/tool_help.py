@@ -16,7 +16,7 @@ from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.settings import Settings
 
 if TYPE_CHECKING:
-    from ros2_mcp.binding import BoundTool
+    from ros2_mcp.mcp.binding import BoundTool
 
 _MOST_COLUMNS = 120
 """Longer lines are hard to read."""
@@ -52,7 +52,7 @@ def print_help(settings: Settings, name: str | None) -> int:
     Raises:
         BadInput: if there is no such tool.
     """
-    from ros2_mcp.assembly import assemble
+    from ros2_mcp.compose.server import assemble
 
     tools = assemble(of_call(settings)).toolset.by_name
     columns = min(_MOST_COLUMNS, shutil.get_terminal_size((_MOST_COLUMNS, 0)).columns)

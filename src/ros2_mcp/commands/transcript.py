@@ -15,7 +15,7 @@ from typing import Any
 from mcp import Client
 from mcp.types import CallToolResult, ImageContent
 
-from ros2_mcp.server import STRUCTURED
+from ros2_mcp.mcp.server import STRUCTURED
 
 _BOLD, _DIM, _GREEN, _RED, _END = "\033[1m", "\033[2m", "\033[32m", "\033[31m", "\033[0m"
 

@@ -49,12 +49,12 @@ async def _view(settings: Settings, state: StateFolder, port: int) -> None:
     # Imported here because the bridge has been launched now, and comes up meanwhile.
     import anyio
 
-    from ros2_mcp.assembly import SOURCE_KINDS
-    from ros2_mcp.library import robot_for, running, store_for
+    from ros2_mcp.compose.robot import robot_for, running, store_for
+    from ros2_mcp.compose.server import SOURCE_KINDS
     from ros2_mcp.ops.sources.kinds import Sources
-    from ros2_mcp.ops.view.acting import Acting
-    from ros2_mcp.ops.view.mesh_files import prefixes_of
+    from ros2_mcp.view.acting import Acting
     from ros2_mcp.view.local import LocalPage
+    from ros2_mcp.view.mesh_files import prefixes_of
     from ros2_mcp.view.views import Views
 
     ending = asyncio.Event()

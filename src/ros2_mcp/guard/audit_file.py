@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from ros2_mcp.guard.chain import HEAD, Head, file_name, files_of, follows, line_of, parse_head
-from ros2_mcp_bridge.files import PLAIN, give_lock, read_at, take_lock, write_at
+from ros2_mcp_common.files import PLAIN, give_lock, read_at, take_lock, write_at
 
 FILE_BYTES = 64_000_000
 """Of one file: about 100,000 lines, which `verify` reads in a second."""

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
-from ros2_mcp_bridge.rules import RuleSet
+from ros2_mcp_common.policy.rules import RuleSet
 
 Mode = Literal["observe", "confirm", "autonomous"]
 """`observe`: only reading and stopping. `confirm`: what acts waits for a person, but where a rule says `never`.

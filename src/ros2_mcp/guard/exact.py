@@ -16,7 +16,7 @@ from typing import Any, cast
 from ros2_mcp.guard.policy import verb_of
 from ros2_mcp.model.commands import Command, Principal
 from ros2_mcp.model.text import is_name
-from ros2_mcp_bridge.velocity import VELOCITY_TYPES
+from ros2_mcp_common.policy.velocity import VELOCITY_TYPES
 
 _SENTENCES: Mapping[str, str] = {
     "publish": "Publish on {name}",

@@ -86,7 +86,7 @@ class Audit(Protocol):
 class Guard:
     """The policy, and around it all that can hold a command back. Whatever is None holds nothing back.
 
-    Who builds one of these sets it where the guard is made (`library.py`). Without a state folder the latch is kept in
+    Who builds one of these sets it where the guard is made (`compose/robot.py`). Without a state folder the latch is kept in
     memory, and no other server is looked for.
     """
 

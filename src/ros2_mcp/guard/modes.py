@@ -10,7 +10,7 @@ from ros2_mcp.guard.document import Mode
 from ros2_mcp.guard.policy import MODES, strictest
 from ros2_mcp.guard.state import StateFolder
 from ros2_mcp.model.errors import BadInput, RobotError
-from ros2_mcp_bridge.files import PLAIN, replace
+from ros2_mcp_common.files import PLAIN, replace
 
 _FILE = "mode.json"
 _BY_NAME: Mapping[str, Mode] = {mode: mode for mode in MODES}

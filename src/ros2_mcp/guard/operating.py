@@ -25,7 +25,7 @@ from ros2_mcp.guard.operators import SHOWN_S, OperatorSocket, is_left_behind, li
 from ros2_mcp.guard.policy import Policy
 from ros2_mcp.guard.state import StateFolder
 from ros2_mcp.model.errors import BadInput, RobotError
-from ros2_mcp_bridge.latch import Latch, ResetRefused
+from ros2_mcp_common.latch import Latch, ResetRefused
 
 RESET = "The latch is reset: what acts may act again. Nothing was started."
 _PREFIX, _SUFFIX = "operate-", ".sock"

@@ -11,10 +11,10 @@ from ros2_mcp.model import commands
 from ros2_mcp.model.commands import SERVER, Command, ServiceBorne
 from ros2_mcp.model.errors import BadValue
 from ros2_mcp.model.text import named
-from ros2_mcp_bridge.checks import problem as problem_of
-from ros2_mcp_bridge.rules import Allowance, Rules, RuleSet, Ruling, Verb, matches, meaning
-from ros2_mcp_bridge.trajectory_limits import LookAtJoints, nobody_measures
-from ros2_mcp_bridge.velocity import VELOCITY_TYPES
+from ros2_mcp_common.policy.checks import problem as problem_of
+from ros2_mcp_common.policy.rules import Allowance, Rules, RuleSet, Ruling, Verb, matches, meaning
+from ros2_mcp_common.policy.trajectory_limits import LookAtJoints, nobody_measures
+from ros2_mcp_common.policy.velocity import VELOCITY_TYPES
 
 MODES: Sequence[Mode] = ("observe", "confirm", "autonomous")
 """From the strictest to the one that asks least."""

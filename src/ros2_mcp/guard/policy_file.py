@@ -19,11 +19,11 @@ from ros2_mcp.guard.policy import VERBS, Policy
 from ros2_mcp.guard.section import PolicyFileError, Section, parse
 from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.settings import Settings
-from ros2_mcp_bridge.checks import Checks, Pace, Zone
-from ros2_mcp_bridge.feedback import PARTS
-from ros2_mcp_bridge.files import PLAIN, is_of_others, others_can_write
-from ros2_mcp_bridge.rules import Allowance, Forbidden, Limit, Ramp, Rules, RuleSet
-from ros2_mcp_bridge.trajectory_limits import CurveLimits, JointBounds
+from ros2_mcp_common.files import PLAIN, is_of_others, others_can_write
+from ros2_mcp_common.policy.checks import Checks, Pace, Zone
+from ros2_mcp_common.policy.feedback import PARTS
+from ros2_mcp_common.policy.rules import Allowance, Forbidden, Limit, Ramp, Rules, RuleSet
+from ros2_mcp_common.policy.trajectory_limits import CurveLimits, JointBounds
 
 SYSTEM_POLICY = (
     Path(os.environ.get("PROGRAMDATA", "C:/ProgramData"), "ros2-mcp", "policy.yaml")

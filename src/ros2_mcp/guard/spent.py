@@ -16,7 +16,7 @@ from typing import Any, cast
 
 from ros2_mcp.guard.state import StateFolder
 from ros2_mcp.model.errors import RobotError
-from ros2_mcp_bridge.files import PLAIN, replace
+from ros2_mcp_common.files import PLAIN, replace
 
 _FILE = "spent.json"
 _KEPT_S = 120.0

@@ -25,9 +25,9 @@ from ros2_mcp.model.commands import Command
 from ros2_mcp.model.errors import Latched, Refused, RobotError
 from ros2_mcp.model.text import named, quoted
 from ros2_mcp.settings import Settings
-from ros2_mcp_bridge import latch
-from ros2_mcp_bridge.files import PLAIN, is_of_others, others_can_write, read_at, take_lock, write_at
-from ros2_mcp_bridge.latch import Latch, LatchState
+from ros2_mcp_common import latch
+from ros2_mcp_common.files import PLAIN, is_of_others, others_can_write, read_at, take_lock, write_at
+from ros2_mcp_common.latch import Latch, LatchState
 
 RESET_HINT = "Only an operator can reset it, with ros2-mcp operate; reading and stopping still work."
 _LOCK = "server.lock"

@@ -19,11 +19,11 @@ from pathlib import Path
 
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.model.names import did_you_mean
-from ros2_mcp_bridge.files import PLAIN, is_of_others
+from ros2_mcp_common.files import PLAIN, is_of_others
 
 SCOPES = ("observe", "act", "stop")
 """What a token may do: read; whatever changes something; `ros2_stop`, which who may act may use as well."""
-LOGIN = "ros2_mcp.login"
+LOGIN = "ros2_mcp.mcp.transports.http.login"
 """The key of a request's scope under which its `Login` is found; it is missing where no login is asked for."""
 OWN_NAME = "own"
 """The name of the token that a server makes for itself."""

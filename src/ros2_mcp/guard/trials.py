@@ -19,12 +19,12 @@ from ros2_mcp.model import commands, names
 from ros2_mcp.model.commands import LOCAL, Command
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.model.qos import Choice, QoS
-from ros2_mcp_bridge.checks import Checks
-from ros2_mcp_bridge.curves import State
-from ros2_mcp_bridge.field_values import number_of
-from ros2_mcp_bridge.rules import CHANGE_STATE, SET_PARAMETERS, Ruling, Verb, judged_part, meaning
-from ros2_mcp_bridge.stamps import trajectories_in
-from ros2_mcp_bridge.trajectory_limits import Joints, LookAtJoints
+from ros2_mcp_common.policy.checks import Checks
+from ros2_mcp_common.policy.curves import State
+from ros2_mcp_common.policy.field_values import number_of
+from ros2_mcp_common.policy.rules import CHANGE_STATE, SET_PARAMETERS, Ruling, Verb, judged_part, meaning
+from ros2_mcp_common.policy.stamps import trajectories_in
+from ros2_mcp_common.policy.trajectory_limits import Joints, LookAtJoints
 
 DECISIONS: Mapping[str, str] = {"allowed": "allow", "refused": "refuse", "consent": "consent"}
 """What tables call the verdicts."""

@@ -7,9 +7,9 @@ from dataclasses import asdict
 from typing import Any
 
 from ros2_mcp.guard.policy import Policy
-from ros2_mcp_bridge.feedback import PARTS
-from ros2_mcp_bridge.rules import Limit
-from ros2_mcp_bridge.velocity import VELOCITY_TYPES
+from ros2_mcp_common.policy.feedback import PARTS
+from ros2_mcp_common.policy.rules import Limit
+from ros2_mcp_common.policy.velocity import VELOCITY_TYPES
 
 
 def watch_of(policy: Policy) -> Mapping[str, Any]:

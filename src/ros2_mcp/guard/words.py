@@ -6,10 +6,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from ros2_mcp.guard.document import Document
-from ros2_mcp_bridge.checks import Checks, Zone
-from ros2_mcp_bridge.feedback import UNITS
-from ros2_mcp_bridge.rules import Allowance, Forbidden, Limit, RuleSet, Ruling
-from ros2_mcp_bridge.trajectory_limits import CurveLimits, JointBounds
+from ros2_mcp_common.policy.checks import Checks, Zone
+from ros2_mcp_common.policy.feedback import UNITS
+from ros2_mcp_common.policy.rules import Allowance, Forbidden, Limit, RuleSet, Ruling
+from ros2_mcp_common.policy.trajectory_limits import CurveLimits, JointBounds
 
 _ACTS = {
     "publish": "Publish {types} on {names}",

@@ -2,7 +2,7 @@
 
 A way in is a program that gives the standard streams of a shell somewhere else: ssh, a container engine's client, any
 other. Its words are completed by two programs in single quotes, which every login shell takes as they are: a shell
-script that looks for python3, and a line of Python that executes stage 1 (`ros2_mcp_bridge/stage1.py`), which comes on
+script that looks for python3, and a line of Python that executes stage 1 (`ros2_mcp_common/start/stage1.py`), which comes on
 stdin with the bridge as a zip. See docs/decisions/0034-the-bridge-is-sent-and-not-installed.md.
 """
 
@@ -24,8 +24,8 @@ from typing import Any
 import ros2_mcp_bridge
 from ros2_mcp.model.errors import LinkError
 from ros2_mcp.model.text import quoted
-from ros2_mcp_bridge.finding import Search
-from ros2_mcp_bridge.stage1 import MARKER
+from ros2_mcp_common.start.finding import Search
+from ros2_mcp_common.start.stage1 import MARKER
 
 PACKAGE = ros2_mcp_bridge.__name__
 _SOURCES = Path(ros2_mcp_bridge.__file__).parent

@@ -18,7 +18,7 @@ from pathlib import Path
 
 from ros2_mcp.link.installation import Command
 from ros2_mcp.link.threaded import ThreadedReader, ThreadedWriter
-from ros2_mcp_bridge.limits import BATCH_BYTES
+from ros2_mcp_common.wire.limits import BATCH_BYTES
 
 # Enough for a traceback; error texts show the last few lines of it, `doctor` and the log all.
 _KEPT_LINES = 50

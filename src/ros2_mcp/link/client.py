@@ -19,7 +19,7 @@ from ros2_mcp.link.subscription import Subscription
 from ros2_mcp.model.errors import BridgeLost, LinkError, RobotError, Unreachable
 from ros2_mcp.model.text import named, quoted
 from ros2_mcp.model.times import Outage
-from ros2_mcp_bridge.protocol import Keep, Told
+from ros2_mcp_common.wire.protocol import Keep, Told
 
 __all__ = ["Bridge", "Hello", "Reply", "Subscription"]
 

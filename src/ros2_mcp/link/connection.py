@@ -14,17 +14,10 @@ from ros2_mcp.link.clock import RobotClock
 from ros2_mcp.link.heartbeat import PING_S, Heartbeat
 from ros2_mcp.link.outflow import Outflow
 from ros2_mcp.model.errors import BadInput, BridgeLost, BridgeRefused, LinkError, TimedOut
-from ros2_mcp_bridge.limits import NO_HURRY_S, WINDOW_BYTES
-from ros2_mcp_bridge.packets import Packet, PacketError, PacketReader, pack
-from ros2_mcp_bridge.pieces import Lanes
-from ros2_mcp_bridge.protocol import (
-    PROTOCOL,
-    Counts,
-    Failure,
-    Hello,
-    Samples,
-    Told,
-)
+from ros2_mcp_common.wire.limits import NO_HURRY_S, WINDOW_BYTES
+from ros2_mcp_common.wire.packets import Packet, PacketError, PacketReader, pack
+from ros2_mcp_common.wire.pieces import Lanes
+from ros2_mcp_common.wire.protocol import PROTOCOL, Counts, Failure, Hello, Samples, Told
 
 # Beyond the time that the bridge was given for an answer: for the way to it and back, and for its late rounds. Chosen.
 MARGIN_S = 2.0

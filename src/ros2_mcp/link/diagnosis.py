@@ -31,7 +31,7 @@ from ros2_mcp.link.remote import RemoteBridge, way_to
 from ros2_mcp.model.errors import BadInput, RobotError, Unreachable
 from ros2_mcp.model.text import quoted
 from ros2_mcp.settings import MAX_DOMAIN_ID, Settings
-from ros2_mcp_bridge.finding import installed_distros, path_entries
+from ros2_mcp_common.start.finding import installed_distros, path_entries
 
 # Somebody waits at a terminal: less than a carrier's `start_s`. Chosen.
 PROBE_S = 15.0

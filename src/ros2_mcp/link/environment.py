@@ -19,8 +19,8 @@ from ros2_mcp.link.interfaces import SHIPPED, InterfaceCache, package_name
 from ros2_mcp.link.provenance import own_provenance
 from ros2_mcp.model.errors import BadInput, RosNotFound
 from ros2_mcp.settings import Settings
-from ros2_mcp_bridge import finding
-from ros2_mcp_bridge.finding import installed_distros, release_order, wheel_environment
+from ros2_mcp_common.start import finding
+from ros2_mcp_common.start.finding import installed_distros, release_order, wheel_environment
 
 
 def find_ros(settings: Settings, env: Mapping[str, str] = os.environ) -> RosInstallation:

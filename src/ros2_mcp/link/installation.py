@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Literal
 
 from ros2_mcp.settings import Settings
-from ros2_mcp_bridge.finding import WHEEL_GUARD, Search, environment_for, in_environment
+from ros2_mcp_common.start.finding import WHEEL_GUARD, Search, environment_for, in_environment
 
 Kind = Literal["sourced", "unsourced", "wheels"]
 

@@ -6,7 +6,7 @@ import asyncio
 from collections import deque
 from collections.abc import Callable
 
-from ros2_mcp_bridge.pieces import LANE_OF_REQUESTS, Credit, Cut
+from ros2_mcp_common.wire.pieces import LANE_OF_REQUESTS, Credit, Cut
 
 
 class Outflow:

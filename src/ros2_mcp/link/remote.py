@@ -21,7 +21,7 @@ from ros2_mcp.model.address import RobotAddress
 from ros2_mcp.model.errors import BadInput, LinkError, Unreachable
 from ros2_mcp.model.text import quoted
 from ros2_mcp.settings import Settings
-from ros2_mcp_bridge.finding import Search
+from ros2_mcp_common.start.finding import Search
 
 # ssh's own limit on connecting, the handshake included. Chosen: a robot on a slow link takes two or three.
 CONNECT_S = 10

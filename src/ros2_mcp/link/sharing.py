@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.link.subscription import Subscription, samples_of
 from ros2_mcp.model.errors import BridgeLost, LinkError
-from ros2_mcp_bridge.protocol import Counts, Samples
+from ros2_mcp_common.wire.protocol import Counts, Samples
 
 if TYPE_CHECKING:
     from ros2_mcp.link.connection import Connection

@@ -9,8 +9,8 @@ from types import TracebackType
 
 from ros2_mcp.model.errors import LinkError
 from ros2_mcp.model.samples import Counts, Sample
-from ros2_mcp_bridge.protocol import Counts as BridgeCounts
-from ros2_mcp_bridge.protocol import Keep, Samples
+from ros2_mcp_common.wire.protocol import Counts as BridgeCounts
+from ros2_mcp_common.wire.protocol import Keep, Samples
 
 Unsubscribe = Callable[["Subscription"], Awaitable[None]]
 

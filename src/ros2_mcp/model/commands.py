@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Generic, Literal, TypeVar
 from ros2_mcp.model.goals import CANCEL_TYPE, cancel_request, goal_id_bytes
 from ros2_mcp.model.graph import RelayCounts
 from ros2_mcp.model.qos import Choice, QoS
-from ros2_mcp_bridge.protocol import EndedBy
+from ros2_mcp_common.wire.protocol import EndedBy
 
 R = TypeVar("R")
 

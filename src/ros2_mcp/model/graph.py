@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from ros2_mcp.model.qos import Endpoint
-from ros2_mcp_bridge.protocol import EndedBy
+from ros2_mcp_common.wire.protocol import EndedBy
 
 Row = TypeVar("Row")
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from ros2_mcp_bridge.field_types import FLOATS, INTEGERS, OCTETS, TEXTS, Arity, FieldType
+from ros2_mcp_common.language.field_types import FLOATS, INTEGERS, OCTETS, TEXTS, Arity, FieldType
 
 __all__ = [
     "FLOATS", "HEADER", "INTEGERS", "OCTETS", "PRIMITIVES", "TEXTS", "TIME", "Arity", "Constant", "DefinitionText",

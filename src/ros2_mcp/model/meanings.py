@@ -12,7 +12,7 @@ SECTORS = ("front", "front left", "left", "rear left", "rear", "rear right", "ri
 """Of 45° each, from x towards y; the front is from -22.5° to 22.5°."""
 SECTOR_RAD = 2 * math.pi / len(SECTORS)
 _ON_REQUEST = {"on_request": True}
-"""As in `ops/results.py`: a field that is left out where it is None."""
+"""As in `ops/results/results.py`: a field that is left out where it is None."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

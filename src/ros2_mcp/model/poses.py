@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from ros2_mcp_bridge.headings import yaw_rad
+from ros2_mcp_common.geometry import yaw_rad
 
 Vector: TypeAlias = "tuple[float, float, float]"
 """x, y, z; of places in metres."""

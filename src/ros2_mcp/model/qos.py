@@ -10,7 +10,7 @@ from ros2_mcp.model.names import full_node_name
 from ros2_mcp.model.text import counted
 
 if TYPE_CHECKING:
-    from ros2_mcp_bridge import protocol
+    from ros2_mcp_common.wire import protocol
 
 _LIVELINESS_RANK = {"automatic": 0, "manual_by_topic": 1}
 

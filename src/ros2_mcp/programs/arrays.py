@@ -18,7 +18,7 @@ from ros2_mcp.model.text import counted
 from ros2_mcp.programs.declare import Use, function
 
 if TYPE_CHECKING:
-    from ros2_mcp.codec.costmap import CostGrid
+    from ros2_mcp.world.costmap import CostGrid
 
 T = TypeVar("T")
 Message = Mapping[str, Any]
@@ -60,8 +60,8 @@ async def points(
         _whole("stride", stride, 1, 1_000_000)
     if not isinstance(fields, (list, tuple)) or len(fields) > _MOST_FIELDS:
         raise BadInput(f"robot.points: fields is a list of at most {_MOST_FIELDS} names.")
-    await load("ros2_mcp.codec.clouds")
-    from ros2_mcp.codec.clouds import points_of
+    await load("ros2_mcp.world.clouds")
+    from ros2_mcp.world.clouds import points_of
 
     message = _object(use, "points", cloud, "PointCloud2", ("fields", "height", "width", "point_step", "row_step"))
     found = await _computed("points", len(message.data), points_of, message, list(fields), stride, limit)
@@ -107,7 +107,7 @@ class NearestCell:
 async def grid(use: Use, message: Message) -> GridFacts:
     """Takes a map or a costmap (OccupancyGrid) for grid_value, grid_nearest and grid_rows, and says where it is."""
     found = await _grid_of(use, "grid", message)
-    from ros2_mcp.codec.maps import map_facts
+    from ros2_mcp.pictures.maps import map_facts
 
     facts = await _computed("grid", found.cells.size, map_facts, found.message)
     return GridFacts(
@@ -236,8 +236,8 @@ def _values_of(format_text: str) -> int:
 
 async def _grid_of(use: Use, name: str, value: Message) -> CostGrid:
     """A grid that is held, or that of a message."""
-    await load("ros2_mcp.codec.costmap", "ros2_mcp.codec.maps")
-    from ros2_mcp.codec.costmap import CostGrid
+    await load("ros2_mcp.world.costmap", "ros2_mcp.pictures.maps")
+    from ros2_mcp.world.costmap import CostGrid
 
     kept = use.held.get(value)
     if isinstance(kept, CostGrid):

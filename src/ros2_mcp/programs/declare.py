@@ -16,7 +16,7 @@ from ros2_mcp.model.errors import BadInput
 if TYPE_CHECKING:
     from ros2_mcp.model.pictures import Picture
     from ros2_mcp.ops.memory.bag_store import BagStore
-    from ros2_mcp.ops.results import Report
+    from ros2_mcp.ops.results.results import Report
     from ros2_mcp.ops.sources.kinds import Sources
     from ros2_mcp.ops.sources.source import Source
     from ros2_mcp.programs.held import Held

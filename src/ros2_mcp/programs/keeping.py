@@ -17,7 +17,7 @@ from ros2_mcp.model.arguments import Argument
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.model.front_matter import FrontMatterError, entry_of
 from ros2_mcp.model.text import named, quoted
-from ros2_mcp.ops.results import IF_ANY
+from ros2_mcp.ops.results.results import IF_ANY
 from ros2_mcp.programs.findings import require_sound
 from ros2_mcp.programs.kept import KeptProgram, KeptPrograms
 from ros2_mcp.programs.program import Programs

@@ -21,7 +21,7 @@ from ros2_mcp.model.errors import BadData, BadInput, NotFound, RobotError
 from ros2_mcp.model.front_matter import Entry, FrontMatterError, split
 from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.model.text import excerpt, is_unicode, quoted
-from ros2_mcp_bridge.files import replace
+from ros2_mcp_common.files import replace
 
 FORMER = "former"
 """The folder, inside the folder of programs, of what was replaced."""

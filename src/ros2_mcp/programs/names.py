@@ -48,7 +48,7 @@ async def require_names(robot: Robot, text: str) -> None:
 
 
 async def _require_fields(robot: Robot, type_name: str, one: Named) -> None:
-    from ros2_mcp.codec.select import parse_fields
+    from ros2_mcp.values.select import parse_fields
 
     try:
         await robot.values.learn(type_name)

@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, cast
 
-from ros2_mcp_bridge.headings import yaw_rad
+from ros2_mcp_common.geometry import yaw_rad
 
 Values = Iterable[Any]
 

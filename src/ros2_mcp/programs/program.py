@@ -16,7 +16,7 @@ from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.model.pictures import Picture
 from ros2_mcp.model.text import counted
 from ros2_mcp.ops.memory.bag_store import BagStore
-from ros2_mcp.ops.results import Report, as_json, lines_of, silent
+from ros2_mcp.ops.results.results import Report, as_json, lines_of, silent
 from ros2_mcp.ops.sources.kinds import Sources
 from ros2_mcp.ops.sources.source import Source, SourceKind
 from ros2_mcp.programs.crossing import crossed

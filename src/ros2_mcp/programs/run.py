@@ -9,7 +9,7 @@ from typing import Any, Literal, cast
 
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.model.text import counted, quoted
-from ros2_mcp.ops.results import HIDDEN, ON_REQUEST, SAID, Report, WithPictures, facts, silent
+from ros2_mcp.ops.results.results import HIDDEN, ON_REQUEST, SAID, Report, WithPictures, facts, silent
 from ros2_mcp.programs.crossing import crossed
 from ros2_mcp.programs.program import MOST_PRINTED, Done, Program, Programs, Record
 from ros2_mcp.robot import Robot

@@ -25,7 +25,7 @@ from ros2_mcp.robot import Robot
 from ros2_mcp.robot.goals import Goal
 
 if TYPE_CHECKING:
-    from ros2_mcp.codec.render import RenderOptions
+    from ros2_mcp.values.render import RenderOptions
 
 MOST_WAITING = 1000
 """Messages of one topic that wait for the program: ten seconds of 100 Hz. Live the oldest are dropped, and counted."""
@@ -224,7 +224,7 @@ class _Topic:
     def check(self, fields: Sequence[str]) -> None:
         """Raises `BadValue` if its type has no such field."""
         if fields and self.stream:
-            from ros2_mcp.codec.select import parse_fields
+            from ros2_mcp.values.select import parse_fields
 
             parse_fields(self.stream.codec.definitions, self.stream.type, fields)
 
@@ -319,7 +319,7 @@ class Streams:
 
 def _values(stream: Stream, sample: Sample, fields: tuple[str, ...], held: Held) -> dict[str, Any]:
     """A message as a program gets it; raises `Refused` for one that is too large even without its large arrays."""
-    from ros2_mcp.codec.render import RenderOptions, render
+    from ros2_mcp.values.render import RenderOptions, render
 
     size = len(sample.data)
     least = _LARGE_ARRAY if size > MOST_BYTES else MOST_NUMBERS

@@ -10,7 +10,7 @@ from ros2_mcp.model.text import named
 from ros2_mcp.ops.graph.known_names import is_of_every_node, live_names
 from ros2_mcp.prompts.prompt import Message, Prompt, step
 from ros2_mcp.robot import Robot
-from ros2_mcp_bridge.limits import MAX_RATE_HZ, MIN_RATE_HZ
+from ros2_mcp_common.wire.limits import MAX_RATE_HZ, MIN_RATE_HZ
 
 _MEASURE_S = 600.0
 _LISTEN_S = 60.0

@@ -15,15 +15,15 @@ from mcp.shared.uri_template import UriTemplate
 
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import NotFound, RobotError
-from ros2_mcp.ops import log as ops_log
 from ros2_mcp.ops.actions.list import list_actions
 from ros2_mcp.ops.actions.status import all_goals
 from ros2_mcp.ops.graph import interfaces
+from ros2_mcp.ops.log import read as ops_log
 from ros2_mcp.ops.measure.diagnostics import LISTEN_S, read_diagnostics
 from ros2_mcp.ops.nodes import parameters
 from ros2_mcp.ops.nodes.info import node_info
 from ros2_mcp.ops.nodes.list import list_nodes
-from ros2_mcp.ops.results import as_json, iso_time
+from ros2_mcp.ops.results.results import as_json, iso_time
 from ros2_mcp.ops.services.list import list_services
 from ros2_mcp.ops.sources.live import Live
 from ros2_mcp.ops.space.robot import in_brief
@@ -245,7 +245,7 @@ async def _shown(robot: Robot, seen: Seen | None) -> Content | None:
     """A sample as JSON in half of the result's size: the other half is for the endpoints."""
     if seen is None:
         return None
-    from ros2_mcp.codec.render import RenderOptions  # NumPy and rosbags: listing resources must not wait for them
+    from ros2_mcp.values.render import RenderOptions  # NumPy and rosbags: listing resources must not wait for them
 
     options = RenderOptions(max_bytes=robot.result_bytes // 2)
     await robot.values.learn(seen.type)

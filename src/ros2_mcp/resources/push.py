@@ -99,7 +99,7 @@ class Push:
 
         The SDK runs the handlers of a connection in one task group, and cancels them with it: nothing else public
         says that a client has gone. A client is recognised by the parameters of its `initialize`: they are one object
-        for all requests of one connection, and of no other. What it keeps moving ends by `leases.py`.
+        for all requests of one connection, and of no other. What it keeps moving ends by `mcp/leases.py`.
         """
         client = request.session.client_params
         if id(client) in self._subscribers:

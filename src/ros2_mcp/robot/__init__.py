@@ -8,6 +8,6 @@ from ros2_mcp.model.commands import Answer, Sent
 from ros2_mcp.model.graph import TopicEndpoints
 from ros2_mcp.robot.listening import Listening
 from ros2_mcp.robot.robot import Robot
-from ros2_mcp_bridge.velocity import HOLD_TYPES, MOTION_TYPES, VELOCITY_TYPES
+from ros2_mcp_common.policy.velocity import HOLD_TYPES, MOTION_TYPES, VELOCITY_TYPES
 
 __all__ = ["HOLD_TYPES", "MOTION_TYPES", "VELOCITY_TYPES", "Answer", "Listening", "Robot", "Sent", "TopicEndpoints"]

@@ -1,4 +1,4 @@
-"""When trajectories begin: stamps are set to zero, which means on arrival, or refused (`ros2_mcp_bridge.stamps`)."""
+"""When trajectories begin: stamps are set to zero, which means on arrival, or refused (`ros2_mcp_common.policy.stamps`)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any, cast
 from ros2_mcp.model.commands import Command, Publish, R, Repeat, SendGoal, ServiceCall
 from ros2_mcp.model.errors import BadValue
 from ros2_mcp.robot.core import Core
-from ros2_mcp_bridge import stamps
+from ros2_mcp_common.policy import stamps
 
 _REMEMBERED_S = 660.0
 """An approval waits for a person for 600 s, and is valid for 60 s (`guard.approvals`)."""

@@ -12,9 +12,9 @@ from ros2_mcp.robot.core import Core
 from ros2_mcp.robot.joints import RobotJoints
 from ros2_mcp.robot.seen import is_of_robot
 from ros2_mcp.robot.told_of_trajectories import told_of
-from ros2_mcp_bridge.rules import judged_part, meaning
-from ros2_mcp_bridge.stamps import trajectories_in
-from ros2_mcp_bridge.trajectory_limits import MAX_JOINTS
+from ros2_mcp_common.policy.rules import judged_part, meaning
+from ros2_mcp_common.policy.stamps import trajectories_in
+from ros2_mcp_common.policy.trajectory_limits import MAX_JOINTS
 
 
 async def facts_of(

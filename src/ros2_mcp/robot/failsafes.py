@@ -23,10 +23,10 @@ from ros2_mcp.model.errors import BridgeLost, Refused, RobotError
 from ros2_mcp.model.goals import CANCEL_TYPE, cancel_request
 from ros2_mcp.model.qos import QoS
 from ros2_mcp.robot.graph import NO_END_S, was_refused
-from ros2_mcp_bridge.flight import BRAKE_MODES, SET_MODE
-from ros2_mcp_bridge.limits import MAX_FAILSAFES
-from ros2_mcp_bridge.protocol import StoppedTopic, ZeroReply
-from ros2_mcp_bridge.velocity import MOTION_TYPES
+from ros2_mcp_common.policy.flight import BRAKE_MODES, SET_MODE
+from ros2_mcp_common.policy.velocity import MOTION_TYPES
+from ros2_mcp_common.wire.limits import MAX_FAILSAFES
+from ros2_mcp_common.wire.protocol import StoppedTopic, ZeroReply
 
 if TYPE_CHECKING:
     from ros2_mcp.robot.graph import Graph

@@ -22,7 +22,7 @@ from ros2_mcp.robot import services
 from ros2_mcp.robot.core import Core
 from ros2_mcp.robot.graph import was_refused
 from ros2_mcp.robot.jobs import Job
-from ros2_mcp_bridge.flight import BRAKE_MODES, DESCENT_MODES, SET_MODE, only_asks, vehicle_of
+from ros2_mcp_common.policy.flight import BRAKE_MODES, DESCENT_MODES, SET_MODE, only_asks, vehicle_of
 
 STATE_TYPE = "mavros_msgs/msg/State"
 BRAKED_S = 3.0

@@ -234,7 +234,7 @@ async def _take_states(core: Core, action: str) -> None:
 class WhenMet:
     """What a condition was met by, and what the server of its goal said to the request to cancel it.
 
-    `report` is that of `ros2_mcp_bridge.asking.Asking`; `was_taken` whether the server cancels the goal.
+    `report` is that of `ros2_mcp_bridge.motion.asking.Asking`; `was_taken` whether the server cancels the goal.
     """
 
     report: Mapping[str, Any]

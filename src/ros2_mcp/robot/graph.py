@@ -34,7 +34,7 @@ from ros2_mcp.model.graph import (
 )
 from ros2_mcp.model.qos import Endpoint
 from ros2_mcp.robot.seen import Seen, is_of_robot
-from ros2_mcp_bridge import protocol
+from ros2_mcp_common.wire import protocol
 
 if TYPE_CHECKING:
     from ros2_mcp.link.client import Bridge, Reply

@@ -9,14 +9,14 @@ from contextlib import AbstractAsyncContextManager
 from dataclasses import asdict
 from time import monotonic
 
-from ros2_mcp.codec.urdf import Urdf, parse
 from ros2_mcp.model.errors import BadData, RobotError
 from ros2_mcp.robot.graph import REQUEST_S, Graph
 from ros2_mcp.robot.listening import Listening
 from ros2_mcp.robot.values import Values
-from ros2_mcp_bridge.curves import State
-from ros2_mcp_bridge.protocol import JointsReply
-from ros2_mcp_bridge.trajectory_limits import JointBounds, Joints, LookAtJoints
+from ros2_mcp.world.urdf import Urdf, parse
+from ros2_mcp_common.policy.curves import State
+from ros2_mcp_common.policy.trajectory_limits import JointBounds, Joints, LookAtJoints
+from ros2_mcp_common.wire.protocol import JointsReply
 
 DESCRIPTION, TEXT = "robot_description", "std_msgs/msg/String"
 _SAID_S = 4.0

@@ -18,10 +18,10 @@ from ros2_mcp.model.errors import BadData, RobotError
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.robot.listening import Listening
 from ros2_mcp.robot.values import Values
-from ros2_mcp_bridge.protocol import Keep
+from ros2_mcp_common.wire.protocol import Keep
 
 if TYPE_CHECKING:
-    from ros2_mcp.codec.cost_updates import Grid
+    from ros2_mcp.world.cost_updates import Grid
 
 _IDLE_S = 120.0
 """After the last question. A costmap that rolls is sent whole several times a second, so hearing it costs something."""
@@ -76,7 +76,7 @@ class LastCostmap:
 
     async def take_whole(self, type_name: str, sample: Sample) -> None:
         """A whole costmap; what was changed since it was sent is changed in it."""
-        from ros2_mcp.codec.cost_updates import as_grid
+        from ros2_mcp.world.cost_updates import as_grid
 
         async with self._taking:  # a large part takes longer to decode than a later small one
             message: Any = (await self.values.decode_all(type_name, [sample]))[0]
@@ -94,7 +94,7 @@ class LastCostmap:
         self._tell()
 
     async def _apply(self, type_name: str, sample: Sample) -> None:
-        from ros2_mcp.codec.cost_updates import updated
+        from ros2_mcp.world.cost_updates import updated
 
         if self.grid is None or self.whole is None or sent_ns(sample) < sent_ns(self.whole):
             return
@@ -141,7 +141,7 @@ class LastCostmaps:
         Raises:
             RobotError: if one of both topics cannot be listened to.
         """
-        await load("ros2_mcp.codec.cost_updates")  # with numpy: not before it is needed
+        await load("ros2_mcp.world.cost_updates")  # with numpy: not before it is needed
         kept, asked_ns = self._kept.get(topic), self._now_ns()
         if kept is None or not kept.is_heard:
             kept, newer_s = self._begun(topic, updates_topic), max(first_s, newer_s)

@@ -13,7 +13,7 @@ import anyio
 from ros2_mcp.model.errors import BridgeLost, RobotError
 from ros2_mcp.model.qos import QoS
 from ros2_mcp.model.samples import Sample
-from ros2_mcp_bridge.limits import NO_HURRY_S
+from ros2_mcp_common.wire.limits import NO_HURRY_S
 
 if TYPE_CHECKING:
     from ros2_mcp.link.client import Bridge

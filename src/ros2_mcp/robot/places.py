@@ -14,7 +14,7 @@ from ros2_mcp.guard.state import StateFolder
 from ros2_mcp.model.errors import BadData, BadInput, NotFound, RobotError
 from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.model.text import is_unicode, listed, quoted
-from ros2_mcp_bridge.files import PLAIN, replace
+from ros2_mcp_common.files import PLAIN, replace
 
 FILE = "places.json"
 MOST_PLACES = 1000

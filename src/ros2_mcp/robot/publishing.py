@@ -14,8 +14,8 @@ from ros2_mcp.robot import flights
 from ros2_mcp.robot.core import Core
 from ros2_mcp.robot.failsafes import Driven
 from ros2_mcp.robot.graph import NO_END_S, REQUEST_S
-from ros2_mcp_bridge import protocol
-from ros2_mcp_bridge.velocity import HOLD_TYPES, MOTION_TYPES
+from ros2_mcp_common.policy.velocity import HOLD_TYPES, MOTION_TYPES
+from ros2_mcp_common.wire import protocol
 
 _HEARD_S = 6.0
 """A motion waits 5 s for the first messages that it hears (`motion.FIRST_HEARD_S`)."""

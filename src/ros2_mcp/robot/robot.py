@@ -35,8 +35,8 @@ from ros2_mcp.robot.places import Places
 from ros2_mcp.robot.transforms import TransformListener
 from ros2_mcp.robot.translation import as_meant
 from ros2_mcp.robot.values import Values
-from ros2_mcp_bridge.protocol import Keep, StoppedTopic, StopReply
-from ros2_mcp_bridge.rules import only_reads
+from ros2_mcp_common.policy.rules import only_reads
+from ros2_mcp_common.wire.protocol import Keep, StoppedTopic, StopReply
 
 if TYPE_CHECKING:
     from ros2_mcp.link.client import Bridge, Subscription

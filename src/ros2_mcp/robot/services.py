@@ -6,8 +6,8 @@ from typing import Any
 
 from ros2_mcp.model.commands import Answer, CancelGoals, ChangeState, SendGoal, ServiceBorne, SetParameters
 from ros2_mcp.robot.core import Core
-from ros2_mcp_bridge.flight import vehicle_of
-from ros2_mcp_bridge.rules import only_reads
+from ros2_mcp_common.policy.flight import vehicle_of
+from ros2_mcp_common.policy.rules import only_reads
 
 
 async def call(core: Core, command: ServiceBorne) -> Answer:

@@ -1,6 +1,6 @@
 """What a person who approves a trajectory has to know of it: where each joint goes, how fast, how long, how far out.
 
-The points alone do not tell it: between them a curve may go farther and faster (`ros2_mcp_bridge.curves`).
+The points alone do not tell it: between them a curve may go farther and faster (`ros2_mcp_common.policy.curves`).
 """
 
 from __future__ import annotations
@@ -9,10 +9,10 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ros2_mcp.codec.urdf import Joint, Urdf
 from ros2_mcp.guard.exact import word
-from ros2_mcp_bridge.field_values import Unfit
-from ros2_mcp_bridge.trajectory_limits import Joints, LookAtJoints, Path, extremes_of, positions_at, read
+from ros2_mcp.world.urdf import Joint, Urdf
+from ros2_mcp_common.policy.field_values import Unfit
+from ros2_mcp_common.policy.trajectory_limits import Joints, LookAtJoints, Path, extremes_of, positions_at, read
 
 _LOOKS = 100
 """Along a trajectory, for the farthest reach: of 10 s a look each 0.1 s."""

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 
 import anyio
 
-from ros2_mcp.codec.transforms import FrameTree
 from ros2_mcp.model.aside import aside
 from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.names import UNKNOWN_NODE
 from ros2_mcp.model.qos import Endpoint, QoS
+from ros2_mcp.world.transforms import FrameTree
 
 if TYPE_CHECKING:
     from ros2_mcp.link.client import Bridge, Subscription

@@ -12,7 +12,7 @@ from ros2_mcp.model.commands import Command, R, ServiceBorne, ServiceCall
 from ros2_mcp.model.errors import BadValue
 from ros2_mcp.model.goals import goal_id_hex
 from ros2_mcp.robot.core import Core
-from ros2_mcp_bridge.rules import meaning
+from ros2_mcp_common.policy.rules import meaning
 
 
 async def as_meant(core: Core, command: Command[R]) -> Command[R]:

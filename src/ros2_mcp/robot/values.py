@@ -17,18 +17,18 @@ from ros2_mcp.model.aside import aside, extent, load
 from ros2_mcp.model.errors import BadValue, UnknownInterface
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import listed
-from ros2_mcp_bridge.protocol import DefinitionsReply
-from ros2_mcp_bridge.velocity import MOTION_TYPES
+from ros2_mcp_common.policy.velocity import MOTION_TYPES
+from ros2_mcp_common.wire.protocol import DefinitionsReply
 
 if TYPE_CHECKING:
-    from ros2_mcp.codec.cdr import Codec, Message
-    from ros2_mcp.codec.definitions import Definitions
-    from ros2_mcp.codec.render import Rendered, RenderOptions
     from ros2_mcp.robot.graph import Graph
+    from ros2_mcp.values.cdr import Codec, Message
+    from ros2_mcp.values.definitions import Definitions
+    from ros2_mcp.values.render import Rendered, RenderOptions
 
 _MAX_UNKNOWN = 5
 """Types that are named in a note: mostly all are of one package."""
-_CODEC = ("ros2_mcp.codec.cdr", "ros2_mcp.codec.check", "ros2_mcp.codec.render")
+_CODEC = ("ros2_mcp.values.cdr", "ros2_mcp.values.check", "ros2_mcp.values.render")
 
 
 class Values:
@@ -43,8 +43,8 @@ class Values:
     def codec(self) -> Codec:
         """Bytes to values and back, loaded at first use."""
         if self._codec is None:
-            from ros2_mcp.codec.cdr import Codec
-            from ros2_mcp.codec.definitions import Definitions
+            from ros2_mcp.values.cdr import Codec
+            from ros2_mcp.values.definitions import Definitions
 
             self._codec = Codec(Definitions())
         return self._codec
@@ -73,7 +73,7 @@ class Values:
                     f"No definition of {', '.join(answer['missing'])} is installed where the bridge runs.",
                     await self._suggest_type(answer["missing"][0]),
                 )
-            from ros2_mcp.codec.definitions import DefinitionText
+            from ros2_mcp.values.definitions import DefinitionText
 
             self.definitions.add(
                 {name: DefinitionText(text["format"], text["text"]) for name, text in answer["definitions"].items()}
@@ -106,7 +106,7 @@ class Values:
 
     def encode_known(self, type_name: str, value: object) -> bytes:
         """The same at once, for a small value of a type that has been learnt."""
-        from ros2_mcp.codec.check import check
+        from ros2_mcp.values.check import check
 
         message = check(self.definitions, type_name, value)
         if type_name in MOTION_TYPES:
@@ -132,7 +132,7 @@ class Values:
         return await aside(len(body), self._render, type_name, body, options)
 
     def _render(self, type_name: str, body: bytes, options: RenderOptions | None) -> Rendered:
-        from ros2_mcp.codec.render import RenderOptions, render
+        from ros2_mcp.values.render import RenderOptions, render
 
         return render(
             self.definitions, type_name, self.codec.decode(type_name, body), options=options or RenderOptions()
@@ -140,19 +140,19 @@ class Values:
 
     async def in_full(self, type_name: str, body: bytes) -> dict[str, Any]:
         """Bytes as JSON values with nothing left out, for this program and not for display."""
-        from ros2_mcp.codec.render import RenderOptions
+        from ros2_mcp.values.render import RenderOptions
 
         return (await self.render(type_name, body, RenderOptions(exact=True))).value
 
     def example(self, type_name: str) -> dict[str, Any]:
         """A value of a learnt type with every field at its default, ready to fill in."""
-        from ros2_mcp.codec.render import example_of
+        from ros2_mcp.values.render import example_of
 
         return example_of(self.definitions, type_name)
 
     def missing_fields(self, type_name: str, value: Mapping[str, Any]) -> list[str]:
         """Top-level fields of a learnt type that the value does not give."""
-        from ros2_mcp.codec.check import missing_fields
+        from ros2_mcp.values.check import missing_fields
 
         return missing_fields(self.definitions, type_name, value)
 

@@ -12,13 +12,13 @@ from ros2_mcp.ops.actions.list import ActionList, list_actions
 from ros2_mcp.ops.actions.result import GoalResult, request_result
 from ros2_mcp.ops.actions.send_goal import GoalOutcome, send_goal
 from ros2_mcp.ops.actions.status import MAX_MESSAGES, KnownGoals, StatusFrames, all_goals, follow_status
-from ros2_mcp.ops.results import Report
+from ros2_mcp.ops.results.results import Report
 from ros2_mcp.ops.sources.selection import Selection
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import Flag, Number, Pattern, Whole
 from ros2_mcp.tools.declare import tool
 from ros2_mcp.tools.injection import Waits
-from ros2_mcp_bridge.limits import MAX_DURATION_S
+from ros2_mcp_common.wire.limits import MAX_DURATION_S
 
 PLACE = 90
 

@@ -9,7 +9,7 @@ from pydantic import BeforeValidator, Field
 
 from ros2_mcp.ops.sources.selection import MAX_MESSAGES
 from ros2_mcp.ops.sources.times import is_seconds_ago, taken_as
-from ros2_mcp_bridge.limits import MAX_DURATION_S
+from ros2_mcp_common.wire.limits import MAX_DURATION_S
 
 WHOLE_SENTENCE = "whole_sentence"
 """The type of a validation error whose message also says what was given."""
@@ -56,7 +56,7 @@ MessageType = Annotated[
     Field(description="Such as sensor_msgs/msg/LaserScan. Default: the topic's own."),
 ]
 Pattern = Annotated[str, Field(description="Part of a name (or type), or a glob: */map*.")]
-# At most: a result as long as that is cut by its size in characters (`binding.py`) before it is by this number.
+# At most: a result as long as that is cut by its size in characters (`mcp/binding.py`) before it is by this number.
 Limit = Annotated[Whole, Field(ge=1, le=2000, description="Maximum rows.")]
 Hidden = Annotated[Flag, Field(description="Also hidden names (a part starts with _).")]
 Fields = Annotated[

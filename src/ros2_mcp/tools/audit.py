@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from ros2_mcp.ops import audit
+from ros2_mcp.ops.audit import read as audit
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import Whole
 from ros2_mcp.tools.declare import tool

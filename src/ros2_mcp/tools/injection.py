@@ -17,7 +17,7 @@ from typing import Annotated, Any
 
 from ros2_mcp.model.errors import NotFound
 from ros2_mcp.ops.memory.bag_store import BagStore
-from ros2_mcp.ops.results import Report
+from ros2_mcp.ops.results.results import Report
 from ros2_mcp.ops.sources.kinds import OWN_KINDS, Sources
 from ros2_mcp.ops.sources.live import Live
 from ros2_mcp.ops.sources.selection import Selection

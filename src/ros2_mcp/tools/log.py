@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from ros2_mcp.ops import log
+from ros2_mcp.ops.log import read as log
 from ros2_mcp.ops.sources.selection import Selection
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import Since, UpToLogEnd, Whole

@@ -10,13 +10,13 @@ from ros2_mcp.ops.measure import compare as comparison
 from ros2_mcp.ops.measure import health_check as health
 from ros2_mcp.ops.measure import statistics
 from ros2_mcp.ops.measure import wait_until as waiting
-from ros2_mcp.ops.results import Report
+from ros2_mcp.ops.results.results import Report
 from ros2_mcp.ops.sources.selection import Selection
 from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.tools.arguments import Flag, Number, NumericFields, TopicName
 from ros2_mcp.tools.declare import tool
 from ros2_mcp.tools.injection import Numbers
-from ros2_mcp_bridge.limits import MAX_DURATION_S, MAX_RATE_HZ
+from ros2_mcp_common.wire.limits import MAX_DURATION_S, MAX_RATE_HZ
 
 PLACE = 30
 

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from ros2_mcp.ops.memory import bags, messages, play, record
 from ros2_mcp.ops.memory.bag_store import BagStore
-from ros2_mcp.ops.results import Report
+from ros2_mcp.ops.results.results import Report
 from ros2_mcp.ops.sources.kinds import Sources
 from ros2_mcp.ops.sources.source import SourceRequest
 from ros2_mcp.robot import Robot
@@ -29,7 +29,7 @@ from ros2_mcp.tools.arguments import (
 )
 from ros2_mcp.tools.declare import tool
 from ros2_mcp.tools.injection import Messages
-from ros2_mcp_bridge.limits import MAX_DURATION_S
+from ros2_mcp_common.wire.limits import MAX_DURATION_S
 
 PLACE = 130
 HISTORY_PLACE = 120

@@ -8,11 +8,11 @@ from pydantic import Field
 
 from ros2_mcp.ops.motion import drive, until
 from ros2_mcp.ops.motion import joints as joint_move
-from ros2_mcp.ops.results import Report
+from ros2_mcp.ops.results.results import Report
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import Flag, Number, TopicName
 from ros2_mcp.tools.declare import tool
-from ros2_mcp_bridge.limits import MAX_DURATION_S
+from ros2_mcp_common.wire.limits import MAX_DURATION_S
 
 PLACE = 62
 """Beside publishing: what only reads comes before, `ros2_stop` after."""

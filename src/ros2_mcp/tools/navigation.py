@@ -11,11 +11,11 @@ from ros2_mcp.model.text import excerpt
 from ros2_mcp.ops.navigation.navigate import Navigated, navigate
 from ros2_mcp.ops.navigation.places import PlaceKept, PlaceList, PlaceRequest, list_places, set_place
 from ros2_mcp.ops.navigation.preview import Preview, preview
-from ros2_mcp.ops.results import Report
+from ros2_mcp.ops.results.results import Report
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import WHOLE_SENTENCE, Flag, Number, Pattern
 from ros2_mcp.tools.declare import tool
-from ros2_mcp_bridge.limits import MAX_DURATION_S
+from ros2_mcp_common.wire.limits import MAX_DURATION_S
 
 PLACE = 95
 

@@ -10,7 +10,7 @@ from ros2_mcp.model.pictures import MAX_SIDE, BirdEyeOptions, Bounds
 from ros2_mcp.ops.pictures.cloud import CloudPicture, cloud_picture
 from ros2_mcp.ops.pictures.map import MapPicture, map_picture
 from ros2_mcp.ops.pictures.plot import Plot, PlotRequest, plot
-from ros2_mcp.ops.results import Report
+from ros2_mcp.ops.results.results import Report
 from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import Number, Whole

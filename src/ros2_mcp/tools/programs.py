@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from ros2_mcp.ops.results import Report
+from ros2_mcp.ops.results.results import Report
 from ros2_mcp.programs.keeping import ProgramList, ProgramRequest, ProgramSaved, list_programs, save_program
 from ros2_mcp.programs.kept import KeptPrograms
 from ros2_mcp.programs.run import Ran, run

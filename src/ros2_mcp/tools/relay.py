@@ -6,11 +6,11 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from ros2_mcp.ops import relay
+from ros2_mcp.ops.relay import relay
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import MessageType, Number
 from ros2_mcp.tools.declare import tool
-from ros2_mcp_bridge.limits import MAX_RATE_HZ
+from ros2_mcp_common.wire.limits import MAX_RATE_HZ
 
 PLACE = 110
 

@@ -8,7 +8,7 @@ from dataclasses import fields, is_dataclass
 from types import NoneType
 from typing import Any, Literal, cast, get_args, get_origin, get_type_hints
 
-from ros2_mcp.ops.results import may_be_absent
+from ros2_mcp.ops.results.results import may_be_absent
 
 Schema = dict[str, Any]
 _REFERENCE = "#/$defs/"

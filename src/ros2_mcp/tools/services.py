@@ -6,14 +6,14 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field
 
-from ros2_mcp.ops.results import Report
+from ros2_mcp.ops.results.results import Report
 from ros2_mcp.ops.services.call import ServiceAnswer, call
 from ros2_mcp.ops.services.list import ServiceList, list_services
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import Flag, Hidden, Limit, Number, Pattern
 from ros2_mcp.tools.declare import tool
 from ros2_mcp.tools.injection import Waits
-from ros2_mcp_bridge.limits import MAX_DURATION_S
+from ros2_mcp_common.wire.limits import MAX_DURATION_S
 
 PLACE = 80
 _EMPTY = ("", "{}", "[]")

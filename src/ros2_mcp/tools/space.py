@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from ros2_mcp.ops.results import Report
+from ros2_mcp.ops.results.results import Report
 from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.ops.space.robot import RobotInBrief, in_brief
 from ros2_mcp.ops.space.scene import scene

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ros2_mcp.ops import stop as stopping
+from ros2_mcp.ops.stop import stop as stopping
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools.declare import tool
 

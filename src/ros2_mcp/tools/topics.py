@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from pydantic import AliasChoices, BaseModel, ConfigDict, Field
 
-from ros2_mcp.ops.results import Report
+from ros2_mcp.ops.results.results import Report
 from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.ops.topics import info, publish, stats, subscribe
 from ros2_mcp.ops.topics.list import TopicList, list_topics
@@ -25,7 +25,7 @@ from ros2_mcp.tools.arguments import (
 )
 from ros2_mcp.tools.declare import tool
 from ros2_mcp.tools.injection import LimitedMessages, Messages, OneMessage
-from ros2_mcp_bridge.limits import MAX_DURATION_S, MAX_RATE_HZ
+from ros2_mcp_common.wire.limits import MAX_DURATION_S, MAX_RATE_HZ
 
 PLACE = 20
 _PUBLISHING_PLACE = 60

@@ -10,12 +10,12 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field
 
-from ros2_mcp.ops.results import HIDDEN, Report
-from ros2_mcp.ops.view.opening import OpenedView, OpeningRequest, opened
+from ros2_mcp.ops.results.results import HIDDEN, Report
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import FromBag, RecordedTime
 from ros2_mcp.tools.declare import ForPage, tool
 from ros2_mcp.tools.injection import AtOneTime, ShowsPages
+from ros2_mcp.view.opening import OpenedView, OpeningRequest, opened
 from ros2_mcp.view.picks import Pick
 from ros2_mcp.view.viewing import Viewing
 

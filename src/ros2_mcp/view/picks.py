@@ -15,7 +15,7 @@ from ros2_mcp.guard.state import StateFolder
 from ros2_mcp.model.errors import BadInput, RobotError
 from ros2_mcp.model.text import named
 from ros2_mcp.model.times import iso_time
-from ros2_mcp_bridge.files import PLAIN, replace
+from ros2_mcp_common.files import PLAIN, replace
 
 FILE = "picked.json"
 """In the robot's state folder: what was picked in a browser, for the servers of the same user."""

@@ -10,7 +10,7 @@ from typing import Any
 
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.ops.sources.kinds import Sources
-from ros2_mcp.ops.view.acting import Acting
+from ros2_mcp.view.acting import Acting
 from ros2_mcp.view.picks import PickedInBrowser, kept
 from ros2_mcp.view.views import PageState, Views, press, update_request
 

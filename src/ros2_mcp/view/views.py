@@ -20,16 +20,16 @@ from ros2_mcp.model.text import visible, visible_json
 from ros2_mcp.model.times import iso_time
 from ros2_mcp.ops.sources.newest import NewestOfRobot
 from ros2_mcp.ops.sources.source import Source
-from ros2_mcp.ops.view.acting import Acting, AgentPanel
-from ros2_mcp.ops.view.around import MapPanel
-from ros2_mcp.ops.view.frames import FramesPanel
-from ros2_mcp.ops.view.image import ImagePanel
-from ros2_mcp.ops.view.look import Chunks, Content, Look, Panel
-from ros2_mcp.ops.view.plot import PlotPanel
-from ros2_mcp.ops.view.space import SpacePanel
-from ros2_mcp.ops.view.values import LogPanel, RobotPanel, ValuesPanel
 from ros2_mcp.robot import Robot
+from ros2_mcp.view.acting import Acting, AgentPanel
+from ros2_mcp.view.around import MapPanel
+from ros2_mcp.view.frames import FramesPanel
+from ros2_mcp.view.image import ImagePanel
+from ros2_mcp.view.look import Chunks, Content, Look, Panel
 from ros2_mcp.view.picks import Pick, keep, picks_of
+from ros2_mcp.view.plot import PlotPanel
+from ros2_mcp.view.space import SpacePanel
+from ros2_mcp.view.values import LogPanel, RobotPanel, ValuesPanel
 from ros2_mcp.view.words import in_words
 
 MOST_VIEWS = 4

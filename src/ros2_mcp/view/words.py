@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from ros2_mcp.model.text import counted, listed, named
-from ros2_mcp.ops.view.look import Content
+from ros2_mcp.view.look import Content
 
 _MOST_NAMED = 5
 

@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 from PIL import Image, ImageColor
 
-from ros2_mcp.codec.scene import LIMB
 from ros2_mcp.guard.state import StateFolder
+from ros2_mcp.pictures.scene import LIMB
 from ros2_mcp_demo.arm.description import tool_point
 from support.agent import FULL, Refusal, until
 from support.arm_moves import HOME, far, trajectory

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from ros2_mcp_bridge.participants import ports_of
+from ros2_mcp_bridge.ros.participants import ports_of
 from support.agent import FULL
 from support.bridge_client import BEST_EFFORT, PATIENCE_S, RELIABLE, STRING, Client, cdr_string, line, says
 from support.standstill import undisturbed

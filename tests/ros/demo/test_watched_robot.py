@@ -15,7 +15,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2")
 
-from ros2_mcp_bridge.latch import FILE, Latch, LatchState
+from ros2_mcp_common.latch import FILE, Latch, LatchState
 from support.agent import Refusal, until
 from support.demo_robot import robot_environment, running_robot
 from support.driver import Driver

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from ros2_mcp.bags.bag import Bag
-from ros2_mcp.ops.results import four_digits
+from ros2_mcp.ops.results.results import four_digits
 from support.agent import Agent, agent_for, until
 from support.raw_server import RawServer
 

@@ -17,7 +17,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2")
 
-from ros2_mcp_bridge.latch import FILE, Latch
+from ros2_mcp_common.latch import FILE, Latch
 from support.agent import FULL
 from support.hidden import HIDDEN
 from support.outlets import FORGED, faults_of, hostile, is_hidden

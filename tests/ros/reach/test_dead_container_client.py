@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from ros2_mcp.link.bootstrap import bootstrap
-from ros2_mcp_bridge.finding import Search
+from ros2_mcp_common.start.finding import Search
 from support.agent import until
 from support.bridge_client import PATIENCE_S, RELIABLE, Client
 from support.far_side import OWN_PYTHON, SurvivingEngine, bare, begun

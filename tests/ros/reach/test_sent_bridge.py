@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from ros2_mcp.link.bootstrap import bootstrap
-from ros2_mcp_bridge.finding import Search
-from ros2_mcp_bridge.spawning import STOPPERS
+from ros2_mcp_bridge.exit.spawning import STOPPERS
+from ros2_mcp_common.start.finding import Search
 from support.agent import until
 from support.bridge_client import PATIENCE_S, RELIABLE, STRING, Client, cdr_string
 from support.far_side import OWN_PYTHON, bare, begun, engine, read_only_machine, sent_bridge

@@ -11,7 +11,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2")
 
-from ros2_mcp_bridge.finding import rclpy_below, wheel_distro, wheel_environment
+from ros2_mcp_common.start.finding import rclpy_below, wheel_distro, wheel_environment
 from support.driver import Driver
 from support.network_link import NetworkLink, network_link
 from support.sshd import Sshd, sshd

@@ -28,7 +28,7 @@ def test_over_stdio_what_fails_is_told_from_the_level_on_that_was_asked_for_and_
         assert server.call("ros2_topic_list", patern="x")["isError"]
         server.call("ros2_status")
     (told,) = [params for params in messages(server) if params["data"].startswith(MISSPELT)]
-    assert (told["level"], told["logger"]) == ("info", "ros2_mcp.server")
+    assert (told["level"], told["logger"]) == ("info", "ros2_mcp.mcp.server")
     assert server.ask("logging/setLevel", level="loud")["error"]["code"] == -32602
     server.ask("logging/setLevel", level="debug")
     assert server.call("ros2_topic_list", patern="x")["isError"]

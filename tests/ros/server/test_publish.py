@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from ros2_mcp_bridge.limits import MAX_FAILSAFES
+from ros2_mcp_common.wire.limits import MAX_FAILSAFES
 from support.agent import FULL, agent_for, until
 from support.raw_server import RawServer
 from support.standstill import undisturbed

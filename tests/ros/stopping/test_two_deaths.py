@@ -17,7 +17,7 @@ from typing import Literal
 
 import pytest
 
-from ros2_mcp_bridge.spawning import STOPPERS
+from ros2_mcp_bridge.exit.spawning import STOPPERS
 from support import own_processes
 from support.agent import FULL, until
 from support.driver import Driver, fresh

@@ -20,7 +20,7 @@ CLIENT = {"name": "sockets by hand", "version": "1"}
 TOKEN = "of-the-tests-0123456789-0123456789-0123456789"
 """As in `support/tokens.py`, which would bring the SDK."""
 STRUCTURED = "io.github.ros2-mcp/structured"
-"""As in `ros2_mcp/server.py`: asks for structured content."""
+"""As in `ros2_mcp/mcp/server.py`: asks for structured content."""
 PATIENCE_S = 30.0
 AT_ONCE = struct.pack("ii", 1, 0)
 """For SO_LINGER: closing resets the connection."""

@@ -11,7 +11,7 @@ import time
 import rclpy
 from geometry_msgs.msg import Twist
 
-from ros2_mcp_bridge import udp
+from ros2_mcp_bridge.stopper import udp
 
 
 def main() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ros2_mcp.bags.schema import definitions_in, schema_text
-from ros2_mcp.codec.definitions import Definitions, DefinitionText
+from ros2_mcp.values.definitions import Definitions, DefinitionText
 
 TEXTS = {
     "demo/msg/All": DefinitionText(

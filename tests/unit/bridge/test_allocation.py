@@ -11,7 +11,7 @@ import pytest
 COPIES, SIZE = 20, 8_000_000
 FAULTS = f"""
 import resource
-from ros2_mcp_bridge.allocation import keep_freed_memory
+from ros2_mcp_common.allocation import keep_freed_memory
 if {{}}:
     keep_freed_memory()
 def copies():

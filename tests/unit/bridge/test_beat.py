@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from ros2_mcp_bridge.drive import Beat
+from ros2_mcp_bridge.motion.drive import Beat
 
 
 @pytest.mark.parametrize("jitter_s", [0.0, 0.005, 0.01, 0.015, 0.02])

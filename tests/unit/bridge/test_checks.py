@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from ros2_mcp_bridge.checks import Checks, Pace, Zone, clamp, problem
+from ros2_mcp_common.policy.checks import Checks, Pace, Zone, clamp, problem
 
 HALL = Zone("map", ((0, 0), (10, 0), (10, 8), (0, 8)), 0.5)
 ZONES = {"hall": HALL}

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from ros2_mcp_bridge.clearance import Body, Clearance, Mount
-from ros2_mcp_bridge.course import Circle, Line, Pose, Turn
+from ros2_mcp_bridge.motion.clearance import Body, Clearance, Mount
+from ros2_mcp_bridge.motion.course import Circle, Line, Pose, Turn
 
 ROUND = Body(0.2, 0.2, 0.2, 0.2)
 CENTRE = Mount.of((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from ros2_mcp_bridge.limits import MOST_WINDOW_BYTES, PIECE_BYTES, WINDOW_BYTES
-from ros2_mcp_bridge.pieces import RATE_KEPT_S, Credit
+from ros2_mcp_common.wire.limits import MOST_WINDOW_BYTES, PIECE_BYTES, WINDOW_BYTES
+from ros2_mcp_common.wire.pieces import RATE_KEPT_S, Credit
 
 MBIT = 1e6 / 8
 

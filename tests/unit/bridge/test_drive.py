@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from ros2_mcp_bridge.course import Circle, Line, Place, Pose, Turn
-from ros2_mcp_bridge.drive import Drive
+from ros2_mcp_bridge.motion.course import Circle, Line, Place, Pose, Turn
+from ros2_mcp_bridge.motion.drive import Drive
 from support.agent import FULL
 from support.physics import STEP_S, Base, Disc, Run, asked, guarded, pose_message, surroundings
 

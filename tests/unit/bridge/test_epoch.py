@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from ros2_mcp_bridge.epoch import StopEpoch
-from ros2_mcp_bridge.latch import FILE, Latch
 from ros2_mcp_bridge.request import Cancelled, Request
+from ros2_mcp_common.latch import FILE, Latch
 
 
 class Idle:

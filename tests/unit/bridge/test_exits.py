@@ -12,9 +12,9 @@ from typing import Any
 
 import pytest
 
-from ros2_mcp_bridge import interfaces
 from ros2_mcp_bridge.__main__ import ROS_HANGS_AFTER_S, Bridge
-from ros2_mcp_bridge.packets import pack
+from ros2_mcp_bridge.ros import interfaces
+from ros2_mcp_common.wire.packets import pack
 
 SOURCE = Path(__file__).resolve().parents[3] / "src/ros2_mcp_bridge"
 EXITS = {

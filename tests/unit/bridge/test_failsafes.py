@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from ros2_mcp_bridge.failsafes import FailSafes
+from ros2_mcp_bridge.exit.failsafes import FailSafes
 from ros2_mcp_bridge.request import Cancelled, Request
 
 

@@ -8,10 +8,10 @@ from typing import Any, cast
 
 import pytest
 
-from ros2_mcp_bridge.checks import Zone
-from ros2_mcp_bridge.feedback import FIRST_S, PoseRule, SpeedRule, Watchdog
-from ros2_mcp_bridge.latch import Latch
-from ros2_mcp_bridge.watching import Watching, rounds
+from ros2_mcp_bridge.motion.watching import Watching, rounds
+from ros2_mcp_common.latch import Latch
+from ros2_mcp_common.policy.checks import Zone
+from ros2_mcp_common.policy.feedback import FIRST_S, PoseRule, SpeedRule, Watchdog
 
 SPEED = SpeedRule(
     topic="/odom",

@@ -9,9 +9,9 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2")
 
-from ros2_mcp_bridge.protocol import EndedBy
-from ros2_mcp_bridge.relay import Relay, Relays
 from ros2_mcp_bridge.request import Cancelled, OperationError, Request
+from ros2_mcp_bridge.topics.relay import Relay, Relays
+from ros2_mcp_common.wire.protocol import EndedBy
 
 
 class Fed:

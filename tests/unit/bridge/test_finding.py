@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from ros2_mcp_bridge.finding import Found, NotFound, Search, find, running
-from ros2_mcp_bridge.nodes_here import WHEEL_GUARD, others_with_nodes, processes_in_ros
+from ros2_mcp_common.start.finding import Found, NotFound, Search, find, running
+from ros2_mcp_common.start.nodes_here import WHEEL_GUARD, others_with_nodes, processes_in_ros
 
 DISTRO = "jazzy"
 
@@ -18,7 +18,7 @@ DISTRO = "jazzy"
 @pytest.fixture(autouse=True)
 def _only_what_a_test_makes(monkeypatch: pytest.MonkeyPatch) -> None:
     """No node of this machine's is found, nor a Python with rclpy, unless a test is about that."""
-    monkeypatch.setattr("ros2_mcp_bridge.finding.running", lambda *_: None)
+    monkeypatch.setattr("ros2_mcp_common.start.finding.running", lambda *_: None)
 
 
 def machine(tmp_path: Path, **env: str) -> dict[str, str]:

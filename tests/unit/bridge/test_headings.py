@@ -11,8 +11,9 @@ import pytest
 
 from ros2_mcp.model.poses import Pose, from_roll_pitch_yaw
 from ros2_mcp.programs import numbers
-from ros2_mcp_bridge import conditions, drive
-from ros2_mcp_bridge.headings import yaw_rad
+from ros2_mcp_bridge.motion import drive
+from ros2_mcp_common.geometry import yaw_rad
+from ros2_mcp_common.language import conditions
 
 LENGTHS = [1.0, 0.5, 0.999, 1.01, 3.0, 1e-150, 1e150]
 

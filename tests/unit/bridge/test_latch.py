@@ -14,8 +14,8 @@ from pathlib import Path
 
 import pytest
 
-from ros2_mcp_bridge import latch as latch_module
-from ros2_mcp_bridge.latch import FILE, Latch, LatchState, ResetRefused
+from ros2_mcp_common import latch as latch_module
+from ros2_mcp_common.latch import FILE, Latch, LatchState, ResetRefused
 from support.processes import python_path
 
 PATIENCE_S = 60.0
@@ -169,7 +169,7 @@ def test_settings_and_resets_at_once_lose_no_setting(path: Path) -> None:
     Each waits for its turn for as long as it takes: what happens without one, the tests below say.
     """
     script = (
-        "import sys; from pathlib import Path; from ros2_mcp_bridge import latch as module\n"
+        "import sys; from pathlib import Path; from ros2_mcp_common import latch as module\n"
         f"module.TURN_S = {PATIENCE_S}; latch = module.Latch(Path({str(path)!r})); sys.stdin.read()\n"
         "for number in range(40): latch.set(by='x', reason=str(number))\n"
     )

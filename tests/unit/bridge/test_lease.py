@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from ros2_mcp_bridge.lease import LinkLease
-from ros2_mcp_bridge.packets import PacketError
+from ros2_mcp_common.wire.packets import PacketError
 
 PATIENCE_S = 10.0
 LEASE_S = 0.2

@@ -14,9 +14,9 @@ from typing import Any
 
 import pytest
 
-from ros2_mcp_bridge import lifeline
-from ros2_mcp_bridge.lifeline import Lifeline
-from ros2_mcp_bridge.spawning import Child
+from ros2_mcp_bridge.exit import lifeline
+from ros2_mcp_bridge.exit.lifeline import Lifeline
+from ros2_mcp_bridge.exit.spawning import Child
 
 TWIST = "geometry_msgs/msg/Twist"
 PATIENCE_S = 10.0
@@ -177,7 +177,7 @@ def test_the_death_of_the_stopper_is_told_only_where_something_moves(far: FarEnd
 
 def test_what_a_stopper_was_itself_late_is_no_silence_of_its_bridge() -> None:
     pytest.importorskip("rclpy")
-    from ros2_mcp_bridge import stopper
+    from ros2_mcp_bridge.stopper import stopper
 
     (heard, tell), (told, written) = os.pipe(), os.pipe()
     judge = stopper.Stopper(SimpleNamespace(), os.getpid(), heard, written)  # type: ignore[arg-type]

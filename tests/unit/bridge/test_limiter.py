@@ -19,18 +19,19 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs the ROS 2 wheels")
 
-from ros2_mcp_bridge import interfaces, publishers, rcl
-from ros2_mcp_bridge.checks import Checks
 from ros2_mcp_bridge.epoch import StopEpoch
-from ros2_mcp_bridge.fields import QuickCheck
-from ros2_mcp_bridge.flight import SET_MODE
-from ros2_mcp_bridge.limiter import Limiter
-from ros2_mcp_bridge.publishers import Publisher
-from ros2_mcp_bridge.ramp import Ramp
+from ros2_mcp_bridge.exit.limiter import Limiter
+from ros2_mcp_bridge.exit.velocities import Velocities
 from ros2_mcp_bridge.request import Cancelled, OperationError, Request, Steps
-from ros2_mcp_bridge.rules import Allowance, Limit, Rules, RuleSet
-from ros2_mcp_bridge.rules import Ramp as LimitRamp
-from ros2_mcp_bridge.velocities import Velocities
+from ros2_mcp_bridge.ros import interfaces, rcl
+from ros2_mcp_bridge.topics import publishers
+from ros2_mcp_bridge.topics.publishers import Publisher
+from ros2_mcp_common.policy.checks import Checks
+from ros2_mcp_common.policy.fields import QuickCheck
+from ros2_mcp_common.policy.flight import SET_MODE
+from ros2_mcp_common.policy.ramp import Ramp
+from ros2_mcp_common.policy.rules import Allowance, Limit, Rules, RuleSet
+from ros2_mcp_common.policy.rules import Ramp as LimitRamp
 from support.agent import FULL
 from support.aliases import aliases
 from support.limits import (

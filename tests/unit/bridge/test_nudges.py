@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from ros2_mcp_bridge.nudges import MOST_S, Nudges
+from ros2_mcp_bridge.motion.nudges import MOST_S, Nudges
 
 NEAR = math.radians(1.0)
 FASTEST = 1.0

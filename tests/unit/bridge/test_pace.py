@@ -6,8 +6,8 @@ import time
 
 import pytest
 
-from ros2_mcp_bridge.pace import ROOM, TAKEN_EVERY_S, Pace
 from ros2_mcp_bridge.request import OperationError, Request, Steps
+from ros2_mcp_bridge.topics.pace import ROOM, TAKEN_EVERY_S, Pace
 
 
 class Turn:

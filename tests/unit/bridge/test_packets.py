@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from ros2_mcp_bridge import packets
-from ros2_mcp_bridge.limits import MAX_HEADER_BYTES
-from ros2_mcp_bridge.packets import PacketError, PacketReader, pack
+from ros2_mcp_common.wire import packets
+from ros2_mcp_common.wire.limits import MAX_HEADER_BYTES
+from ros2_mcp_common.wire.packets import PacketError, PacketReader, pack
 
 
 @pytest.mark.parametrize("size", [1, 7, 100, 10_000])

@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 
-from ros2_mcp_bridge.limits import PIECE_BYTES, WINDOW_BYTES
-from ros2_mcp_bridge.packets import Packet, PacketError, PacketReader, pack
-from ros2_mcp_bridge.pieces import Cut, Lanes
 from ros2_mcp_bridge.stream import Outbox, Sample, SampleQueue, read_packets
+from ros2_mcp_common.wire.limits import PIECE_BYTES, WINDOW_BYTES
+from ros2_mcp_common.wire.packets import Packet, PacketError, PacketReader, pack
+from ros2_mcp_common.wire.pieces import Cut, Lanes
 
 PICTURE = os.urandom(20 * PIECE_BYTES)
 

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from ros2_mcp_bridge.pool import Pool
+from ros2_mcp_bridge.topics.pool import Pool
 
 
 def test_the_same_key_gives_the_same_entity_and_says_whether_it_is_new() -> None:

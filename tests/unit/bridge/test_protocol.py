@@ -10,8 +10,8 @@ from typing import get_args
 
 import pytest
 
-from ros2_mcp_bridge import protocol
-from ros2_mcp_bridge.protocol import ErrorKind, Hello
+from ros2_mcp_common.wire import protocol
+from ros2_mcp_common.wire.protocol import ErrorKind, Hello
 
 ROOT = Path(__file__).resolve().parents[3]
 DESCRIPTION = (ROOT / "docs/reference/stream.md").read_text(encoding="utf-8")

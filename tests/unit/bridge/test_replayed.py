@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from ros2_mcp_bridge.replayed import LONGEST_S, MATCHED_S, PAUSE_S, NewestOfOld
+from ros2_mcp_bridge.topics.replayed import LONGEST_S, MATCHED_S, PAUSE_S, NewestOfOld
 
 OPENED_NS = 1_000_000
 

@@ -6,7 +6,7 @@ import random
 
 import pytest
 
-from ros2_mcp_bridge.rhythm import Rhythm
+from ros2_mcp_common.rhythm import Rhythm
 
 SECOND = 1_000_000_000
 

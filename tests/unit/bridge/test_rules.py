@@ -6,8 +6,8 @@ import json
 
 import pytest
 
-from ros2_mcp_bridge.checks import Checks
-from ros2_mcp_bridge.rules import (
+from ros2_mcp_common.policy.checks import Checks
+from ros2_mcp_common.policy.rules import (
     META_TYPES,
     Allowance,
     Forbidden,

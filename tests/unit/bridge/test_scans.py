@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import pytest
 
-from ros2_mcp_bridge.scans import NoRange, nearest_range
+from ros2_mcp_common.language.scans import NoRange, nearest_range
 
 
 @dataclass

@@ -9,10 +9,10 @@ from collections.abc import Sequence
 import pytest
 
 from ros2_mcp_bridge import stream
-from ros2_mcp_bridge.limits import BATCH_BYTES
-from ros2_mcp_bridge.packets import Packet, PacketError, PacketReader, pack
 from ros2_mcp_bridge.request import OperationError
 from ros2_mcp_bridge.stream import Outbox, Sample, SampleQueue, read_packets
+from ros2_mcp_common.wire.limits import BATCH_BYTES
+from ros2_mcp_common.wire.packets import Packet, PacketError, PacketReader, pack
 
 
 def samples_of(*data: bytes) -> list[Sample]:

@@ -7,12 +7,20 @@ from typing import Any
 
 import pytest
 
-from ros2_mcp_bridge import stamps
-from ros2_mcp_bridge.checks import Checks, Pace
-from ros2_mcp_bridge.checks import problem as problem_of
-from ros2_mcp_bridge.curves import State, extremes, roots, segment
-from ros2_mcp_bridge.rules import Limit, Rules, RuleSet
-from ros2_mcp_bridge.trajectory_limits import CurveLimits, JointBounds, Joints, extremes_of, positions_at, problem, read
+from ros2_mcp_common.policy import stamps
+from ros2_mcp_common.policy.checks import Checks, Pace
+from ros2_mcp_common.policy.checks import problem as problem_of
+from ros2_mcp_common.policy.curves import State, extremes, roots, segment
+from ros2_mcp_common.policy.rules import Limit, Rules, RuleSet
+from ros2_mcp_common.policy.trajectory_limits import (
+    CurveLimits,
+    JointBounds,
+    Joints,
+    extremes_of,
+    positions_at,
+    problem,
+    read,
+)
 
 SLOW = CurveLimits(speed=0.3, position=(-3.0, 3.0))
 STAND = Joints({"a": State(0.0), "b": State(0.0)})

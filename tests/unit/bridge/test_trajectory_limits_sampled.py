@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ros2_mcp_bridge import stamps
-from ros2_mcp_bridge.curves import State
-from ros2_mcp_bridge.trajectory_limits import AT_ONCE, CurveLimits, JointBounds, Joints, problem
+from ros2_mcp_common.policy import stamps
+from ros2_mcp_common.policy.curves import State
+from ros2_mcp_common.policy.trajectory_limits import AT_ONCE, CurveLimits, JointBounds, Joints, problem
 
 BATCH = 1000
 SAMPLES = 160

@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
-from ros2_mcp.codec.select import known_to
-from ros2_mcp_bridge.asking import Asking
-from ros2_mcp_bridge.controller import Feed
-from ros2_mcp_bridge.drive import LATE_S
-from ros2_mcp_bridge.until import Until
+from ros2_mcp.values.select import known_to
+from ros2_mcp_bridge.motion.asking import Asking
+from ros2_mcp_bridge.motion.controller import Feed
+from ros2_mcp_bridge.motion.drive import LATE_S
+from ros2_mcp_bridge.motion.until import Until
 from support.made_windows import CODEC, decoded
 
 SCAN = "sensor_msgs/msg/LaserScan"

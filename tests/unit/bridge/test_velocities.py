@@ -9,10 +9,12 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from ros2_mcp_bridge import clock, publishers, velocities
-from ros2_mcp_bridge.limiter import Limiter
+from ros2_mcp_bridge.exit import velocities
+from ros2_mcp_bridge.exit.limiter import Limiter
 from ros2_mcp_bridge.request import Request
-from ros2_mcp_bridge.velocity import VELOCITY_TYPES
+from ros2_mcp_bridge.ros import clock
+from ros2_mcp_bridge.topics import publishers
+from ros2_mcp_common.policy.velocity import VELOCITY_TYPES
 
 TWIST = "geometry_msgs/msg/Twist"
 MIXED: list[tuple[list[bool | None], bool | None]] = [

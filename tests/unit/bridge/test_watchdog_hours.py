@@ -17,9 +17,9 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2")
 
-from ros2_mcp_bridge.checks import Zone
-from ros2_mcp_bridge.feedback import PoseRule, SpeedRule, Watchdog
-from ros2_mcp_bridge.watching import rounds
+from ros2_mcp_bridge.motion.watching import rounds
+from ros2_mcp_common.policy.checks import Zone
+from ros2_mcp_common.policy.feedback import PoseRule, SpeedRule, Watchdog
 from ros2_mcp_demo.base import wrapped
 from ros2_mcp_demo.drive import Drive, Goal, Surroundings
 from ros2_mcp_demo.simulation import MAP_RESOLUTION, Simulation

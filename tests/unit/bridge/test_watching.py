@@ -13,10 +13,11 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs the ROS 2 wheels")
 
-from ros2_mcp_bridge import interfaces, rcl, watching
-from ros2_mcp_bridge.feedback import PoseRule, Watchdog
+from ros2_mcp_bridge.motion import watching
+from ros2_mcp_bridge.ros import interfaces, rcl
 from ros2_mcp_bridge.stream import Sample
-from ros2_mcp_bridge.subscriptions import RawSubscription
+from ros2_mcp_bridge.topics.subscriptions import RawSubscription
+from ros2_mcp_common.policy.feedback import PoseRule, Watchdog
 
 POSE = "geometry_msgs/msg/Pose"
 RULE = PoseRule("/pose", POSE, "", max_age_s=1.0, brake_mps2=1.0, frame_id="map")

@@ -3,8 +3,8 @@
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
-from ros2_mcp.codec.cdr import Codec
-from ros2_mcp.codec.definitions import Definitions, DefinitionText
+from ros2_mcp.values.cdr import Codec
+from ros2_mcp.values.definitions import Definitions, DefinitionText
 
 AWKWARD = {
     "odd_msgs/msg/Numbers": """

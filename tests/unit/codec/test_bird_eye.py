@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from ros2_mcp.codec.bird_eye import BirdEye, bird_eye
-from ros2_mcp.codec.check import check
-from ros2_mcp.codec.clouds import Cloud, cloud_of
-from ros2_mcp.codec.definitions import Definitions
 from ros2_mcp.model.errors import BadData
 from ros2_mcp.model.pictures import POINT_CLOUD, BirdEyeOptions, Bounds, Place
+from ros2_mcp.pictures.bird_eye import BirdEye, bird_eye
+from ros2_mcp.values.check import check
+from ros2_mcp.values.definitions import Definitions
+from ros2_mcp.world.clouds import Cloud, cloud_of
 
 KINDS = {"b": 1, "B": 2, "h": 3, "H": 4, "i": 5, "I": 6, "f": 7, "d": 8}
 

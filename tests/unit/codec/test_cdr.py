@@ -3,10 +3,10 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from ros2_mcp.codec.cdr import Codec
-from ros2_mcp.codec.check import check
-from ros2_mcp.codec.definitions import Definitions, DefinitionText
 from ros2_mcp.model.errors import BadData
+from ros2_mcp.values.cdr import Codec
+from ros2_mcp.values.check import check
+from ros2_mcp.values.definitions import Definitions, DefinitionText
 
 HEADER = bytes([0, 1, 0, 0])
 STRING = "std_msgs/msg/String"

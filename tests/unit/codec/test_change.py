@@ -6,12 +6,12 @@ from typing import Any
 
 import pytest
 
-from ros2_mcp.codec.cdr import Codec
-from ros2_mcp.codec.change import ChangeDetector
-from ros2_mcp.codec.check import check
-from ros2_mcp.codec.definitions import Definitions, DefinitionText
-from ros2_mcp.codec.mapping import FieldMapping
 from ros2_mcp.model.errors import BadInput, BadValue
+from ros2_mcp.values.cdr import Codec
+from ros2_mcp.values.change import ChangeDetector
+from ros2_mcp.values.check import check
+from ros2_mcp.values.definitions import Definitions, DefinitionText
+from ros2_mcp.values.mapping import FieldMapping
 
 TEXTS = {
     "std_msgs/msg/Header": "builtin_interfaces/Time stamp\nstring frame_id\n",

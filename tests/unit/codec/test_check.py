@@ -2,10 +2,10 @@ import base64
 
 import pytest
 
-from ros2_mcp.codec.cdr import Codec
-from ros2_mcp.codec.check import check, missing_fields
-from ros2_mcp.codec.definitions import Definitions
 from ros2_mcp.model.errors import BadValue
+from ros2_mcp.values.cdr import Codec
+from ros2_mcp.values.check import check, missing_fields
+from ros2_mcp.values.definitions import Definitions
 
 NUMBERS = "odd_msgs/msg/Numbers"
 LISTS = "odd_msgs/msg/Lists"

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
-from ros2_mcp.codec.cdr import Codec
-from ros2_mcp.codec.check import check
-from ros2_mcp.codec.columns import ColumnReader
-from ros2_mcp.codec.definitions import Definitions
-from ros2_mcp.codec.select import measurable, parse_field
 from ros2_mcp.model.interfaces import INTEGERS, FieldType
+from ros2_mcp.values.cdr import Codec
+from ros2_mcp.values.check import check
+from ros2_mcp.values.columns import ColumnReader
+from ros2_mcp.values.definitions import Definitions
+from ros2_mcp.values.select import measurable, parse_field
 
 from .conftest import AWKWARD, COMMON
 

@@ -5,10 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ros2_mcp.codec.cost_updates import as_grid, updated
 from ros2_mcp.model.errors import BadData
 from ros2_mcp.model.nav2 import COSTMAP, COSTMAP_UPDATE, GRID_UPDATE
 from ros2_mcp.model.pictures import OCCUPANCY_GRID
+from ros2_mcp.world.cost_updates import as_grid, updated
 
 
 def raw(costs, width, height):

@@ -6,9 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ros2_mcp.codec.costmap import CostGrid
 from ros2_mcp.model.costs import cost_in_words
 from ros2_mcp.model.errors import BadData
+from ros2_mcp.world.costmap import CostGrid
 
 
 def grid(cells, resolution=0.1, x=0.0, y=0.0, z=0.0, w=1.0):

@@ -1,9 +1,9 @@
 import pytest
 
-from ros2_mcp.codec.cdr import Codec
-from ros2_mcp.codec.check import check
-from ros2_mcp.codec.definitions import Definitions, DefinitionText
 from ros2_mcp.model.errors import UnknownInterface
+from ros2_mcp.values.cdr import Codec
+from ros2_mcp.values.check import check
+from ros2_mcp.values.definitions import Definitions, DefinitionText
 
 POINT_IDL = """
 #include "odd_msgs/msg/Numbers.idl"

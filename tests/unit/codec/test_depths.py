@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from ros2_mcp.codec.depths import cloud_meaning, depth_meaning, depth_within, intrinsics_of
 from ros2_mcp.model.meanings import DepthMeaning
 from ros2_mcp.model.poses import Pose
+from ros2_mcp.world.depths import cloud_meaning, depth_meaning, depth_within, intrinsics_of
 from ros2_mcp_demo import picture
 from ros2_mcp_demo.base import Pose as At
 from ros2_mcp_demo.world import Pillar, World

@@ -6,10 +6,10 @@ import math
 
 import pytest
 
-from ros2_mcp.codec.footprint import Reach, outline, reach, unmeasured
-from ros2_mcp.codec.transforms import FrameTree
-from ros2_mcp.codec.urdf import parse
 from ros2_mcp.ops.space.body import footprint_in_words
+from ros2_mcp.world.footprint import Reach, outline, reach, unmeasured
+from ros2_mcp.world.transforms import FrameTree
+from ros2_mcp.world.urdf import parse
 from ros2_mcp_demo.base import RADIUS
 from ros2_mcp_demo.nodes.robot_state_publisher import description
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from ros2_mcp.codec.no_transform import located
-from ros2_mcp.codec.transforms import FrameTree
 from ros2_mcp.model.poses import Pose
+from ros2_mcp.world.no_transform import located
+from ros2_mcp.world.transforms import FrameTree
 from support.made_frames import SECOND, at, follows, reason, robot, tell, transform
 
 # ── messages that come many at once ──────────────────────────────────────────────────────────────────────────────────

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from ros2_mcp.codec.limbs import limbs_of, limbs_seen
-from ros2_mcp.codec.urdf import parse
 from ros2_mcp.model.poses import Pose, from_roll_pitch_yaw
+from ros2_mcp.world.limbs import limbs_of, limbs_seen
+from ros2_mcp.world.urdf import parse
 from ros2_mcp_demo.arm.description import BY_NAME, description, tool_point
 
 AT = {"shoulder_pan_joint": 0.6, "shoulder_lift_joint": 1.0, "wrist_2_joint": 1.0, "gripper_joint": 0.03}

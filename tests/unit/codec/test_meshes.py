@@ -8,8 +8,8 @@ import zlib
 import numpy as np
 import pytest
 
-from ros2_mcp.codec.meshes import packed_mesh, parts_of
 from ros2_mcp.model.errors import BadData
+from ros2_mcp.world.meshes import packed_mesh, parts_of
 
 CORNERS = [(x, y, z) for x in (0.0, 1.0) for y in (0.0, 2.0) for z in (0.0, 3.0)]
 FACES = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]

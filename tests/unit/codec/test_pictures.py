@@ -5,14 +5,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from ros2_mcp.codec import pictures as makers
-from ros2_mcp.codec.check import check
-from ros2_mcp.codec.definitions import Definitions
-from ros2_mcp.codec.maps import map_drawing, map_facts
-from ros2_mcp.codec.pictures import picture_of
-from ros2_mcp.codec.raster import Raster
 from ros2_mcp.model.errors import BadData, BadValue
 from ros2_mcp.model.pictures import BOUNDS, COMPRESSED_IMAGE, IMAGE, OCCUPANCY_GRID, Bounds, Picture, Place
+from ros2_mcp.pictures import messages as makers
+from ros2_mcp.pictures.maps import map_drawing, map_facts
+from ros2_mcp.pictures.messages import picture_of
+from ros2_mcp.pictures.raster import Raster
+from ros2_mcp.values.check import check
+from ros2_mcp.values.definitions import Definitions
 
 RED, GREEN, BLUE, GREY = (250, 10, 10), (10, 250, 10), (10, 10, 250), (128, 128, 128)
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from PIL import ImageColor
 
-from ros2_mcp.codec.definitions import Definitions
-from ros2_mcp.codec.plot import COLOURS, NOT_FINITE, Curve, Drawn, Figure, Panel, Span, draw, labels, span_of, ticks
-from ros2_mcp.codec.raster import Raster, finished
-from ros2_mcp.codec.units import unit_of
 from ros2_mcp.model.errors import BadData
 from ros2_mcp.model.pictures import BOUNDS, Bounds
+from ros2_mcp.pictures.plot import COLOURS, NOT_FINITE, Curve, Drawn, Figure, Panel, Span, draw, labels, span_of, ticks
+from ros2_mcp.pictures.raster import Raster, finished
+from ros2_mcp.values.definitions import Definitions
+from ros2_mcp.values.units import unit_of
 
 BLUE, ORANGE, RED = (ImageColor.getrgb(colour) for colour in (*COLOURS[:2], NOT_FINITE))
 

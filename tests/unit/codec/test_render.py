@@ -5,13 +5,13 @@ import random
 import numpy as np
 import pytest
 
-from ros2_mcp.codec.cdr import Codec
-from ros2_mcp.codec.check import check
-from ros2_mcp.codec.definitions import Definitions
-from ros2_mcp.codec.render import Rendered, RenderOptions, example_of, render
 from ros2_mcp.model.errors import BadValue
 from ros2_mcp.model.text import visible_json
 from ros2_mcp.model.values import summarised
+from ros2_mcp.values.cdr import Codec
+from ros2_mcp.values.check import check
+from ros2_mcp.values.definitions import Definitions
+from ros2_mcp.values.render import Rendered, RenderOptions, example_of, render
 
 LISTS = "odd_msgs/msg/Lists"
 SCAN = "sensor_msgs/msg/LaserScan"

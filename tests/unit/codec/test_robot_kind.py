@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import pytest
 
-from ros2_mcp.codec.robot_kind import arms_of, kind_of, wheels_of
-from ros2_mcp.codec.urdf import Urdf, parse
+from ros2_mcp.world.robot_kind import arms_of, kind_of, wheels_of
+from ros2_mcp.world.urdf import Urdf, parse
 
 TWIST = "geometry_msgs/msg/Twist"
 

@@ -7,12 +7,12 @@ from typing import Any
 
 import pytest
 
-from ros2_mcp.codec.check import check
-from ros2_mcp.codec.definitions import Definitions
-from ros2_mcp.codec.scans import scan_meaning
 from ros2_mcp.model.errors import BadData
 from ros2_mcp.model.meanings import SECTORS, ScanMeaning
 from ros2_mcp.model.poses import Pose, planar
+from ros2_mcp.values.check import check
+from ros2_mcp.values.definitions import Definitions
+from ros2_mcp.world.scans import scan_meaning
 
 BEAMS = 360
 INF, NAN = math.inf, math.nan

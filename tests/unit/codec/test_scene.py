@@ -11,19 +11,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from ros2_mcp.codec.plot import Span
-from ros2_mcp.codec.scene import (
-    GridLayer,
-    Mark,
-    Scene,
-    SceneDrawing,
-    _Sheet,  # pyright: ignore[reportPrivateUsage] - the legend is told by nothing else
-    check_grid,
-    extent,
-    scene_drawing,
-)
 from ros2_mcp.model.errors import BadData
 from ros2_mcp.model.pictures import BOUNDS, Place
+from ros2_mcp.pictures.plot import Span
+from ros2_mcp.pictures.scene import GridLayer, Mark, Scene, SceneDrawing, _Sheet, check_grid, extent, scene_drawing
 
 BROKEN = (math.nan, math.inf, -math.inf, 1e300, -1e30, 2e6)
 

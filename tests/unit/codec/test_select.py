@@ -1,9 +1,9 @@
 import pytest
 
-from ros2_mcp.codec.check import check
-from ros2_mcp.codec.definitions import Definitions
-from ros2_mcp.codec.select import numeric_fields, parse_field, parse_fields, value_at
 from ros2_mcp.model.errors import BadValue
+from ros2_mcp.values.check import check
+from ros2_mcp.values.definitions import Definitions
+from ros2_mcp.values.select import numeric_fields, parse_field, parse_fields, value_at
 from support.made_windows import CODEC
 
 ODOMETRY = "nav_msgs/msg/Odometry"

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ros2_mcp.codec.space import MOST_POINTS, packed
+from ros2_mcp.world.thinned_clouds import MOST_POINTS, packed
 
 
 def cloud(xyz: Any, intensity: Any = None) -> Any:

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ros2_mcp.codec.frame_edges import KEPT_NS
-from ros2_mcp.codec.no_transform import located
-from ros2_mcp.codec.transforms import MOST_FRAMES, MOST_KEPT, FrameTree
 from ros2_mcp.model.errors import NoTransform
 from ros2_mcp.model.poses import Pose, about_z, from_roll_pitch_yaw, mean_of, normalised
+from ros2_mcp.world.frame_edges import KEPT_NS
+from ros2_mcp.world.no_transform import located
+from ros2_mcp.world.transforms import MOST_FRAMES, MOST_KEPT, FrameTree
 from support.agent import FULL
 from support.made_frames import NOW_NS, SECOND, at, follows, reason, robot, tell, transform
 from support.second_tf import Matrix, SecondTree, matrix

@@ -6,8 +6,8 @@ import math
 
 import pytest
 
-from ros2_mcp.codec.urdf import Limits, Mimic, Mount, parse
 from ros2_mcp.model.errors import BadData
+from ros2_mcp.world.urdf import Limits, Mimic, Mount, parse
 
 ARM = """<?xml version="1.0"?>
 <robot name="two_links" xmlns:xacro="http://ros.org/wiki/xacro">

@@ -2,7 +2,7 @@
 
 import random
 
-from ros2_mcp.codec.writers import Writers
+from ros2_mcp.values.writers import Writers
 
 
 def test_two_publishers_that_take_over_each_others_frames_stay_two():

@@ -2,7 +2,7 @@
 
 import pytest
 
-from ros2_mcp.codec.urdf import Limits, parse
+from ros2_mcp.world.urdf import Limits, parse
 from ros2_mcp_demo.arm.description import ARM, BY_NAME, HOME, JOINTS, description, tool_point
 from ros2_mcp_demo.arm.simulation import Simulation
 

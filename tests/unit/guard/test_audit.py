@@ -27,7 +27,7 @@ from ros2_mcp.guard.guard import Guard
 from ros2_mcp.link.client import Bridge
 from ros2_mcp.model.commands import Principal
 from ros2_mcp.model.errors import Refused
-from ros2_mcp.ops.audit import read
+from ros2_mcp.ops.audit.read import read
 from ros2_mcp.robot import Robot
 from support.rounds import FULL
 

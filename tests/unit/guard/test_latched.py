@@ -8,19 +8,19 @@ from typing import cast
 
 import pytest
 
+from ros2_mcp.compose.robot import robot_for, store_for
 from ros2_mcp.guard.chain import entries
 from ros2_mcp.guard.consent import Auditing
 from ros2_mcp.guard.guard import Guard
 from ros2_mcp.guard.policy import Policy
 from ros2_mcp.guard.state import ServerLock, StateFolder, state_of
-from ros2_mcp.library import robot_for, store_for
 from ros2_mcp.link.client import Bridge
 from ros2_mcp.model.commands import CancelGoals, Record
 from ros2_mcp.model.errors import Latched
-from ros2_mcp.ops.stop import stop
+from ros2_mcp.ops.stop.stop import stop
 from ros2_mcp.robot import Robot
 from ros2_mcp.settings import Settings
-from ros2_mcp_bridge.rules import Rules, RuleSet
+from ros2_mcp_common.policy.rules import Rules, RuleSet
 from support.noting_bridge import EVERY, Noting
 
 ACTING = [command for command in EVERY if not isinstance(command, CancelGoals | Record)]

@@ -10,7 +10,7 @@ import pytest
 
 from ros2_mcp.guard.policy_file import compiled, document_of, read_policies, read_policy
 from ros2_mcp.guard.section import PolicyFileError
-from ros2_mcp_bridge.rules import Ramp, Rules
+from ros2_mcp_common.policy.rules import Ramp, Rules
 
 WHOLE = """\
 policy: 1

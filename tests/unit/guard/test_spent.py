@@ -11,9 +11,9 @@ import pytest
 from ros2_mcp.guard import spent
 from ros2_mcp.guard.spent import Spent, told
 from ros2_mcp.guard.state import StateFolder
-from ros2_mcp_bridge.limiter import Limiter
-from ros2_mcp_bridge.ramp import Bucket, PerMinute
+from ros2_mcp_bridge.exit.limiter import Limiter
 from ros2_mcp_bridge.request import OperationError
+from ros2_mcp_common.policy.ramp import Bucket, PerMinute
 from support.agent import until
 
 USED = ("/dock", "std_srvs/srv/Trigger", "per_minute")

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from ros2_mcp.assembly import assemble
 from ros2_mcp.commands.doctor import policy_in_force
+from ros2_mcp.compose.server import assemble
 from ros2_mcp.settings import Settings
 from ros2_mcp.tools import TOOLS
 

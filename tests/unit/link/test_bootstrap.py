@@ -18,8 +18,8 @@ import pytest
 
 import ros2_mcp_bridge
 from ros2_mcp.link.bootstrap import WORDS, Arrival, bare, bootstrap, packed_bridge
-from ros2_mcp_bridge.finding import Search
-from ros2_mcp_bridge.stage1 import MARKER
+from ros2_mcp_common.start.finding import Search
+from ros2_mcp_common.start.stage1 import MARKER
 
 HERE = {"PATH": os.environ["PATH"], "HOME": os.environ.get("HOME", "/")}
 NONCE = "0123456789abcdef"

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from ros2_mcp.link.bootstrap import Arrival, bootstrap
-from ros2_mcp_bridge.finding import Search
-from ros2_mcp_bridge.stage1 import MARKER
+from ros2_mcp_common.start.finding import Search
+from ros2_mcp_common.start.stage1 import MARKER
 from support.rounds import QUICK
 
 SHELLS = ("bash", "dash", "busybox", "zsh", "fish", "tcsh", "ksh", "mksh")

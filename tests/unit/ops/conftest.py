@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from ros2_mcp.codec.definitions import Definitions
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.robot import Robot
+from ros2_mcp.values.definitions import Definitions
 from support.made_bridge import MadeBridge, robot_of
 from support.made_windows import CODEC, START_NS, Make, Window, encoded
 

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from ros2_mcp.codec.definitions import Definitions, DefinitionText
-from ros2_mcp.ops.defaults import left_at_default
+from ros2_mcp.ops.acting.defaults import left_at_default
+from ros2_mcp.values.definitions import Definitions, DefinitionText
 
 
 @pytest.mark.parametrize(

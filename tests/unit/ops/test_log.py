@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from ros2_mcp.model.errors import BadInput, BadValue
-from ros2_mcp.ops import log
+from ros2_mcp.ops.log import read as log
 from support.made_windows import START_NS, Make, Recorded
 
 NOW = 1_900_000_000_000_000_000

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from ros2_mcp.ops.observed.judge import (
+from ros2_mcp.ops.stop.judge import (
     HOVERING,
     Account,
     BaseJudge,
@@ -26,7 +26,7 @@ from ros2_mcp.ops.observed.judge import (
     is_confirmed,
     observation,
 )
-from ros2_mcp.ops.observed.observe import observe_still, velocity_of
+from ros2_mcp.ops.stop.observe import observe_still, velocity_of
 from ros2_mcp.robot import Robot
 from support.made_bridge import MadeBridge
 

@@ -7,8 +7,8 @@ import asyncio
 import pytest
 
 from ros2_mcp.model.errors import BadInput, BridgeLost
-from ros2_mcp.ops import relay
-from ros2_mcp.ops.relay import Relay, RelayRequest, way
+from ros2_mcp.ops.relay import relay
+from ros2_mcp.ops.relay.relay import Relay, RelayRequest, way
 from ros2_mcp.robot import Robot
 from support.made_bridge import NUMBER, MadeBridge
 from support.tasks import soon

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ros2_mcp.ops.results import in_words
+from ros2_mcp.ops.results.results import in_words
 
 
 def test_feedback_in_words_has_values_by_their_paths_and_times_in_seconds() -> None:

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from ros2_mcp.ops.observed.judge import Observation
-from ros2_mcp.ops.stop import Stopped, StoppedGoal, StoppedTopic, _doubts, _facts, _unknown
+from ros2_mcp.ops.stop.judge import Observation
+from ros2_mcp.ops.stop.stop import Stopped, StoppedGoal, StoppedTopic, _doubts, _facts, _unknown
 
 ENDED = {"repeats": 0, "relays": 0, "dropped": [], "topics": []}
 UNSEEN = Observation(verdict="not observed", sentence="Not observed.")

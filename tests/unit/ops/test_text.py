@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from ros2_mcp.ops.results import EXACT, HIDDEN, IF_ANY, LINES, SAID, PictureFacts, beside
-from ros2_mcp.ops.text import as_text
+from ros2_mcp.ops.results.results import EXACT, HIDDEN, IF_ANY, LINES, SAID, PictureFacts, beside
+from ros2_mcp.ops.results.text import as_text
 from support.hidden import HIDDEN as HIDDEN_TEXTS
 from support.outlets import FORGED, hostile, is_hidden
 

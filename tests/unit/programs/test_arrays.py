@@ -11,11 +11,11 @@ import pytest
 
 pytest.importorskip("pydantic_monty", reason="needs the extra `programs`")
 
-from ros2_mcp.assembly import SOURCE_KINDS
+from ros2_mcp.compose.server import SOURCE_KINDS
+from ros2_mcp.mcp.toolset import Toolset
 from ros2_mcp.ops.memory.bag_store import BagStore
-from ros2_mcp.ops.results import silent
+from ros2_mcp.ops.results.results import silent
 from ros2_mcp.programs.held import MOST_BYTES, Held
-from ros2_mcp.toolset import Toolset
 from support.arrays_bag import LARGE_POINTS, LARGE_SIDE, arrays_bag, small_cells
 from support.made_bridge import MadeBridge, robot_of
 

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 
-from ros2_mcp.assembly import assemble
-from ros2_mcp.binding import CallFailed
 from ros2_mcp.commands.doctor import programs_here
+from ros2_mcp.compose.server import assemble
+from ros2_mcp.mcp.binding import CallFailed
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.programs import sandbox
 from ros2_mcp.prompts.catalog import Catalog

@@ -10,14 +10,14 @@ import pytest
 
 pytest.importorskip("pydantic_monty", reason="needs the extra `programs`")
 
-from ros2_mcp.assembly import SOURCE_KINDS, assemble
-from ros2_mcp.binding import CallFailed
+from ros2_mcp.compose.server import SOURCE_KINDS, assemble
 from ros2_mcp.guard.guard import Guard
 from ros2_mcp.guard.policy import Policy
+from ros2_mcp.mcp.binding import CallFailed
+from ros2_mcp.mcp.toolset import Toolset
 from ros2_mcp.ops.memory.bag_store import BagStore
-from ros2_mcp.ops.results import silent
+from ros2_mcp.ops.results.results import silent
 from ros2_mcp.settings import Settings
-from ros2_mcp.toolset import Toolset
 from support.made_bridge import MadeBridge, robot_of
 from support.room_bag import LENGTH_S, ODOM_IN_MAP, RATE_HZ, Pose2, pose_at, room_bag
 from support.source import ROOT

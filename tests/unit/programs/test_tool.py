@@ -9,13 +9,13 @@ import pytest
 
 pytest.importorskip("pydantic_monty", reason="needs the extra `programs`")
 
-from ros2_mcp.assembly import SOURCE_KINDS
-from ros2_mcp.binding import CallFailed
+from ros2_mcp.compose.server import SOURCE_KINDS
+from ros2_mcp.mcp.binding import CallFailed
+from ros2_mcp.mcp.toolset import Toolset
 from ros2_mcp.ops.memory.bag_store import BagStore
-from ros2_mcp.ops.results import silent
+from ros2_mcp.ops.results.results import silent
 from ros2_mcp.programs.sandbox import CPU_S, MEMORY_BYTES, TURN_S
 from ros2_mcp.tools.programs import MAX_RUN_S
-from ros2_mcp.toolset import Toolset
 from support.made_bridge import MadeBridge, robot_of
 
 

@@ -9,7 +9,7 @@ import jsonschema
 import pytest
 from generate import served_tools
 
-from ros2_mcp.assembly import Assembly, assemble
+from ros2_mcp.compose.server import Assembly, assemble
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.prompts.base import base_prompts
 from ros2_mcp.prompts.prompt import Prompt

@@ -9,12 +9,12 @@ import jsonschema
 import pytest
 from generate import served_tools
 
-from ros2_mcp.codec.check import check
-from ros2_mcp.codec.definitions import Definitions, DefinitionText
 from ros2_mcp.ops.measure.expression import condition
 from ros2_mcp.prompts.folder import PromptFolder
 from ros2_mcp.prompts.mistakes import Mistake
 from ros2_mcp.tools import TOOLS
+from ros2_mcp.values.check import check
+from ros2_mcp.values.definitions import Definitions, DefinitionText
 from support.prompt_steps import steps_of
 
 EXAMPLES = Path(__file__).parents[3] / "src/ros2_mcp_demo/prompts"

@@ -13,7 +13,7 @@ from ros2_mcp.model.commands import LOCAL, Publish
 from ros2_mcp.model.errors import NotFound
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.flights import STATE_TYPE, Flight, flight_of
-from ros2_mcp_bridge.flight import BRAKE_MODES, SET_MODE, brakes, only_asks, vehicle_of
+from ros2_mcp_common.policy.flight import BRAKE_MODES, SET_MODE, brakes, only_asks, vehicle_of
 from support import noting_bridge
 from support.noting_bridge import CHOICE, Noting, call, on
 from support.tasks import soon

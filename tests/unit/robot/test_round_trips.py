@@ -14,7 +14,7 @@ from ros2_mcp.link.client import Bridge, Reply, Subscription
 from ros2_mcp.model.errors import BridgeRefused, NotFound
 from ros2_mcp.ops.topics.list import list_topics
 from ros2_mcp.robot import Robot
-from ros2_mcp_bridge.protocol import NOT_COUNTED
+from ros2_mcp_common.wire.protocol import NOT_COUNTED
 from support.made_bridge import NUMBER
 
 QOS = {

@@ -12,11 +12,11 @@ import pytest
 from ros2_mcp.model.commands import LOCAL, CancelGoals, Command, Principal, Publish, Record, Repeat
 from ros2_mcp.model.errors import LEASE, BadValue, NotFound, Refused, Stopped
 from ros2_mcp.model.qos import Choice, QoS
-from ros2_mcp.ops.stop import stop
+from ros2_mcp.ops.stop.stop import stop
 from ros2_mcp.ops.topics.publish import Repetition
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.goals import Goal
-from ros2_mcp_bridge.limits import MAX_FAILSAFES
+from ros2_mcp_common.wire.limits import MAX_FAILSAFES
 from support.noting_bridge import CHOICE, EVERY, STAMPED, TWIST, UUID, Noting, call, goal, on
 from support.tasks import soon
 

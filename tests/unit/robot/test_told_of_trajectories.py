@@ -5,13 +5,13 @@ from __future__ import annotations
 import re
 from typing import Any
 
-from ros2_mcp.codec.urdf import parse
 from ros2_mcp.guard.exact import ExactCommand
 from ros2_mcp.model.commands import LOCAL, SendGoal
 from ros2_mcp.robot.joints import known
 from ros2_mcp.robot.told_of_trajectories import told_of
-from ros2_mcp_bridge.curves import State
-from ros2_mcp_bridge.trajectory_limits import Joints
+from ros2_mcp.world.urdf import parse
+from ros2_mcp_common.policy.curves import State
+from ros2_mcp_common.policy.trajectory_limits import Joints
 
 JOINTS = [f"joint_{number}" for number in range(1, 7)]
 URDF = '<robot name="r"><link name="base"/>{}</robot>'.format(

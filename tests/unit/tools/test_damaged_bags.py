@@ -12,18 +12,18 @@ from typing import Any
 
 import pytest
 
-from ros2_mcp.assembly import SOURCE_KINDS
 from ros2_mcp.bags.bag import Bag
-from ros2_mcp.binding import CallFailed
+from ros2_mcp.compose.server import SOURCE_KINDS
 from ros2_mcp.guard.state import StateFolder
+from ros2_mcp.mcp.binding import CallFailed
+from ros2_mcp.mcp.toolset import Toolset
 from ros2_mcp.model.times import iso_time
 from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.sources.kinds import Sources
 from ros2_mcp.ops.sources.recorded_robot import recorded_robot
-from ros2_mcp.ops.view.acting import Acting
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools import TOOLS
-from ros2_mcp.toolset import Toolset
+from ros2_mcp.view.acting import Acting
 from ros2_mcp.view.viewing import Viewing
 from support.damaged_bags import KINDS, START_NS, whole_mcap, with_undecodable_messages
 from support.made_bridge import MadeBridge, robot_of

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import pytest
 
-from ros2_mcp.assembly import assemble
-from ros2_mcp.ops.results import Report, silent
+from ros2_mcp.compose.server import assemble
+from ros2_mcp.ops.results.results import Report, silent
 from ros2_mcp.robot import Robot
 from ros2_mcp.settings import Settings
 from ros2_mcp.tools import in_order

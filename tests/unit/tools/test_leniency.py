@@ -10,12 +10,12 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
-from ros2_mcp.assembly import assemble
-from ros2_mcp.binding import BoundTool, CallFailed
-from ros2_mcp.ops.results import silent
+from ros2_mcp.compose.server import assemble
+from ros2_mcp.mcp.binding import BoundTool, CallFailed
+from ros2_mcp.mcp.toolset import Toolset
+from ros2_mcp.ops.results.results import silent
 from ros2_mcp.settings import Settings
 from ros2_mcp.tools.leniency import as_meant
-from ros2_mcp.toolset import Toolset
 from support.damaged_bags import LENGTH_S, RATE_HZ, START_NS, whole_mcap
 
 TOOLS = list(assemble(Settings(tools=("all",))).toolset.by_name.values())

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ros2_mcp.assembly import SOURCE_KINDS
+from ros2_mcp.compose.server import SOURCE_KINDS
+from ros2_mcp.mcp.toolset import Toolset
 from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.sources.recorded_robot import recorded_robot
-from ros2_mcp.toolset import Toolset
 from ros2_mcp_demo.world import World
 from support.made_bridge import MadeBridge, robot_of
 from support.room_bag import LASER_FORWARD_M, Pose2, pose_at, room_bag

@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 from PIL import Image, ImageColor
 
-from ros2_mcp.assembly import SOURCE_KINDS
-from ros2_mcp.binding import CallFailed
-from ros2_mcp.codec.scene import GOAL, PATH, PLACE, ROBOT, SCAN
+from ros2_mcp.compose.server import SOURCE_KINDS
+from ros2_mcp.mcp.binding import CallFailed
+from ros2_mcp.mcp.toolset import Toolset
 from ros2_mcp.model.text import quoted
 from ros2_mcp.ops.memory.bag_store import BagStore
+from ros2_mcp.pictures.scene import GOAL, PATH, PLACE, ROBOT, SCAN
 from ros2_mcp.robot.places import NamedPlace
-from ros2_mcp.toolset import Toolset
 from support.made_bridge import MadeBridge, robot_of
 from support.room_bag import GOAL as GOAL_AT
 from support.room_bag import HALF_LENGTH_M, HALF_WIDTH_M, ODOM_IN_MAP, Pose2, pose_at, room_bag

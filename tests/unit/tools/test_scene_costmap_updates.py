@@ -12,17 +12,17 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from ros2_mcp.assembly import SOURCE_KINDS
 from ros2_mcp.bags.qos import qos_text
 from ros2_mcp.bags.schema import schema_text
 from ros2_mcp.bags.stored import StoredTopic
 from ros2_mcp.bags.writer import BagWriter
+from ros2_mcp.compose.server import SOURCE_KINDS
+from ros2_mcp.mcp.toolset import Toolset
 from ros2_mcp.model.nav2 import COSTMAP, COSTMAP_UPDATE, GRID_UPDATE
 from ros2_mcp.model.pictures import OCCUPANCY_GRID
 from ros2_mcp.model.qos import QoS
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.memory.bag_store import BagStore
-from ros2_mcp.toolset import Toolset
 from support.made_bridge import MadeBridge, robot_of
 from support.made_windows import CODEC, encoded
 

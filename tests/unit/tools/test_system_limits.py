@@ -12,12 +12,12 @@ from typing import Any
 
 import pytest
 
-from ros2_mcp.binding import CallFailed
+from ros2_mcp.mcp.binding import CallFailed
+from ros2_mcp.mcp.toolset import Toolset
 from ros2_mcp.model.errors import BadInput, SystemLimit
 from ros2_mcp.model.system_limits import system_limit
 from ros2_mcp.ops.memory.bag_store import BagStore
-from ros2_mcp.ops.results import silent
-from ros2_mcp.toolset import Toolset
+from ros2_mcp.ops.results.results import silent
 from support.made_bridge import MadeBridge, robot_of
 
 if sys.platform != "win32":

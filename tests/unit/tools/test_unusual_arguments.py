@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
-from ros2_mcp.assembly import assemble
-from ros2_mcp.binding import BoundTool, CallFailed
-from ros2_mcp.ops.results import silent
+from ros2_mcp.compose.server import assemble
+from ros2_mcp.mcp.binding import BoundTool, CallFailed
+from ros2_mcp.ops.results.results import silent
 from ros2_mcp.settings import Settings
 
 TOOLS = list(assemble(Settings(tools=("all",))).toolset.by_name.values())

@@ -13,6 +13,7 @@ from typing import Any
 from ros2_mcp.bags.qos import qos_text
 from ros2_mcp.bags.stored import StoredTopic
 from ros2_mcp.bags.writer import BagWriter
+from ros2_mcp.compose.robot import robot_for, store_for
 from ros2_mcp.guard.approvals import Approvals
 from ros2_mcp.guard.audit import Audit
 from ros2_mcp.guard.chain import GENESIS, file_name, line_of
@@ -21,17 +22,16 @@ from ros2_mcp.guard.modes import Modes
 from ros2_mcp.guard.operating import Operated, StopAnswer, operating
 from ros2_mcp.guard.policy import Policy
 from ros2_mcp.guard.state import StateFolder
-from ros2_mcp.library import robot_for, store_for
 from ros2_mcp.model.qos import QoS
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.times import iso_time
 from ros2_mcp.ops.memory.record import CALLS
 from ros2_mcp.ops.sources.kinds import Sources
-from ros2_mcp.ops.view.acting import Acting, AgentPanel
-from ros2_mcp.ops.view.acts import acts_in, presses_as_one
-from ros2_mcp.ops.view.look import Content, Look
 from ros2_mcp.robot import Robot
 from ros2_mcp.settings import Settings
+from ros2_mcp.view.acting import Acting, AgentPanel
+from ros2_mcp.view.acts import acts_in, presses_as_one
+from ros2_mcp.view.look import Content, Look
 from support.made_windows import encoded
 from support.room_bag import START_NS, room_bag
 

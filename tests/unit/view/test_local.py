@@ -12,11 +12,11 @@ from typing import Any
 import anyio
 import pytest
 
+from ros2_mcp.compose.robot import robot_for, store_for
 from ros2_mcp.guard.state import StateFolder
-from ros2_mcp.library import robot_for, store_for
 from ros2_mcp.ops.sources.kinds import Sources
-from ros2_mcp.ops.view.acting import Acting
 from ros2_mcp.settings import Settings
+from ros2_mcp.view.acting import Acting
 from ros2_mcp.view.local import LocalPage
 from ros2_mcp.view.page import page
 from ros2_mcp.view.views import MOST_VIEWS, Views

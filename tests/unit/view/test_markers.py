@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from ros2_mcp.ops.view.markers import MOST_MARKERS, MarkersOfTopic
+from ros2_mcp.view.markers import MOST_MARKERS, MarkersOfTopic
 
 SECOND = 1_000_000_000
 HUGE = "<img src=x onerror=hit()>" * 40_000

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from ros2_mcp.model.errors import BadData
-from ros2_mcp.ops.view.look import Chunks
-from ros2_mcp.ops.view.mesh_files import MeshFiles, file_of
+from ros2_mcp.view.look import Chunks
+from ros2_mcp.view.mesh_files import MeshFiles, file_of
 
 STL = b"solid " + b"vertex 0 0 0 vertex 1 0 0 vertex 0 1 0 "
 

@@ -10,14 +10,14 @@ from pathlib import Path
 
 import pytest
 
-from ros2_mcp.library import robot_for, store_for
+from ros2_mcp.compose.robot import robot_for, store_for
 from ros2_mcp.model.errors import NotFound
 from ros2_mcp.ops.sources.kinds import Sources
-from ros2_mcp.ops.view.frames import FramesPanel
-from ros2_mcp.ops.view.look import Chunks, Look
-from ros2_mcp.ops.view.plot import PlotPanel
-from ros2_mcp.ops.view.space import SpacePanel
 from ros2_mcp.settings import Settings
+from ros2_mcp.view.frames import FramesPanel
+from ros2_mcp.view.look import Chunks, Look
+from ros2_mcp.view.plot import PlotPanel
+from ros2_mcp.view.space import SpacePanel
 from support.room_bag import RATE_HZ, SPEED, START_NS, room_bag
 
 SECOND = 1_000_000_000

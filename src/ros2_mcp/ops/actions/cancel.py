@@ -11,7 +11,7 @@ from ros2_mcp.model.commands import CancelGoals
 from ros2_mcp.model.errors import BadValue
 from ros2_mcp.model.goals import CANCEL_CODES, goal_id_bytes, goal_id_hex
 from ros2_mcp.model.text import counted
-from ros2_mcp.ops.results import IF_ANY
+from ros2_mcp.ops.results.results import IF_ANY
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.goals import UNKNOWN_GOAL, Goal
 

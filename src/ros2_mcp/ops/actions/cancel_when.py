@@ -11,7 +11,7 @@ from ros2_mcp.model.aside import load
 from ros2_mcp.model.commands import Principal
 from ros2_mcp.model.errors import BadInput, RobotError, TimedOut
 from ros2_mcp.model.text import quoted
-from ros2_mcp.ops.results import told_values
+from ros2_mcp.ops.results.results import told_values
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.goals import CANCELLED_S, CancelWhen, Goal, WhenMet
 from ros2_mcp.robot.jobs import Job

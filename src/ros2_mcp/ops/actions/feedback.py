@@ -12,9 +12,9 @@ from ros2_mcp.model import names
 from ros2_mcp.model.goals import goal_id_bytes, goal_id_hex
 from ros2_mcp.model.text import counted
 from ros2_mcp.ops.actions.status import MAX_MESSAGES, SERVER_S
-from ros2_mcp.ops.results import IF_ANY, SAID, Report, iso_time, reporting, silent
+from ros2_mcp.ops.results.results import IF_ANY, SAID, Report, iso_time, reporting, silent
 from ros2_mcp.robot import Robot
-from ros2_mcp_bridge.limits import MAX_DURATION_S
+from ros2_mcp_common.wire.limits import MAX_DURATION_S
 
 
 @dataclass(frozen=True, slots=True)

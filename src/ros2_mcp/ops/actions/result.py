@@ -11,13 +11,13 @@ from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import LEASE, NotFound, TimedOut
 from ros2_mcp.model.goals import STATUS, TERMINAL, goal_id_bytes, goal_id_hex
+from ros2_mcp.ops.acting.endings import ended_by, reason_of
 from ros2_mcp.ops.actions.cancel_when import note_on
 from ros2_mcp.ops.actions.status import SERVER_S, states_now
-from ros2_mcp.ops.endings import ended_by, reason_of
-from ros2_mcp.ops.results import SAID, Report, reporting, silent
+from ros2_mcp.ops.results.results import SAID, Report, reporting, silent
 from ros2_mcp.robot import Answer, Robot
 from ros2_mcp.robot.goals import Goal
-from ros2_mcp_bridge.limits import MAX_DURATION_S
+from ros2_mcp_common.wire.limits import MAX_DURATION_S
 
 STATUS_AFTER_S = 1.0
 """Answers come within milliseconds; after this the action's status is read, in case the answer was lost."""

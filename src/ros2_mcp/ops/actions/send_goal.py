@@ -14,14 +14,14 @@ from ros2_mcp.model import names
 from ros2_mcp.model.commands import SendGoal
 from ros2_mcp.model.errors import LinkError, NotFound, RobotError, TimedOut
 from ros2_mcp.model.goals import STATUS, goal_id_hex, new_goal_id
+from ros2_mcp.ops.acting.defaults import left_at_default
 from ros2_mcp.ops.actions.cancel_when import ConditionalCancel, asked_for, begin
 from ros2_mcp.ops.actions.result import STATUS_AFTER_S, result_of
 from ros2_mcp.ops.actions.status import SERVER_S, states_now
-from ros2_mcp.ops.defaults import left_at_default
-from ros2_mcp.ops.results import SAID, Report, in_words, silent
+from ros2_mcp.ops.results.results import SAID, Report, in_words, silent
 from ros2_mcp.robot import Answer, Listening, Robot
 from ros2_mcp.robot.goals import Goal
-from ros2_mcp_bridge.limits import MAX_DURATION_S
+from ros2_mcp_common.wire.limits import MAX_DURATION_S
 
 ACCEPT_S = 10.0
 """A server that is alive says at once whether it takes a goal. With one that takes longer the call fails."""

@@ -14,10 +14,10 @@ from ros2_mcp.model.errors import NotFound
 from ros2_mcp.model.goals import STATUS, STATUS_TYPE, TERMINAL, goal_id_hex, stamp_seconds
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import counted
-from ros2_mcp.ops.results import IF_ANY, SAID, Report, iso_time, reporting, silent
+from ros2_mcp.ops.results.results import IF_ANY, SAID, Report, iso_time, reporting, silent
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.goals import Goal
-from ros2_mcp_bridge.limits import MAX_DURATION_S
+from ros2_mcp_common.wire.limits import MAX_DURATION_S
 
 SERVER_S = 3.0
 """For an action server that is coming up: its services are discovered one after the other, within 3 s of each other."""

@@ -8,7 +8,7 @@ from typing import Any
 
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadName
-from ros2_mcp.ops.results import IF_ANY, LINES, SAID, list_note
+from ros2_mcp.ops.results.results import IF_ANY, LINES, SAID, list_note
 from ros2_mcp.robot import Robot
 
 

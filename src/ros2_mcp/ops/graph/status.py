@@ -11,7 +11,7 @@ from importlib.metadata import version
 from ros2_mcp.guard.consent import Auditing
 from ros2_mcp.guard.state import RESET_HINT, latched
 from ros2_mcp.model.text import counted
-from ros2_mcp.ops.results import IF_ANY, SAID, microseconds
+from ros2_mcp.ops.results.results import IF_ANY, SAID, microseconds
 from ros2_mcp.robot import Robot
 
 NO_POLICY = "none is in force; every valid command is sent"

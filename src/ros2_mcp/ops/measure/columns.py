@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ros2_mcp.codec.cdr import Codec
-from ros2_mcp.codec.columns import ColumnReader
-from ros2_mcp.codec.select import FieldPath
 from ros2_mcp.model.errors import BadData, BadValue
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.times import recorded_time
 from ros2_mcp.ops.measure.flow import Holes, rate_hz
 from ros2_mcp.ops.measure.signals import Numbers, flat
 from ros2_mcp.ops.sources.selection import undecodable
+from ros2_mcp.values.cdr import Codec
+from ros2_mcp.values.columns import ColumnReader
+from ros2_mcp.values.select import FieldPath
 
 if TYPE_CHECKING:
     from ros2_mcp.ops.measure.flow import Times

@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Literal
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.model.text import counted, listed
-from ros2_mcp.ops.results import SAID, Report, silent
+from ros2_mcp.ops.results.results import SAID, Report, silent
 from ros2_mcp.ops.sources.source import Capture, Missing, Source, Stream
 
 if TYPE_CHECKING:
-    from ros2_mcp.codec.definitions import Definitions
-    from ros2_mcp.codec.select import FieldPath
     from ros2_mcp.ops.measure.differences import Difference
     from ros2_mcp.ops.measure.paired import Paired
     from ros2_mcp.ops.measure.signals import Numbers
+    from ros2_mcp.values.definitions import Definitions
+    from ros2_mcp.values.select import FieldPath
 
 # Up to here topics are similar, and different: of the RMS difference, as a share of a field's scale.
 SIMILAR_PERCENT = 5.0
@@ -148,7 +148,7 @@ def common_fields(
         BadInput: if there is none.
         BadValue: if a chosen one is not in both.
     """
-    from ros2_mcp.codec.select import measurable
+    from ros2_mcp.values.select import measurable
 
     first, second = ({field.path: field for field in measurable(definitions, name, chosen)} for name in types)
     common = [(first[path], second[path]) for path in first if path in second]

@@ -14,14 +14,14 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ros2_mcp.codec.definitions import Definitions
-from ros2_mcp.codec.select import FieldPath
-from ros2_mcp.codec.units import unit_of
 from ros2_mcp.ops.measure import signals
 from ros2_mcp.ops.measure.columns import Column, seconds
 from ros2_mcp.ops.measure.paired import Paired
 from ros2_mcp.ops.measure.signals import Numbers
 from ros2_mcp.ops.sources.source import Capture
+from ros2_mcp.values.definitions import Definitions
+from ros2_mcp.values.select import FieldPath
+from ros2_mcp.values.units import unit_of
 
 Kind: TypeAlias = Literal["number", "angle", "rotation"]
 Partners: TypeAlias = "tuple[NDArray[np.intp], NDArray[np.intp]]"

@@ -1,13 +1,13 @@
-"""Conditions on messages of the robot's own types; the language is that of `ros2_mcp_bridge.conditions`."""
+"""Conditions on messages of the robot's own types; the language is that of `ros2_mcp_common.language.conditions`."""
 
 from __future__ import annotations
 
-from ros2_mcp.codec.definitions import Definitions
-from ros2_mcp.codec.select import known_to
 from ros2_mcp.model.errors import BadInput, BadValue
-from ros2_mcp_bridge import conditions
-from ros2_mcp_bridge.conditions import Condition
-from ros2_mcp_bridge.paths import PathError
+from ros2_mcp.values.definitions import Definitions
+from ros2_mcp.values.select import known_to
+from ros2_mcp_common.language import conditions
+from ros2_mcp_common.language.conditions import Condition
+from ros2_mcp_common.language.paths import PathError
 
 __all__ = ["Condition", "condition"]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from ros2_mcp.model.text import named
-from ros2_mcp.ops.results import HIDDEN
+from ros2_mcp.ops.results.results import HIDDEN
 
 Severity = Literal["critical", "warning"]
 

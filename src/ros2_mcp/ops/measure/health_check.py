@@ -22,12 +22,12 @@ from ros2_mcp.model.times import both_times
 from ros2_mcp.ops.measure.diagnostics import DIAGNOSTICS, Diagnostic, DiagnosticTable
 from ros2_mcp.ops.measure.findings import Finding, joined
 from ros2_mcp.ops.measure.flow import Silence, is_burst, periods_s, silence_in
-from ros2_mcp.ops.results import IF_ANY, SAID, Report, four_digits, microseconds, silent
+from ros2_mcp.ops.results.results import IF_ANY, SAID, Report, four_digits, microseconds, silent
 from ros2_mcp.ops.sources.selection import undecodable
 from ros2_mcp.ops.sources.source import Capture, GraphSnapshot, Missing, Source, Stream
 from ros2_mcp.ops.topics.info import mismatches
 from ros2_mcp.robot import TopicEndpoints
-from ros2_mcp_bridge.limits import MAX_RATE_HZ
+from ros2_mcp_common.wire.limits import MAX_RATE_HZ
 
 if TYPE_CHECKING:
     from ros2_mcp.ops.measure.finite import Finite

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from ros2_mcp.codec.select import FieldPath
+    from ros2_mcp.values.select import FieldPath
 
 Numbers: TypeAlias = "NDArray[np.float64]"
 

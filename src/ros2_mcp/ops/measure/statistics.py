@@ -12,13 +12,13 @@ from ros2_mcp.model.errors import BadInput, BadValue, RobotError
 from ros2_mcp.model.text import counted, named
 from ros2_mcp.model.times import both_times, recorded_time, seconds_in
 from ros2_mcp.ops.measure.flow import burst_in_words, gaps, is_burst, periods_s
-from ros2_mcp.ops.results import Report, four_digits, iso_time, microseconds, silent
+from ros2_mcp.ops.results.results import Report, four_digits, iso_time, microseconds, silent
 from ros2_mcp.ops.sources.selection import Selection
 from ros2_mcp.ops.sources.source import Capture, Missing, Source, Stream
 
 if TYPE_CHECKING:
-    from ros2_mcp.codec.select import FieldPath
     from ros2_mcp.ops.measure.columns import Column, Columns, Extreme
+    from ros2_mcp.values.select import FieldPath
 
 # All are subscribed to at the same time, and share the memory that a capture may take.
 MAX_TOPICS = 20
@@ -174,7 +174,7 @@ async def measure(
 
 def measured_fields(stream: Stream, chosen: Sequence[str]) -> list[FieldPath]:
     """The chosen fields, or all numeric ones; a chosen one that this type does not have is left out."""
-    from ros2_mcp.codec.select import measurable
+    from ros2_mcp.values.select import measurable
 
     if not chosen:
         return measurable(stream.codec.definitions, stream.type)
@@ -187,7 +187,7 @@ def measured_fields(stream: Stream, chosen: Sequence[str]) -> list[FieldPath]:
 
 async def _check_fields(source: Source, topics: Sequence[str], fields: Sequence[str]) -> None:
     """Raises the error of a field that no topic has, before any time is spent on measuring."""
-    from ros2_mcp.codec.select import measurable
+    from ros2_mcp.values.select import measurable
 
     types: list[str] = []
     for topic in topics:

@@ -13,14 +13,14 @@ from ros2_mcp.model.errors import BadData, BadValue, NotFound
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import counted, in_quotes
 from ros2_mcp.model.times import recorded_time, seconds_in
-from ros2_mcp.ops.results import HIDDEN, IF_ANY, SAID, Report, iso_time, reporting, silent
+from ros2_mcp.ops.results.results import HIDDEN, IF_ANY, SAID, Report, iso_time, reporting, silent
 from ros2_mcp.ops.sources.selection import undecodable
 from ros2_mcp.ops.sources.source import Source, Stream
 
 if TYPE_CHECKING:
-    from ros2_mcp.codec.cdr import Message
-    from ros2_mcp.codec.columns import ExcerptReader
     from ros2_mcp.ops.measure.expression import Condition
+    from ros2_mcp.values.cdr import Message
+    from ros2_mcp.values.columns import ExcerptReader
 
 # Examined in one go of a thread: some 10 ms, so that a cancelled call ends at once.
 _TURN_SAMPLES = 200
@@ -95,8 +95,8 @@ async def wait_until(
 
 def _excerpts(stream: Stream, asked: Condition) -> ExcerptReader | None:
     """Reads of recorded messages what the condition looks at; None where that is not single numbers alone."""
-    from ros2_mcp.codec.columns import ExcerptReader  # imports NumPy, as what reads recordings does
-    from ros2_mcp.codec.select import parse_fields
+    from ros2_mcp.values.columns import ExcerptReader  # imports NumPy, as what reads recordings does
+    from ros2_mcp.values.select import parse_fields
 
     if asked.computed or not asked.fields:  # what is computed may be of more than its fields
         return None
@@ -158,7 +158,7 @@ class _Search:
 
     def result(self, source: Source, waited_s: float, max_bytes: int) -> Wait:
         """The message in half of the result's size: the other half is for its text."""
-        from ros2_mcp.codec.render import RenderOptions, render
+        from ros2_mcp.values.render import RenderOptions, render
 
         definitions, type_name = self.stream.codec.definitions, self.stream.type
         message, values = None, dict[str, Any]()

@@ -18,7 +18,7 @@ from ros2_mcp.model.text import listed
 
 if TYPE_CHECKING:
     from ros2_mcp.bags.bag import Bag
-    from ros2_mcp.codec.cdr import Codec
+    from ros2_mcp.values.cdr import Codec
 
 RECORDINGS = Path("~/ros2-mcp/recordings")
 _MOST_OPEN = 4
@@ -60,8 +60,8 @@ class OpenedBag:
     def codec(self) -> Codec:
         """Reads its messages. Types are compiled once and kept until the bag has another definition of one of them."""
         if self._codec is None:
-            from ros2_mcp.codec.cdr import Codec
-            from ros2_mcp.codec.definitions import Definitions
+            from ros2_mcp.values.cdr import Codec
+            from ros2_mcp.values.definitions import Definitions
 
             self._codec = Codec(Definitions())
         return self._codec

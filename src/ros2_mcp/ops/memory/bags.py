@@ -14,7 +14,7 @@ from ros2_mcp.model.meanings import Meaning
 from ros2_mcp.model.text import counted, named
 from ros2_mcp.model.times import recorded_time
 from ros2_mcp.ops.memory.bag_store import BagStore
-from ros2_mcp.ops.results import IF_ANY, ON_REQUEST, SAID, beside, iso_time
+from ros2_mcp.ops.results.results import IF_ANY, ON_REQUEST, SAID, beside, iso_time
 from ros2_mcp.ops.sources.bag import open_bag
 from ros2_mcp.ops.sources.selection import Selection, fit, message_times
 from ros2_mcp.ops.space.meaning import meaning_of_newest

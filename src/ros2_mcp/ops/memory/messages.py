@@ -14,7 +14,7 @@ from ros2_mcp.model.errors import BadData, BadName, BadValue, NotFound, RobotErr
 from ros2_mcp.model.meanings import Meaning
 from ros2_mcp.model.text import counted
 from ros2_mcp.ops.memory.bag_store import BLACK_BOX, BagStore
-from ros2_mcp.ops.results import IF_ANY, ON_REQUEST, SAID, Report, beside, iso_time, reporting, silent
+from ros2_mcp.ops.results.results import IF_ANY, ON_REQUEST, SAID, Report, beside, iso_time, reporting, silent
 from ros2_mcp.ops.sources.bag import end_note
 from ros2_mcp.ops.sources.kinds import Sources
 from ros2_mcp.ops.sources.selection import MAX_MESSAGES, Fitted, Selection, fit, message_times

@@ -21,9 +21,9 @@ from ros2_mcp.model.qos import QoS
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import named
 from ros2_mcp.model.times import seconds_in
-from ros2_mcp.ops.endings import ended_by, guarded, held_back, limited, reason_of
+from ros2_mcp.ops.acting.endings import ended_by, guarded, held_back, limited, reason_of
 from ros2_mcp.ops.memory.bag_store import BagStore
-from ros2_mcp.ops.results import IF_ANY, Report, iso_time, silent
+from ros2_mcp.ops.results.results import IF_ANY, Report, iso_time, silent
 from ros2_mcp.ops.sources.bag import find_topic, span_in
 from ros2_mcp.robot import MOTION_TYPES, Robot
 from ros2_mcp.robot.jobs import Job

@@ -35,7 +35,7 @@ from ros2_mcp.model.samples import Counts, Sample
 from ros2_mcp.model.text import counted, named
 from ros2_mcp.model.times import Outage
 from ros2_mcp.ops.memory.bag_store import BLACK_BOX, BagStore
-from ros2_mcp.ops.results import HIDDEN, IF_ANY, SAID, iso_time
+from ros2_mcp.ops.results.results import HIDDEN, IF_ANY, SAID, iso_time
 from ros2_mcp.robot import Listening, Robot
 from ros2_mcp.robot.jobs import Job
 

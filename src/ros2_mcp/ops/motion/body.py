@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from ros2_mcp.codec.footprint import outline, reach
 from ros2_mcp.model.errors import NotFound, RobotError
 from ros2_mcp.model.text import named
-from ros2_mcp.ops.description import described
+from ros2_mcp.ops.space.description import described
 from ros2_mcp.robot import Robot
+from ros2_mcp.world.footprint import outline, reach
 
 ASSUMED_M = 0.25
 """The radius of a robot that does not tell its size: most small ones are smaller."""

@@ -10,7 +10,7 @@ from typing import cast
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadInput, NotFound
 from ros2_mcp.model.text import listed, named
-from ros2_mcp.ops.description import parameter_of
+from ros2_mcp.ops.space.description import parameter_of
 from ros2_mcp.robot import Robot
 
 TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"

@@ -11,14 +11,14 @@ from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model.commands import Move, Moved
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.model.text import counted, named
-from ros2_mcp.ops.endings import ended_by, guarded, limited
+from ros2_mcp.ops.acting.endings import ended_by, guarded, limited
 from ros2_mcp.ops.motion.body import body_of
 from ros2_mcp.ops.motion.find import Found, command_input, first_message, header_frame, mount_of, odometry_of, scan_of
 from ros2_mcp.ops.motion.held import others_on, why_it_stands
 from ros2_mcp.ops.motion.job import run_motion
-from ros2_mcp.ops.results import SAID, Report, silent
+from ros2_mcp.ops.results.results import SAID, Report, silent
 from ros2_mcp.robot import Robot
-from ros2_mcp_bridge.drive import STEER_MOST
+from ros2_mcp_bridge.motion.drive import STEER_MOST
 
 MATCH_S = 1.0
 """As of a publication (`ops/topics/publish.py`)."""

@@ -10,7 +10,7 @@ from ros2_mcp.model.text import named
 from ros2_mcp.ops.motion.find import SCAN, scan_of
 from ros2_mcp.ops.navigation.base import zero_limits
 from ros2_mcp.ops.pictures.next_message import next_message
-from ros2_mcp.ops.results import silent
+from ros2_mcp.ops.results.results import silent
 from ros2_mcp.ops.sources.live import Live
 from ros2_mcp.ops.space.meaning import meaning_of
 from ros2_mcp.robot import Robot

@@ -9,8 +9,8 @@ from typing import Any
 from ros2_mcp.model.commands import Move, Moved
 from ros2_mcp.model.errors import LinkError, Refused, Stopped
 from ros2_mcp.model.text import named
-from ros2_mcp.ops.endings import ended_by, reason_of
-from ros2_mcp.ops.results import Report
+from ros2_mcp.ops.acting.endings import ended_by, reason_of
+from ros2_mcp.ops.results.results import Report
 from ros2_mcp.ops.topics.publish import Repetition
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.jobs import Job

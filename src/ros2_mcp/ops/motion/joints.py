@@ -10,23 +10,23 @@ from typing import Any, Literal, cast
 
 import anyio
 
-from ros2_mcp.codec.urdf import Joint, Urdf
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model.commands import Publish, SendGoal
 from ros2_mcp.model.errors import LEASE, BadInput, LinkError, Refused, RobotError, Stopped, latch_set_by
 from ros2_mcp.model.goals import new_goal_id
 from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.model.text import listed, named, quoted
+from ros2_mcp.ops.acting.endings import ended_by
 from ros2_mcp.ops.actions.result import result_of
 from ros2_mcp.ops.actions.status import SERVER_S
-from ros2_mcp.ops.description import described
-from ros2_mcp.ops.endings import ended_by
 from ros2_mcp.ops.motion.controllers import FOLLOW, TRAJECTORY, Controller, controller_for
 from ros2_mcp.ops.motion.joint_states import JointStates, joint_states
-from ros2_mcp.ops.results import SAID, Report, silent
+from ros2_mcp.ops.results.results import SAID, Report, silent
+from ros2_mcp.ops.space.description import described
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.goals import Goal
 from ros2_mcp.robot.jobs import Job
+from ros2_mcp.world.urdf import Joint, Urdf
 
 DEFAULT_SPEED = 0.3
 """Of a joint's own velocity limit: slow enough to be watched."""

@@ -14,14 +14,14 @@ from ros2_mcp.model.commands import Move, Moved
 from ros2_mcp.model.errors import BadInput, RobotError
 from ros2_mcp.model.poses import Pose
 from ros2_mcp.model.text import named, quoted
-from ros2_mcp.ops.endings import ended_by, guarded, limited
+from ros2_mcp.ops.acting.endings import ended_by, guarded, limited
 from ros2_mcp.ops.motion.find import Found, command_input, first_message, header_frame, mount_of, odometry_of
 from ros2_mcp.ops.motion.held import others_on, why_it_stands
 from ros2_mcp.ops.motion.job import run_motion
-from ros2_mcp.ops.results import SAID, Report, silent, told_values
+from ros2_mcp.ops.results.results import SAID, Report, silent, told_values
 from ros2_mcp.robot import Robot
-from ros2_mcp_bridge.limits import MAX_DURATION_S
-from ros2_mcp_bridge.scans import LASER_SCAN
+from ros2_mcp_common.language.scans import LASER_SCAN
+from ros2_mcp_common.wire.limits import MAX_DURATION_S
 
 _RATE_HZ = 20.0
 """Of the commands: what velocity controllers expect. The zero of the end leaves at once."""

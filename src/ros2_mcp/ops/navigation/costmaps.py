@@ -15,7 +15,7 @@ from ros2_mcp.model.nav2 import COSTMAP, COSTMAP_UPDATE, GRID_UPDATE
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.pictures.next_message import next_message
-from ros2_mcp.ops.results import silent
+from ros2_mcp.ops.results.results import silent
 from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.last_costmaps import LastCostmap, sent_ns
@@ -85,8 +85,8 @@ async def costmap_now(
             return Costmap(kept.grid, kept.whole, kept.refused, note, kept.newest_ns, kept.is_complete)
     found = await next_message(source.lasting(wait_s), topic, type_name, silent)
     if type_name == COSTMAP:
-        await load("ros2_mcp.codec.cost_updates")  # with numpy: not before it is needed
-        from ros2_mcp.codec.cost_updates import as_grid
+        await load("ros2_mcp.world.cost_updates")  # with numpy: not before it is needed
+        from ros2_mcp.world.cost_updates import as_grid
 
         grid = await aside(len(found.sample.data), as_grid, type_name, found.message)
         return Costmap(grid, found.sample, found.skipped, unheard, is_complete=not unheard)
@@ -99,8 +99,8 @@ async def costmap_recorded(source: Source, topic: str, type_name: str, updates_t
     Raises:
         RobotError: as `next_message`.
     """
-    await load("ros2_mcp.codec.cost_updates")  # with numpy: not before it is needed
-    from ros2_mcp.codec.cost_updates import as_grid, updated
+    await load("ros2_mcp.world.cost_updates")  # with numpy: not before it is needed
+    from ros2_mcp.world.cost_updates import as_grid, updated
 
     found = await next_message(source, topic, type_name, silent)
     size = len(found.sample.data)

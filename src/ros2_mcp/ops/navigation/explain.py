@@ -10,15 +10,15 @@ from ros2_mcp.model.aside import aside
 from ros2_mcp.model.costs import OCCUPIED, TOUCHING, Reach, cost_in_words
 from ros2_mcp.model.nav2 import CODES, in_words, server_of
 from ros2_mcp.model.text import listed, named, quoted
-from ros2_mcp.ops.log import LogLine
+from ros2_mcp.ops.log.read import LogLine
 from ros2_mcp.ops.navigation.situation import Situation, is_of_navigation, line_in_words, look_around
 from ros2_mcp.ops.navigation.targets import Target
 from ros2_mcp.ops.navigation.whereabouts import in_frame, why_not_in_frame
-from ros2_mcp.ops.results import IF_ANY
+from ros2_mcp.ops.results.results import IF_ANY
 from ros2_mcp.robot import Robot
 
 if TYPE_CHECKING:
-    from ros2_mcp.codec.costmap import CostGrid
+    from ros2_mcp.world.costmap import CostGrid
 
 _MOST_LINES = 6
 """Of the log in an answer: the last words of those that failed."""

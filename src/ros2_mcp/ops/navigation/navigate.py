@@ -16,19 +16,19 @@ from ros2_mcp.model.errors import BadInput, NotFound, RobotError, TypeConflict
 from ros2_mcp.model.goals import TERMINAL
 from ros2_mcp.model.nav2 import NAVIGATE
 from ros2_mcp.model.text import listed, named, quoted
+from ros2_mcp.ops.acting.endings import ended_by
 from ros2_mcp.ops.actions.send_goal import GoalOutcome, follow, send_goal
 from ros2_mcp.ops.actions.status import states_now
-from ros2_mcp.ops.endings import ended_by
 from ros2_mcp.ops.navigation.explain import Explanation, Failure, explain
 from ros2_mcp.ops.navigation.health import health_of
 from ros2_mcp.ops.navigation.targets import MAP_FRAME, Target, targets_of
 from ros2_mcp.ops.navigation.whereabouts import in_frame, whereabouts
-from ros2_mcp.ops.results import SAID, Report, silent
+from ros2_mcp.ops.results.results import SAID, Report, silent
 from ros2_mcp.ops.space.plans import hear_plans
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.goals import Goal
 from ros2_mcp.robot.jobs import Job, abandon
-from ros2_mcp_bridge.limits import MAX_DURATION_S
+from ros2_mcp_common.wire.limits import MAX_DURATION_S
 
 _CANCELLED_S = 3.0
 """A server that is alive answers within milliseconds."""

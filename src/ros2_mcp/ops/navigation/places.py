@@ -10,7 +10,7 @@ from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadInput, NotFound
 from ros2_mcp.model.text import named, quoted
 from ros2_mcp.ops.navigation.whereabouts import in_frame, whereabouts
-from ros2_mcp.ops.results import EXACT
+from ros2_mcp.ops.results.results import EXACT
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.places import NamedPlace
 

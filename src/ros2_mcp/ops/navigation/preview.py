@@ -21,7 +21,7 @@ from ros2_mcp.ops.navigation.explain import Explanation, Failure, error_in_words
 from ros2_mcp.ops.navigation.navigate import action_of
 from ros2_mcp.ops.navigation.situation import costmap_of
 from ros2_mcp.ops.navigation.targets import MAP_FRAME, Target, targets_of
-from ros2_mcp.ops.results import Report, WithPictures, reporting, silent
+from ros2_mcp.ops.results.results import Report, WithPictures, reporting, silent
 from ros2_mcp.ops.sources.live import Live
 from ros2_mcp.ops.space.plans import hear_plans
 from ros2_mcp.ops.space.scene import scene
@@ -30,7 +30,7 @@ from ros2_mcp.robot import Robot
 from ros2_mcp.robot.goals import Goal
 
 if TYPE_CHECKING:
-    from ros2_mcp.codec.costmap import CostGrid
+    from ros2_mcp.world.costmap import CostGrid
 
 PLAN_S = 30.0
 """Planners answer within tenths of a second; a lattice planner over a large map takes some seconds."""

@@ -19,8 +19,8 @@ from ros2_mcp.model.graph import TopicRow
 from ros2_mcp.model.nav2 import COSTMAP, COSTMAP_UPDATE, GRID_UPDATE, NAVIGATION_NODES
 from ros2_mcp.model.pictures import OCCUPANCY_GRID
 from ros2_mcp.model.text import named, quoted
-from ros2_mcp.ops.log import Log, LogLine, LogRequest
-from ros2_mcp.ops.log import read as read_log
+from ros2_mcp.ops.log.read import Log, LogLine, LogRequest
+from ros2_mcp.ops.log.read import read as read_log
 from ros2_mcp.ops.measure.diagnostics import Diagnostic, read_diagnostics
 from ros2_mcp.ops.navigation.base import Base, base_of
 from ros2_mcp.ops.navigation.costmaps import chosen_costmaps, costmap_now, updates_of
@@ -30,7 +30,7 @@ from ros2_mcp.ops.sources.live import Live
 from ros2_mcp.robot import Robot
 
 if TYPE_CHECKING:
-    from ros2_mcp.codec.costmap import CostGrid
+    from ros2_mcp.world.costmap import CostGrid
 
 COSTMAP_S = 3.0
 """Nav2 publishes a costmap once a second, and its last one is latched; a publisher may be discovered late."""
@@ -198,8 +198,8 @@ def _grids(topics: Sequence[TopicRow]) -> list[str]:
 
 async def _newest_grid(robot: Robot, topics: Sequence[TopicRow], topic: str, within_s: float) -> tuple[CostGrid, str]:
     """A grid, and in words how old it and its changes are, if only these are sent; raises as `costmap_now`."""
-    await load("ros2_mcp.codec.costmap")  # with numpy: not before it is needed
-    from ros2_mcp.codec.costmap import CostGrid
+    await load("ros2_mcp.world.costmap")  # with numpy: not before it is needed
+    from ros2_mcp.world.costmap import CostGrid
 
     kind = COSTMAP if topic in _published(topics, COSTMAP) else OCCUPANCY_GRID
     updates = updates_of(topic, _published(topics, GRID_UPDATE, COSTMAP_UPDATE))

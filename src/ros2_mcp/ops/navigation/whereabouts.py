@@ -39,9 +39,9 @@ class Whereabouts:
 
 async def whereabouts(robot: Robot, frame: str) -> Whereabouts:
     """Where the robot is in a frame. Never raises a `RobotError`: what is wrong stands in `trouble`."""
-    await load("ros2_mcp.codec.cdr")  # with numpy: not before it is needed
-    from ros2_mcp.codec.no_transform import why_none
+    await load("ros2_mcp.values.cdr")  # with numpy: not before it is needed
     from ros2_mcp.ops.space.frames import frames_of
+    from ros2_mcp.world.no_transform import why_none
 
     try:
         tree = await frames_of(

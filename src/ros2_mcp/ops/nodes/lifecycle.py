@@ -13,9 +13,9 @@ from ros2_mcp.model.commands import ChangeState
 from ros2_mcp.model.errors import BadInput, NotFound
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.nodes.own_services import APPEAR_S, TIMEOUT_S, ask_node, fields_of_answer, service_of
-from ros2_mcp.ops.results import SAID, or_error
+from ros2_mcp.ops.results.results import SAID, or_error
 from ros2_mcp.robot import Robot
-from ros2_mcp_bridge.rules import CHANGE_STATE
+from ros2_mcp_common.policy.rules import CHANGE_STATE
 
 CHANGE_S = 30.0
 """A transition may start hardware: drivers take seconds to configure."""

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from ros2_mcp.model import names
-from ros2_mcp.ops.results import IF_ANY, SAID, list_note
+from ros2_mcp.ops.results.results import IF_ANY, SAID, list_note
 from ros2_mcp.robot import Robot
 
 

@@ -16,9 +16,9 @@ from ros2_mcp.model.errors import BadInput, BadValue, NotFound
 from ros2_mcp.model.text import counted, in_quotes, listed, named, quoted
 from ros2_mcp.ops.nodes.list import list_nodes
 from ros2_mcp.ops.nodes.own_services import APPEAR_S, TIMEOUT_S, ask_node, fields_of_answer, service_of
-from ros2_mcp.ops.results import EXACT, HIDDEN, IF_ANY, SAID, list_note, or_error
+from ros2_mcp.ops.results.results import EXACT, HIDDEN, IF_ANY, SAID, list_note, or_error
 from ros2_mcp.robot import Robot
-from ros2_mcp_bridge.rules import SET_PARAMETERS, SET_PARAMETERS_ATOMICALLY
+from ros2_mcp_common.policy.rules import SET_PARAMETERS, SET_PARAMETERS_ATOMICALLY
 
 _DISCOVERY_S = 6.0
 """How old a bridge is that has discovered the services of every node: they come up to 3 s after the nodes."""

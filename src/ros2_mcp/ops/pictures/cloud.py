@@ -13,7 +13,7 @@ from ros2_mcp.model.pictures import POINT_CLOUD, BirdEyeOptions
 from ros2_mcp.model.times import seconds_in
 from ros2_mcp.ops.pictures.next_message import next_message
 from ros2_mcp.ops.pictures.robot_place import robot_place
-from ros2_mcp.ops.results import IF_ANY, SAID, Report, WithPictures, facts, iso_time, silent
+from ros2_mcp.ops.results.results import IF_ANY, SAID, Report, WithPictures, facts, iso_time, silent
 from ros2_mcp.ops.sources.only import only_topic
 from ros2_mcp.ops.sources.source import Source
 
@@ -71,9 +71,9 @@ async def cloud_picture(source: Source, topic: str, options: BirdEyeOptions, rep
         BadData: if its data does not fit its layout, or no point is left to show.
         BadValue: if the resolution is out of range.
     """
-    await load("ros2_mcp.codec.bird_eye", "ros2_mcp.codec.clouds")  # with numpy: not before it is needed
-    from ros2_mcp.codec.bird_eye import bird_eye
-    from ros2_mcp.codec.clouds import cloud_of
+    await load("ros2_mcp.pictures.bird_eye", "ros2_mcp.world.clouds")  # with numpy: not before it is needed
+    from ros2_mcp.pictures.bird_eye import bird_eye
+    from ros2_mcp.world.clouds import cloud_of
 
     bounded("resolution", options.resolution_m, 0.001, 100.0, "m")
     topic, chosen = await only_topic(source, topic, POINT_CLOUD)

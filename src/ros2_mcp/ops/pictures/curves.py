@@ -12,16 +12,16 @@ from itertools import groupby
 import numpy as np
 from numpy.typing import NDArray
 
-from ros2_mcp.codec.definitions import Definitions
-from ros2_mcp.codec.plot import COLOURS, Curve, Figure, Panel, Span
-from ros2_mcp.codec.select import FieldPath, measurable
-from ros2_mcp.codec.units import unit_of
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.ops.measure.columns import Columns, seconds
 from ros2_mcp.ops.measure.flow import GAP_FACTOR, usual_s
 from ros2_mcp.ops.measure.signals import Numbers, pairs
-from ros2_mcp.ops.results import iso_time
+from ros2_mcp.ops.results.results import iso_time
 from ros2_mcp.ops.sources.source import Capture
+from ros2_mcp.pictures.plot import COLOURS, Curve, Figure, Panel, Span
+from ros2_mcp.values.definitions import Definitions
+from ros2_mcp.values.select import FieldPath, measurable
+from ros2_mcp.values.units import unit_of
 
 MAX_CURVES = len(COLOURS)
 

@@ -13,7 +13,7 @@ from ros2_mcp.model.times import seconds_in
 from ros2_mcp.ops.navigation.costmaps import costmap_of, updates_of
 from ros2_mcp.ops.pictures.next_message import Next, next_message
 from ros2_mcp.ops.pictures.robot_place import robot_place
-from ros2_mcp.ops.results import IF_ANY, SAID, Report, WithPictures, facts, iso_time, reporting, silent
+from ros2_mcp.ops.results.results import IF_ANY, SAID, Report, WithPictures, facts, iso_time, reporting, silent
 from ros2_mcp.ops.sources.only import only_topic
 from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.robot import Robot
@@ -66,9 +66,9 @@ async def map_picture(robot: Robot, source: Source, topic: str, report: Report =
         TimedOut: if no map came.
         BadData: if the map is empty or does not fit its size.
     """
-    await load("ros2_mcp.codec.maps", "ros2_mcp.codec.raster")  # with numpy: not before it is needed
-    from ros2_mcp.codec.maps import map_drawing, map_facts
-    from ros2_mcp.codec.raster import finished
+    await load("ros2_mcp.pictures.maps", "ros2_mcp.pictures.raster")  # with numpy: not before it is needed
+    from ros2_mcp.pictures.maps import map_drawing, map_facts
+    from ros2_mcp.pictures.raster import finished
 
     topic, chosen = await only_topic(source, topic, OCCUPANCY_GRID)
     found = await _map(robot, source, topic, report)

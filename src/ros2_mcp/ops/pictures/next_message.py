@@ -11,7 +11,7 @@ from ros2_mcp.model.errors import BadData, TimedOut, TypeConflict
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import named
 from ros2_mcp.model.times import recorded_time
-from ros2_mcp.ops.results import Report, reporting
+from ros2_mcp.ops.results.results import Report, reporting
 from ros2_mcp.ops.sources.selection import undecodable
 from ros2_mcp.ops.sources.source import Source
 

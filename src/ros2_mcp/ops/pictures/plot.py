@@ -13,7 +13,7 @@ from ros2_mcp.model.errors import BadInput, NotFound
 from ros2_mcp.model.pictures import MAX_SIDE
 from ros2_mcp.model.text import counted
 from ros2_mcp.model.times import seconds_in
-from ros2_mcp.ops.results import IF_ANY, SAID, Report, WithPictures, facts, iso_time, silent
+from ros2_mcp.ops.results.results import IF_ANY, SAID, Report, WithPictures, facts, iso_time, silent
 from ros2_mcp.ops.sources.source import Capture, Missing, Source, Stream
 
 if TYPE_CHECKING:
@@ -135,7 +135,7 @@ def _keeping(parts: Sequence[tuple[str, str]], request: PlotRequest) -> Callable
 
 async def _check_fields(source: Source, parts: Sequence[tuple[str, str]]) -> None:
     """Raises the error of a field that does not exist before any time is spent; missing topics are reported later."""
-    from ros2_mcp.codec.select import measurable  # with numpy: not before it is needed
+    from ros2_mcp.values.select import measurable  # with numpy: not before it is needed
 
     for topic, path in parts:
         try:
@@ -147,8 +147,8 @@ async def _check_fields(source: Source, parts: Sequence[tuple[str, str]]) -> Non
 
 
 def _drawn(title: str, found: Sequence[tuple[Capture[Columns], str]], request: PlotRequest, notes: list[str]) -> Plot:
-    from ros2_mcp.codec.plot import plotted
     from ros2_mcp.ops.pictures import curves
+    from ros2_mcp.pictures.plot import plotted
 
     is_xy, first = request.kind == "xy", found[0][0]
     captures = {capture.topic: capture for capture, _ in found}

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any
 
-from ros2_mcp.codec.transforms import FrameTree, Located, pose_of
 from ros2_mcp.model.aside import aside, load
 from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.pictures import RobotPlace
@@ -15,6 +14,7 @@ from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.sources.source import Source, Stream
 from ros2_mcp.ops.space.ages import stamp_ns
 from ros2_mcp.ops.space.frames import frames_of
+from ros2_mcp.world.transforms import FrameTree, Located, pose_of
 
 _LISTEN_S = 0.6
 """Matching takes up to 0.2 s; what moves is sent at 5 Hz at least, what is static comes at once."""
@@ -32,7 +32,7 @@ async def robot_place(source: Source, frame: str, near_ns: int | None = None) ->
 
     Of a recording that was asked for from a time on, it is the place when the picture was received, at `near_ns`.
     """
-    await load("ros2_mcp.codec.cdr")  # with numpy: not before it is needed
+    await load("ros2_mcp.values.cdr")  # with numpy: not before it is needed
     if near_ns is not None and source.covers_ns and not source.from_end:
         near_ns = max(near_ns, source.covers_ns[0])
         source = source.part(near_ns - _BEFORE_NS, near_ns + _AFTER_NS)

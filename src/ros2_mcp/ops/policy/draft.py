@@ -10,19 +10,19 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
-from ros2_mcp.codec.urdf import Joint, Limits
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.graph import TopicEndpoints
 from ros2_mcp.model.text import is_name
-from ros2_mcp.ops.description import described
 from ros2_mcp.ops.motion.controllers import FOLLOW, controllers
 from ros2_mcp.ops.nodes import parameters
+from ros2_mcp.ops.space.description import described
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.resolution import is_infrastructure
 from ros2_mcp.robot.seen import is_of_robot
-from ros2_mcp_bridge.rules import is_meta, only_reads
-from ros2_mcp_bridge.velocity import VELOCITY_TYPES
+from ros2_mcp.world.urdf import Joint, Limits
+from ros2_mcp_common.policy.rules import is_meta, only_reads
+from ros2_mcp_common.policy.velocity import VELOCITY_TYPES
 
 _SAFETY = re.compile(r"collision|safety|e_?stop|emergency|mux|smoother|watchdog|deadman|twist_stamper|speed_limit")
 """In the names of nodes, topics and services that watch over a robot."""

@@ -9,7 +9,7 @@ from ros2_mcp.guard import words
 from ros2_mcp.guard.document import Document
 from ros2_mcp.guard.policy import Policy
 from ros2_mcp.guard.watch import most_of
-from ros2_mcp.ops.results import IF_ANY, SAID
+from ros2_mcp.ops.results.results import IF_ANY, SAID
 from ros2_mcp.robot import Robot
 
 NONE = (

@@ -10,11 +10,11 @@ from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.commands import ServiceCall
 from ros2_mcp.model.errors import BadInput, NotFound, TimedOut
-from ros2_mcp.ops import flights
-from ros2_mcp.ops.defaults import left_at_default
-from ros2_mcp.ops.results import SAID, Report, in_words, reporting, silent
+from ros2_mcp.ops.acting import flights
+from ros2_mcp.ops.acting.defaults import left_at_default
+from ros2_mcp.ops.results.results import SAID, Report, in_words, reporting, silent
 from ros2_mcp.robot import Robot
-from ros2_mcp_bridge.limits import MAX_DURATION_S
+from ros2_mcp_common.wire.limits import MAX_DURATION_S
 
 _LEAST_TIMEOUT_S = 0.01
 """Ten times what a service call takes on one machine (0.9 ms at the 99th percentile): less cannot be meant."""

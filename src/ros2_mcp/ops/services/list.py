@@ -9,7 +9,7 @@ from typing import Any
 
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadName, NotFound
-from ros2_mcp.ops.results import IF_ANY, SAID, list_note
+from ros2_mcp.ops.results.results import IF_ANY, SAID, list_note
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.resolution import is_infrastructure
 

@@ -20,7 +20,7 @@ from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import named
 from ros2_mcp.model.times import recorded_time
 from ros2_mcp.ops.memory.bag_store import BLACK_BOX, BagStore, OpenedBag
-from ros2_mcp.ops.results import Report, iso_time, silent
+from ros2_mcp.ops.results.results import Report, iso_time, silent
 from ros2_mcp.ops.sources.selection import MAX_BYTES
 from ros2_mcp.ops.sources.source import (
     Capture,
@@ -39,7 +39,7 @@ from ros2_mcp.robot import Robot, TopicEndpoints
 
 if TYPE_CHECKING:
     from ros2_mcp.bags.bag import Bag
-    from ros2_mcp.codec.cdr import Codec
+    from ros2_mcp.values.cdr import Codec
 
 _BATCH = 256
 _BATCH_BYTES = 8_000_000

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 from ros2_mcp.model.aside import load
 from ros2_mcp.model.errors import NotFound, RobotError
 from ros2_mcp.ops.memory.bag_store import BagStore
-from ros2_mcp.ops.results import Report, silent
+from ros2_mcp.ops.results.results import Report, silent
 from ros2_mcp.ops.sources.bag import Bags
 from ros2_mcp.ops.sources.live import Robots
 from ros2_mcp.ops.sources.source import Source, SourceKind, SourceRequest
 from ros2_mcp.robot import Robot
 
 OWN_KINDS: Sequence[SourceKind] = (Bags(), Robots())
-"""The kinds that need nothing of others. `assembly.py` adds vendors' kinds before them."""
+"""The kinds that need nothing of others. `compose/server.py` adds vendors' kinds before them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +44,7 @@ class Sources:
             BadInput: if times are given, and no recording.
             NotFound, BadData, BadValue: as `open_bag`.
         """
-        await load("ros2_mcp.codec.cdr", "ros2_mcp.codec.select")  # what reads decodes: with numpy, not at the start
+        await load("ros2_mcp.values.cdr", "ros2_mcp.values.select")  # what reads decodes: with numpy, not at the start
         times = start.strip(), end.strip()
         request = SourceRequest(name.strip(), *times, names=names, waits=waits, report=report)
         for kind in self.kinds:

@@ -19,7 +19,7 @@ from ros2_mcp.model.samples import STAMP_END, Counts, Sample
 from ros2_mcp.model.text import counted, listed
 from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.nodes.own_services import ask_node, service_of
-from ros2_mcp.ops.results import Report, iso_time, reporting, silent
+from ros2_mcp.ops.results.results import Report, iso_time, reporting, silent
 from ros2_mcp.ops.sources.selection import Collector
 from ros2_mcp.ops.sources.source import (
     Capture,
@@ -36,10 +36,10 @@ from ros2_mcp.ops.sources.source import (
 from ros2_mcp.robot import Listening, Robot, TopicEndpoints
 from ros2_mcp.robot.seen import is_of_robot
 from ros2_mcp.robot.transforms import TransformListener
-from ros2_mcp_bridge.limits import MAX_DURATION_S
+from ros2_mcp_common.wire.limits import MAX_DURATION_S
 
 if TYPE_CHECKING:
-    from ros2_mcp.codec.cdr import Codec
+    from ros2_mcp.values.cdr import Codec
 
 _MATCHING_S = 0.5
 """Matching takes 20 to 200 ms on one host; a topic that is slower than 2 Hz would only keep the others waiting."""

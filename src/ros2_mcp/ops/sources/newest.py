@@ -16,7 +16,7 @@ from ros2_mcp.robot import Robot
 from ros2_mcp.robot.transforms import TransformListener
 
 if TYPE_CHECKING:
-    from ros2_mcp.codec.cdr import Codec
+    from ros2_mcp.values.cdr import Codec
 
 _FIRST_S = 0.3
 """For the first message of a topic: what is not here by then is shown with the next look, and holds nothing else up."""
@@ -42,7 +42,7 @@ class NewestOfRobot(Source):
     def codec(self) -> Codec:
         """Reads its samples, each once."""
         if self._codec is None:
-            from ros2_mcp.codec.cdr import RememberingCodec  # with numpy: not at the start
+            from ros2_mcp.values.cdr import RememberingCodec  # with numpy: not at the start
 
             self._codec = RememberingCodec(self._robot.values.definitions)
         return self._codec

@@ -15,9 +15,9 @@ from ros2_mcp.model.text import counted, named
 from ros2_mcp.model.times import iso_time
 
 if TYPE_CHECKING:
-    from ros2_mcp.codec.cdr import Codec, Message
-    from ros2_mcp.codec.definitions import Definitions
     from ros2_mcp.ops.sources.source import Source
+    from ros2_mcp.values.cdr import Codec, Message
+    from ros2_mcp.values.definitions import Definitions
 
 FIRST_MESSAGE_S = 5.0
 """How long the next message is waited for, if no limit is given: more than the slowest usual topics (1 s) take."""
@@ -76,7 +76,7 @@ class Selection:
     def check_fields(self, definitions: Definitions, type_name: str) -> None:
         """Raises `BadValue` if the type has no such field, with the nearest that it has."""
         if self.fields:
-            from ros2_mcp.codec.select import parse_fields
+            from ros2_mcp.values.select import parse_fields
 
             parse_fields(definitions, type_name, self.fields)
 
@@ -89,7 +89,7 @@ class Selection:
         if not self.shared:
             self.check_fields(definitions, type_name)
             return self, ""
-        from ros2_mcp.codec.select import parse_field
+        from ros2_mcp.values.select import parse_field
 
         lacking: list[BadValue] = []
         kept: list[str] = []
@@ -111,7 +111,7 @@ class Selection:
 
     def wanted(self, codec: Codec, type_name: str, samples: Sequence[Sample]) -> Sequence[Sample]:
         """The samples that pass its filters; what cannot be decoded passes, to be counted by whoever shows it."""
-        from ros2_mcp.codec.select import parse_fields
+        from ros2_mcp.values.select import parse_fields
 
         paths = [path for path in parse_fields(codec.definitions, type_name, self.fields) if "==" in path.path]
 
@@ -216,7 +216,7 @@ def fit(codec: Codec, type_name: str, samples: Sequence[Sample], selection: Sele
     Raises:
         BadValue: for a field that the type does not have.
     """
-    from ros2_mcp.codec.render import Rendered, RenderOptions, render
+    from ros2_mcp.values.render import Rendered, RenderOptions, render
 
     selection.check_fields(codec.definitions, type_name)
     troubles: list[str] = []

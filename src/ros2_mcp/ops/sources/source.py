@@ -16,14 +16,14 @@ from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.qos import Endpoint
 from ros2_mcp.model.samples import Counts, Sample
 from ros2_mcp.ops.memory.bag_store import BagStore
-from ros2_mcp.ops.results import Report, silent
+from ros2_mcp.ops.results.results import Report, silent
 from ros2_mcp.robot import Robot, TopicEndpoints
 from ros2_mcp.robot.seen import Left
 from ros2_mcp.robot.transforms import TransformListener
 
 if TYPE_CHECKING:
-    from ros2_mcp.codec.cdr import Codec
-    from ros2_mcp.codec.definitions import Definitions
+    from ros2_mcp.values.cdr import Codec
+    from ros2_mcp.values.definitions import Definitions
 
 ANSWER_S = 15.0
 """How long a source may take to answer. A question to a database over a day takes some seconds; if one hangs, there

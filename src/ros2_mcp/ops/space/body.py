@@ -6,13 +6,13 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from ros2_mcp.codec.footprint import outline, reach, unmeasured
-from ros2_mcp.codec.robot_kind import arms_of, legs_of, rotors_of
-from ros2_mcp.codec.transforms import FrameTree
-from ros2_mcp.codec.urdf import Urdf
 from ros2_mcp.model.poses import Pose, from_roll_pitch_yaw, rotated
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.space.frames import WORLDS
+from ros2_mcp.world.footprint import outline, reach, unmeasured
+from ros2_mcp.world.robot_kind import arms_of, legs_of, rotors_of
+from ros2_mcp.world.transforms import FrameTree
+from ros2_mcp.world.urdf import Urdf
 
 _STEEP_DEG = 75.0
 """A camera that looks up or down more steeply has no direction seen from above."""

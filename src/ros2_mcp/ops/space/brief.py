@@ -10,13 +10,13 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from ros2_mcp.model.text import quoted
-from ros2_mcp.ops.results import ON_REQUEST, SAID, as_json
+from ros2_mcp.ops.results.results import ON_REQUEST, SAID, as_json
+from ros2_mcp.ops.results.text import as_text
 from ros2_mcp.ops.space.controllers import Controller, controllers_in_words
 from ros2_mcp.ops.space.inputs import CommandInput, inputs_in_words
 from ros2_mcp.ops.space.joints import JointNow, joints_in_words, without_last_speeds
 from ros2_mcp.ops.space.sensors import Sensor, sensors_in_words
 from ros2_mcp.ops.space.style import Names, Style
-from ros2_mcp.ops.text import as_text
 
 MOST_BYTES = 2_000
 """Of the answer: it is read at the beginning of most sessions."""

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import asyncio
 
-from ros2_mcp.codec.urdf import Urdf, parse
 from ros2_mcp.model.aside import load
 from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.pictures.next_message import next_message
-from ros2_mcp.ops.results import silent
+from ros2_mcp.ops.results.results import silent
 from ros2_mcp.ops.sources.source import Source
+from ros2_mcp.world.urdf import Urdf, parse
 
 _TOPIC, _TYPE = "/robot_description", "std_msgs/msg/String"
 _LISTEN_S = 1.0
@@ -19,7 +19,7 @@ _LISTEN_S = 1.0
 
 async def described_frame(source: Source, frame: str) -> str:
     """In a sentence; empty where there is no description, or it has no such link."""
-    await load("ros2_mcp.codec.cdr")  # with numpy: not before it is needed
+    await load("ros2_mcp.values.cdr")  # with numpy: not before it is needed
     try:
         await source.type_of(_TOPIC)
         found = await next_message(source.lasting(_LISTEN_S), _TOPIC, _TYPE, silent)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ros2_mcp.codec.frame_edges import Edge
-from ros2_mcp.codec.no_transform import UNIX_FROM_NS, is_since_boot, seconds_in_words
-from ros2_mcp.codec.transforms import OTHER_CLOCK_NS, FrameTree
 from ros2_mcp.model.text import named, quoted
-from ros2_mcp.ops.results import four_digits, microseconds
+from ros2_mcp.ops.results.results import four_digits, microseconds
 from ros2_mcp.ops.space.tellers import GONE, Tellers
 from ros2_mcp.robot.transforms import TF, TF_STATIC
+from ros2_mcp.world.frame_edges import Edge
+from ros2_mcp.world.no_transform import UNIX_FROM_NS, is_since_boot, seconds_in_words
+from ros2_mcp.world.transforms import OTHER_CLOCK_NS, FrameTree
 
 _PERIODS = 5.0
 """An edge that was last told so many of its usual periods ago has stopped."""

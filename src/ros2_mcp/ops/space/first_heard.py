@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from time import monotonic
 
-from ros2_mcp.codec.transforms import FrameTree
 from ros2_mcp.model.text import named
 from ros2_mcp.robot.transforms import TF, TransformListener
+from ros2_mcp.world.transforms import FrameTree
 
 YOUNG_S = 10.0
 """Of the bridge. Publishers and its first subscriptions find each other within 3 s, also on a slow network. What is

@@ -10,12 +10,12 @@ import asyncio
 from collections.abc import Callable, Sequence
 from time import monotonic
 
-from ros2_mcp.codec.no_transform import why_none
-from ros2_mcp.codec.transforms import FrameTree, Located
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.ops.results import Report, silent
+from ros2_mcp.ops.results.results import Report, silent
 from ros2_mcp.ops.sources.source import Capture, Source, Stream
 from ros2_mcp.robot.transforms import LISTENS, TF, TF_STATIC, TF_TYPE, TransformListener
+from ros2_mcp.world.no_transform import why_none
+from ros2_mcp.world.transforms import FrameTree, Located
 
 WORLDS = ("map", "odom", "world", "earth")
 """Frames in which a robot's place is meant, the better first (REP 105)."""

@@ -7,9 +7,9 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from ros2_mcp.codec.robot_kind import arms_of, is_passive, rotors_of, wheels_of
-from ros2_mcp.codec.urdf import Joint, Urdf
 from ros2_mcp.ops.space.style import Style, same_or_each
+from ros2_mcp.world.robot_kind import arms_of, is_passive, rotors_of, wheels_of
+from ros2_mcp.world.urdf import Joint, Urdf
 
 _FAR = 1e6
 """Of a limit in rad or m: more means that there is none."""

@@ -10,7 +10,7 @@ from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.meanings import DepthMeaning, Meaning, ScanMeaning
 from ros2_mcp.model.pictures import COMPRESSED_IMAGE, IMAGE, LASER_SCAN, POINT_CLOUD
 from ros2_mcp.ops.pictures.next_message import next_message
-from ros2_mcp.ops.results import silent
+from ros2_mcp.ops.results.results import silent
 from ros2_mcp.ops.sources.selection import Fitted
 from ros2_mcp.ops.sources.source import Source, Stream
 from ros2_mcp.ops.space.mount import mount_of
@@ -41,9 +41,9 @@ async def meaning_of(source: Source, topic: str, type_name: str, message: Any, a
     )
     if type_name not in (LASER_SCAN, POINT_CLOUD) and not is_depth:
         return None
-    await load("ros2_mcp.codec.scans", "ros2_mcp.codec.depths")  # with numpy: not before it is needed
-    from ros2_mcp.codec.depths import cloud_meaning, depth_meaning
-    from ros2_mcp.codec.scans import scan_meaning
+    await load("ros2_mcp.world.scans", "ros2_mcp.world.depths")  # with numpy: not before it is needed
+    from ros2_mcp.world.depths import cloud_meaning, depth_meaning
+    from ros2_mcp.world.scans import scan_meaning
 
     mount = await mount_of(source, message.header.frame_id, at_ns)
     where = mount.pose, mount.base
@@ -63,7 +63,7 @@ async def meaning_of(source: Source, topic: str, type_name: str, message: Any, a
 
 async def _intrinsics(source: Source, topic: str, image: Any) -> Intrinsics | None:
     """Those of the camera that took the image: the info of the same frame and size whose topic is the nearest one."""
-    from ros2_mcp.codec.depths import intrinsics_of
+    from ros2_mcp.world.depths import intrinsics_of
 
     with suppress(RobotError):
         infos = await source.publishing(_CAMERA_INFO)

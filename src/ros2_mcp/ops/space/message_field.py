@@ -7,14 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
-from ros2_mcp.codec.transforms import pose_of
 from ros2_mcp.model.aside import load
 from ros2_mcp.model.errors import BadData, BadInput
 from ros2_mcp.model.poses import Pose, normalised
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.pictures.next_message import next_message
-from ros2_mcp.ops.results import Report
+from ros2_mcp.ops.results.results import Report
 from ros2_mcp.ops.sources.source import Source
+from ros2_mcp.world.transforms import pose_of
 
 _LISTEN_S = 5.0
 """Live, for a message to come: more than the slowest usual topics (1 s) take."""
@@ -55,8 +55,8 @@ async def given_in(source: Source, text: str, most: int, report: Report) -> Give
         BadValue: for a path that does not exist.
         NotFound, TimedOut, TypeConflict, BadData: as `next_message`.
     """
-    await load("ros2_mcp.codec.select")  # with numpy: not before it is needed
-    from ros2_mcp.codec.select import parse_field
+    await load("ros2_mcp.values.select")  # with numpy: not before it is needed
+    from ros2_mcp.values.select import parse_field
 
     topic, _, path = text.strip().partition(":")
     lasting = source.lasting(_LISTEN_S)

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from time import monotonic
 from weakref import WeakKeyDictionary
 
-from ros2_mcp.codec.transforms import FrameTree
 from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.poses import Pose
 from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.ops.space.frames import frames_of
 from ros2_mcp.robot.transforms import TransformListener
+from ros2_mcp.world.transforms import FrameTree
 
 _PATIENCE_S = 0.6
 """For frames that nobody has asked for yet: what is static comes within 0.2 s of matching. A reading of a sensor should

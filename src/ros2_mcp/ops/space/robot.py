@@ -13,22 +13,19 @@ from typing import Any
 
 import anyio
 
-from ros2_mcp.codec.robot_kind import arms_of, kind_of, wheels_of
-from ros2_mcp.codec.transforms import FrameTree, Located
-from ros2_mcp.codec.urdf import Mount, Urdf, parse
 from ros2_mcp.model.aside import load
 from ros2_mcp.model.errors import NotFound, RobotError, UnknownInterface
 from ros2_mcp.model.graph import TopicEndpoints
 from ros2_mcp.model.poses import Pose, from_roll_pitch_yaw
 from ros2_mcp.model.text import named, quoted
-from ros2_mcp.ops.description import described
 from ros2_mcp.ops.measure.diagnostics import LEVELS
 from ros2_mcp.ops.pictures.next_message import next_message
-from ros2_mcp.ops.results import silent
+from ros2_mcp.ops.results.results import silent
 from ros2_mcp.ops.sources.source import GraphSnapshot, Source
 from ros2_mcp.ops.space.body import NO_MOUNT, MountInWords, footprint_in_words, mounted
 from ros2_mcp.ops.space.brief import MOST_BYTES, Parts, RobotInBrief, within
 from ros2_mcp.ops.space.controllers import LIST_CONTROLLERS, controllers_of, idle_movers, listed_controllers
+from ros2_mcp.ops.space.description import described
 from ros2_mcp.ops.space.edges import edge_row, in_words
 from ros2_mcp.ops.space.first_heard import FIRST_S, YOUNG_S, frames_heard, not_heard_in_words
 from ros2_mcp.ops.space.frames import WORLDS, disputed_roots, frames_of, separate_roots
@@ -50,6 +47,9 @@ from ros2_mcp.ops.space.states import states_of
 from ros2_mcp.ops.space.style import Named, Names, Style, braced
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.transforms import LISTENS
+from ros2_mcp.world.robot_kind import arms_of, kind_of, wheels_of
+from ros2_mcp.world.transforms import FrameTree, Located
+from ros2_mcp.world.urdf import Mount, Urdf, parse
 
 _ANSWERED_S, _GIVEN_UP_S = 1.4, 1.7
 """After the call: so long messages are waited for, all at the same time, and so long any part of it at most. The
@@ -131,7 +131,7 @@ async def in_brief(robot: Robot, source: Source, *, whole: bool = False) -> Robo
     """
     asked_at = monotonic()
     is_young = source.is_live and robot.graph.bridge_age_s < YOUNG_S
-    await load("ros2_mcp.codec.cdr", "ros2_mcp.codec.select")  # with numpy: not before it is needed
+    await load("ros2_mcp.values.cdr", "ros2_mcp.values.select")  # with numpy: not before it is needed
     graph = await source.graph()
     if graph.absence:
         raise NotFound(graph.absence, "ros2_status shows domain and middleware.")
@@ -496,7 +496,7 @@ def _place(source: Source, seen: _Seen, base: str) -> tuple[str, list[str]]:
     if told:
         return " ".join(told), old
     if seen.odometry is not None:
-        from ros2_mcp.codec.transforms import pose_of
+        from ros2_mcp.world.transforms import pose_of
 
         with suppress(ValueError):
             pose = pose_of(seen.odometry.pose.pose)

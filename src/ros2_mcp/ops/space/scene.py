@@ -9,8 +9,6 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from ros2_mcp.codec.limbs import Limb, LimbSeen, limbs_seen
-from ros2_mcp.codec.transforms import FrameTree, Located, pose_of
 from ros2_mcp.model import names
 from ros2_mcp.model.aside import aside, load
 from ros2_mcp.model.errors import BadData, BadInput, NotFound, RobotError, TimedOut
@@ -23,7 +21,7 @@ from ros2_mcp.ops.navigation.costmaps import Costmap, chosen_costmaps, costmap_o
 from ros2_mcp.ops.navigation.navigate import Navigation
 from ros2_mcp.ops.pictures.next_message import Next, next_message
 from ros2_mcp.ops.pictures.robot_place import placed, robot_place
-from ros2_mcp.ops.results import Report, facts, iso_time, reporting, silent
+from ros2_mcp.ops.results.results import Report, facts, iso_time, reporting, silent
 from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.ops.space.ages import age_of, since_s, stamp_ns
 from ros2_mcp.ops.space.frames import WORLDS, frames_of
@@ -33,9 +31,11 @@ from ros2_mcp.ops.space.scene_picture import SceneLayer, ScenePicture, SceneRequ
 from ros2_mcp.ops.space.silhouette import silhouette_of
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.places import NamedPlace
+from ros2_mcp.world.limbs import Limb, LimbSeen, limbs_seen
+from ros2_mcp.world.transforms import FrameTree, Located, pose_of
 
 if TYPE_CHECKING:
-    from ros2_mcp.codec.scene import GridLayer, Mark, Scene, SceneDrawing
+    from ros2_mcp.pictures.scene import GridLayer, Mark, Scene, SceneDrawing
 
 POSE_STAMPED, POLYGON, STRING = (
     "geometry_msgs/msg/PoseStamped",
@@ -73,7 +73,7 @@ async def scene(robot: Robot, source: Source, request: SceneRequest, report: Rep
 
 async def gather(robot: Robot, source: Source, request: SceneRequest, report: Report = silent) -> Gathered:
     """What is around the robot, read and placed in one frame, for a picture or for the page; raises as `scene`."""
-    await load("ros2_mcp.codec.scene", "ros2_mcp.codec.scans")  # with numpy: not before it is needed
+    await load("ros2_mcp.pictures.scene", "ros2_mcp.world.scans")  # with numpy: not before it is needed
     gathered = Gathered(source, robot)
     async with reporting(report, _GRID_S, "gathering what is around the robot"):
         await asyncio.gather(gathered.read(request), gathered.listen())
@@ -294,7 +294,7 @@ class Gathered:
             )
 
     def _place_grid(self, grid: Costmap, now_ns: int) -> None:
-        from ros2_mcp.codec.scene import GridLayer, check_grid
+        from ros2_mcp.pictures.scene import GridLayer, check_grid
 
         costs = _COSTMAP in self.grid_topic
         kind = _COSTMAP if costs else "grid"
@@ -320,7 +320,7 @@ class Gathered:
 
     def place_scan(self, name: str, message: Any, pose: Pose, age_s: float | None) -> None:
         """What it hit."""
-        from ros2_mcp.codec.scans import moved, scan_points
+        from ros2_mcp.world.scans import moved, scan_points
 
         try:
             self.scans.append(moved(scan_points(message).hits, pose)[:, :2])
@@ -433,7 +433,7 @@ class Gathered:
             self._mark(kind, place.name, x_m, y_m, yaw_rad, None)
 
     def _mark(self, kind: str, name: str, x_m: float, y_m: float, yaw_rad: float | None, age_s: float | None) -> None:
-        from ros2_mcp.codec.scene import Mark
+        from ros2_mcp.pictures.scene import Mark
 
         marks = self.goals if kind == "goal" else self.places
         if kind == "goal":
@@ -497,8 +497,8 @@ async def _picture(gathered: Gathered, request: SceneRequest) -> ScenePicture:
 def _drawn(gathered: Gathered, request: SceneRequest) -> tuple[SceneDrawing, Scene, Picture]:
     import numpy as np  # not at the start of the server
 
-    from ros2_mcp.codec.raster import finished
-    from ros2_mcp.codec.scene import Scene, extent, scene_drawing
+    from ros2_mcp.pictures.raster import finished
+    from ros2_mcp.pictures.scene import Scene, extent, scene_drawing
 
     points = [*gathered.scans, *gathered.paths]  # places may be in another building
     points += [np.array([[mark.x_m, mark.y_m]]) for mark in gathered.goals]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from ros2_mcp.model.meanings import Meaning
 from ros2_mcp.model.text import named
-from ros2_mcp.ops.results import SAID, WithPictures
+from ros2_mcp.ops.results.results import SAID, WithPictures
 
 _FLAT_M = 0.05
 """A base that stands on the ground of its map may be told so much above or below it."""

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
-from ros2_mcp.codec.footprint import Point, outline
-from ros2_mcp.codec.limbs import Limb, limbs_of
-from ros2_mcp.codec.transforms import BASES
-from ros2_mcp.codec.urdf import parse
+from ros2_mcp.world.footprint import Point, outline
+from ros2_mcp.world.limbs import Limb, limbs_of
+from ros2_mcp.world.transforms import BASES
+from ros2_mcp.world.urdf import parse
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,11 +7,11 @@ from __future__ import annotations
 from contextlib import suppress
 from typing import Any
 
-from ros2_mcp.codec.no_transform import UNIX_FROM_NS, seconds_in_words, stamp_in_words
-from ros2_mcp.codec.transforms import FrameTree
 from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.sources.source import Source
+from ros2_mcp.world.no_transform import UNIX_FROM_NS, seconds_in_words, stamp_in_words
+from ros2_mcp.world.transforms import FrameTree
 
 _CLOCK, _CLOCK_TYPE = "/clock", "rosgraph_msgs/msg/Clock"
 _LOOK_S = 0.5

@@ -8,12 +8,12 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
-from ros2_mcp.codec.definitions import Definitions
-from ros2_mcp.codec.store import attribute
 from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.interfaces import Field
 from ros2_mcp.model.text import named, quoted
 from ros2_mcp.ops.sources.source import Source
+from ros2_mcp.values.definitions import Definitions
+from ros2_mcp.values.store import attribute
 
 _HEADER = "std_msgs/msg/Header"
 _MOST_TEXT = 30

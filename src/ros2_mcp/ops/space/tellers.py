@@ -1,7 +1,7 @@
 """Which node tells which edge, where several publish on /tf or /tf_static.
 
 rclpy does not tell who sent a message. What is known: who publishes now, and who did; which messages are of one
-publisher (by their numbers, `codec/writers.py`); what else each node publishes: who tells odom → base publishes
+publisher (by their numbers, `values/writers.py`); what else each node publishes: who tells odom → base publishes
 odometry, too, and who tells map → odom a pose or a map; and what nodes are called, by habit. So it is a conclusion, and
 said to be one (`probably`).
 """
@@ -12,12 +12,12 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from ros2_mcp.codec.frame_edges import Edge
-from ros2_mcp.codec.transforms import BASES, FrameTree
 from ros2_mcp.model.qos import mismatch
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.robot.transforms import LISTENS, TF, TF_STATIC, TF_TYPE, Life
+from ros2_mcp.world.frame_edges import Edge
+from ros2_mcp.world.transforms import BASES, FrameTree
 
 _SEEN_LATE_NS, _HEARD_LATE_NS = 3_000_000_000, 1_000_000_000
 """A node may be seen so long after its first message was heard, and its last be heard so long after it went."""

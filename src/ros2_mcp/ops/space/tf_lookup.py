@@ -9,13 +9,11 @@ from time import monotonic
 
 import anyio
 
-from ros2_mcp.codec.no_transform import alike, edge_in_words, seconds_in_words, stamp_in_words, why_none
-from ros2_mcp.codec.transforms import OTHER_CLOCK_NS, FrameTree, Located
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model.errors import BadInput, BadValue, NoTransform
 from ros2_mcp.model.poses import Pose, angle_between_rad, mean_of, normalised, product
 from ros2_mcp.model.text import counted, named, quoted
-from ros2_mcp.ops.results import EXACT, ON_REQUEST, SAID, Report, microseconds, reporting, silent
+from ros2_mcp.ops.results.results import EXACT, ON_REQUEST, SAID, Report, microseconds, reporting, silent
 from ros2_mcp.ops.sources.selection import undecodable
 from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.ops.sources.times import is_relative, parsed_ns
@@ -26,6 +24,8 @@ from ros2_mcp.ops.space.message_field import given_in
 from ros2_mcp.ops.space.standing_time import look_for_clock, other_clock, standing_time
 from ros2_mcp.ops.space.tellers import Tellers, silent_in_words, tellers_of
 from ros2_mcp.ops.space.unheard import followed_in_words, unheard_publishers
+from ros2_mcp.world.no_transform import alike, edge_in_words, seconds_in_words, stamp_in_words, why_none
+from ros2_mcp.world.transforms import OTHER_CLOCK_NS, FrameTree, Located
 
 MOST_POINTS = 500
 """Of one call: a polygon, a path, a plan; clouds are drawn, not transformed by numbers."""

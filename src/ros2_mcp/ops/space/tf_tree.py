@@ -7,14 +7,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from time import monotonic
 
-from ros2_mcp.codec.no_transform import circle_in_words, edge_in_words, seconds_in_words, stamp_in_words
-from ros2_mcp.codec.transforms import FrameTree
 from ros2_mcp.model.aside import load
 from ros2_mcp.model.errors import NotFound, NoTransform
 from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.model.pictures import BOUNDS, Picture
 from ros2_mcp.model.text import counted, is_name, named
-from ros2_mcp.ops.results import HIDDEN, IF_ANY, SAID, Report, WithPictures, facts, reporting, silent
+from ros2_mcp.ops.results.results import HIDDEN, IF_ANY, SAID, Report, WithPictures, facts, reporting, silent
 from ros2_mcp.ops.sources.selection import undecodable
 from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.ops.space.edges import EdgeRow, edge_row, in_words
@@ -22,6 +20,8 @@ from ros2_mcp.ops.space.frames import disputed_roots, frames_of, separate_roots
 from ros2_mcp.ops.space.standing_time import look_for_clock, other_clock, standing_time
 from ros2_mcp.ops.space.tellers import Tellers, silent_in_words, tellers_of
 from ros2_mcp.ops.space.unheard import followed_in_words, unheard_publishers
+from ros2_mcp.world.no_transform import circle_in_words, edge_in_words, seconds_in_words, stamp_in_words
+from ros2_mcp.world.transforms import FrameTree
 
 _MOST_LINES = 150
 """Of the text: the largest robots have that many frames, and a result has 12 kB."""
@@ -117,7 +117,7 @@ async def tf_tree(
 async def _listened(source: Source, duration_s: float, report: Report) -> FrameTree:
     if (listener := source.transforms) is None:
         return await frames_of(source, report=report)
-    await load("ros2_mcp.codec.plot")  # with numpy: not before it is needed
+    await load("ros2_mcp.pictures.plot")  # with numpy: not before it is needed
     tree = await listener.listening()
     deadline = monotonic() + duration_s
     async with reporting(report, duration_s, lambda: f"{len(tree.frames)} frames"):
@@ -230,8 +230,8 @@ def _silent(source: Source, tellers: Tellers, *, harmless: bool) -> list[str]:
 
 
 def _picture(walk: Sequence[tuple[str, int]], rows: Mapping[str, EdgeRow]) -> Picture:
-    from ros2_mcp.codec.raster import finished
-    from ros2_mcp.codec.tree_picture import TreeRow, tree_raster
+    from ros2_mcp.pictures.raster import finished
+    from ros2_mcp.pictures.tree import TreeRow, tree_raster
 
     drawn: list[TreeRow] = []
     for name, depth in walk:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ros2_mcp.codec.transforms import FrameTree
 from ros2_mcp.model.qos import mismatch
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.robot.transforms import LISTENS, TF, TF_STATIC, TF_TYPE
+from ros2_mcp.world.transforms import FrameTree
 
 
 async def unheard_publishers(source: Source) -> Sequence[str]:

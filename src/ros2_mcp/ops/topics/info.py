@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from ros2_mcp.model import names, qos
 from ros2_mcp.model.qos import Endpoint
 from ros2_mcp.model.text import counted, named
-from ros2_mcp.ops.results import SAID
+from ros2_mcp.ops.results.results import SAID
 from ros2_mcp.robot import Robot
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ros2_mcp.model import names
-from ros2_mcp.ops.results import IF_ANY, ON_REQUEST, SAID, list_note
+from ros2_mcp.ops.results.results import IF_ANY, ON_REQUEST, SAID, list_note
 from ros2_mcp.robot import Robot
 
 

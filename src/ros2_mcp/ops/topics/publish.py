@@ -14,13 +14,13 @@ from ros2_mcp.model import names
 from ros2_mcp.model.commands import Move, Publish, Repeat
 from ros2_mcp.model.errors import BadInput, LinkError, Stopped
 from ros2_mcp.model.text import counted
-from ros2_mcp.ops.defaults import left_at_default
-from ros2_mcp.ops.endings import ended_by, guarded, limited, reason_of
-from ros2_mcp.ops.results import HIDDEN, SAID, Report, or_error, silent, unless_all_failed
+from ros2_mcp.ops.acting.defaults import left_at_default
+from ros2_mcp.ops.acting.endings import ended_by, guarded, limited, reason_of
+from ros2_mcp.ops.results.results import HIDDEN, SAID, Report, or_error, silent, unless_all_failed
 from ros2_mcp.ops.topics.info import mismatches
 from ros2_mcp.robot import HOLD_TYPES, MOTION_TYPES, VELOCITY_TYPES, Robot, Sent
 from ros2_mcp.robot.jobs import Job
-from ros2_mcp_bridge.limits import MAX_DURATION_S, MAX_RATE_HZ, MIN_RATE_HZ
+from ros2_mcp_common.wire.limits import MAX_DURATION_S, MAX_RATE_HZ, MIN_RATE_HZ
 
 MATCH_S = 1.0
 """How long the bridge waits for a first subscriber to match. A running node matches within milliseconds; one that has

@@ -27,7 +27,7 @@ from ros2_mcp.ops.measure.flow import (
     usual_s,
 )
 from ros2_mcp.ops.measure.health_check import LARGE_TYPES
-from ros2_mcp.ops.results import (
+from ros2_mcp.ops.results.results import (
     HIDDEN,
     SAID,
     Report,

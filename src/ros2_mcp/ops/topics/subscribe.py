@@ -21,7 +21,7 @@ from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import counted, named
 from ros2_mcp.model.times import seconds_in
 from ros2_mcp.model.values import summarised
-from ros2_mcp.ops.results import (
+from ros2_mcp.ops.results.results import (
     ALWAYS,
     HIDDEN,
     IF_ANY,
@@ -330,7 +330,7 @@ async def _shown(source: Source, collected: Collected, selection: Selection) -> 
     stream = collected.stream
     if stream.type:
         selection, _ = selection.fitting(stream.codec.definitions, stream.type)
-    await load("ros2_mcp.codec.cdr")  # with numpy: not before it is needed
+    await load("ros2_mcp.values.cdr")  # with numpy: not before it is needed
     size = sum(len(sample.data) for sample in collected.samples)
     fitted = await aside(size, fit, stream.codec, stream.type, collected.samples, selection)
     images: list[Picture] = []
@@ -374,7 +374,7 @@ async def _shown(source: Source, collected: Collected, selection: Selection) -> 
 
 def pictures_of(type_name: str, fitted: Fitted) -> tuple[list[Picture], str]:
     """Pictures of the shown messages, from what is already decoded, and of which; or why there are none."""
-    from ros2_mcp.codec.pictures import picture_of  # numpy: not at the start of the server
+    from ros2_mcp.pictures.messages import picture_of  # numpy: not at the start of the server
 
     try:
         chosen = spread_indices(len(fitted.messages), MAX_PICTURES)

@@ -13,10 +13,10 @@ from ros2_mcp.model.errors import NotFound
 from ros2_mcp.model.goals import STATUS_TYPE, TERMINAL, goal_id_hex
 from ros2_mcp.model.names import is_hidden
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.ops import log
+from ros2_mcp.ops.log import read as log
 from ros2_mcp.ops.measure.diagnostics import DIAGNOSTICS, DiagnosticTable
 from ros2_mcp.robot import Robot
-from ros2_mcp_bridge.protocol import Keep
+from ros2_mcp_common.wire.protocol import Keep
 
 # How late a change of the graph is noticed: people take it for at once, and the bridge answers from memory.
 POLL_S = 0.25

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ros2_mcp.codec.columns import ColumnReader
-from ros2_mcp.codec.select import measurable
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.measure.columns import Column, Columns, Room
+from ros2_mcp.values.columns import ColumnReader
+from ros2_mcp.values.select import measurable
 from support.made_windows import CODEC, START_NS, encoded
 
 ARRAY = "std_msgs/msg/Float64MultiArray"

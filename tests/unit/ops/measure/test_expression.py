@@ -9,9 +9,9 @@ import time
 
 import pytest
 
-from ros2_mcp.codec.definitions import Definitions
 from ros2_mcp.model.errors import BadInput, BadValue
 from ros2_mcp.ops.measure.expression import condition
+from ros2_mcp.values.definitions import Definitions
 from support.made_windows import decoded
 
 ODOMETRY = "nav_msgs/msg/Odometry"

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from ros2_mcp.codec.columns import ExcerptReader
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.ops.measure.wait_until import wait_until
+from ros2_mcp.values.columns import ExcerptReader
 from support.made_windows import START_NS, Make, Recorded
 
 FLOAT = "std_msgs/msg/Float64"

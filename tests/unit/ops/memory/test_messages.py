@@ -16,7 +16,7 @@ from ros2_mcp.bags.recorder import Recorder
 from ros2_mcp.bags.ring import RingWriter
 from ros2_mcp.bags.stored import StoredTopic
 from ros2_mcp.bags.writer import BagWriter
-from ros2_mcp.binding import bind
+from ros2_mcp.mcp.binding import bind
 from ros2_mcp.model.errors import BadData, NotFound, UnknownInterface
 from ros2_mcp.model.qos import QoS
 from ros2_mcp.model.samples import Sample

@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
-from ros2_mcp.codec.urdf import Urdf, parse
 from ros2_mcp.model.errors import BadInput, NotFound
 from ros2_mcp.ops.motion.controllers import Controller
 from ros2_mcp.ops.motion.joint_states import At, JointStates
 from ros2_mcp.ops.motion.joints import JointRequest, Plan, check_request, joint_of, planned_move
+from ros2_mcp.world.urdf import Urdf, parse
 from ros2_mcp_demo.arm.description import ARM, HOME, description
 
 URDF = parse(description())

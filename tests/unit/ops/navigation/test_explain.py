@@ -6,15 +6,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ros2_mcp.codec.costmap import CostGrid
 from ros2_mcp.model.nav2 import CODES, in_words, server_of
-from ros2_mcp.ops.log import LogLine
+from ros2_mcp.ops.log.read import LogLine
 from ros2_mcp.ops.measure.diagnostics import Diagnostic
 from ros2_mcp.ops.navigation.base import Base
 from ros2_mcp.ops.navigation.explain import Failure, judged
 from ros2_mcp.ops.navigation.situation import Local, Situation, around
 from ros2_mcp.ops.navigation.targets import Target
 from ros2_mcp.ops.navigation.whereabouts import Whereabouts
+from ros2_mcp.world.costmap import CostGrid
 
 HERE = Whereabouts("map", "base_link", 0.55, 0.55, 0.0, 0.02)
 LOST = Whereabouts("map", "base_link", trouble="There is no frame map.")

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 import pytest
 
-from ros2_mcp.codec.cdr import Codec
 from ros2_mcp.model.errors import BadInput, NotFound
 from ros2_mcp.model.pictures import OCCUPANCY_GRID, POINT_CLOUD
 from ros2_mcp.model.qos import Endpoint, QoS
 from ros2_mcp.ops.sources.only import only_topic
 from ros2_mcp.ops.sources.source import GraphSnapshot, Source
 from ros2_mcp.robot import TopicEndpoints
+from ros2_mcp.values.cdr import Codec
 from support.made_windows import CODEC
 
 

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import pytest
 
-from ros2_mcp.codec.urdf import Joint, Limits
 from ros2_mcp.guard import trials
 from ros2_mcp.guard.policy import Policy
 from ros2_mcp.guard.policy_file import compiled, document_of
@@ -14,6 +13,7 @@ from ros2_mcp.guard.trials import Trial
 from ros2_mcp.model.graph import TopicEndpoints
 from ros2_mcp.model.qos import Endpoint, QoS
 from ros2_mcp.ops.policy.draft import Arm, Found, lines_of_draft
+from ros2_mcp.world.urdf import Joint, Limits
 
 TWIST, CAR = "geometry_msgs/msg/Twist", "ackermann_msgs/msg/AckermannDriveStamped"
 

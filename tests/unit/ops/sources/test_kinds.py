@@ -10,8 +10,7 @@ import pytest
 
 from ros2_mcp.bags.stored import StoredTopic
 from ros2_mcp.bags.writer import BagWriter
-from ros2_mcp.binding import bind
-from ros2_mcp.codec.cdr import Codec
+from ros2_mcp.mcp.binding import bind
 from ros2_mcp.model.errors import BadInput, NotFound
 from ros2_mcp.model.samples import STAMP_END, Sample
 from ros2_mcp.ops.measure import statistics
@@ -20,7 +19,7 @@ from ros2_mcp.ops.memory import bags
 from ros2_mcp.ops.memory import messages as history
 from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.pictures import plot as plotting
-from ros2_mcp.ops.results import silent
+from ros2_mcp.ops.results.results import silent
 from ros2_mcp.ops.sources.bag import BagSource, open_bag
 from ros2_mcp.ops.sources.kinds import OWN_KINDS, Sources
 from ros2_mcp.ops.sources.recorded_robot import recorded_robot
@@ -29,6 +28,7 @@ from ros2_mcp.ops.sources.source import Source, SourceKind, SourceRequest
 from ros2_mcp.ops.topics import subscribe as reading
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools import DECLARED
+from ros2_mcp.values.cdr import Codec
 from support.made_bridge import MadeBridge, robot_of
 from support.made_windows import CODEC, START_NS, Make, Recorded, encoded
 

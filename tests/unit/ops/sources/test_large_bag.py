@@ -15,7 +15,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from ros2_mcp.ops.results import four_digits
+from ros2_mcp.ops.results.results import four_digits
 from support.agent import FULL
 from support.made_windows import decoded, encoded
 

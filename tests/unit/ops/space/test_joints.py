@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from ros2_mcp.codec.urdf import parse
 from ros2_mcp.ops.space.joints import JointNow, joints_in_words, joints_now, without_last_speeds
 from ros2_mcp.ops.space.style import Style
+from ros2_mcp.world.urdf import parse
 
 LIMIT = '<limit lower="-2.8973" upper="2.8973" velocity="2" effort="1"/>'
 

@@ -8,11 +8,9 @@ from typing import Any
 
 import pytest
 
-from ros2_mcp.codec.transforms import FrameTree
-from ros2_mcp.codec.urdf import parse
 from ros2_mcp.model.graph import TopicEndpoints
 from ros2_mcp.model.qos import Endpoint, QoS
-from ros2_mcp.ops.results import as_json
+from ros2_mcp.ops.results.results import as_json
 from ros2_mcp.ops.sources.source import GraphSnapshot
 from ros2_mcp.ops.space.body import MountInWords, mounted
 from ros2_mcp.ops.space.brief import MOST_BYTES, RobotInBrief
@@ -20,6 +18,8 @@ from ros2_mcp.ops.space.controllers import Controller, controllers_in_words, con
 from ros2_mcp.ops.space.robot import in_brief
 from ros2_mcp.ops.space.style import Style
 from ros2_mcp.robot import Robot
+from ros2_mcp.world.transforms import FrameTree
+from ros2_mcp.world.urdf import parse
 from support.made_windows import START_NS, Make, Recorded, Window
 
 SECOND = 1_000_000_000

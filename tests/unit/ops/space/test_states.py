@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from ros2_mcp.codec.definitions import DefinitionText
 from ros2_mcp.ops.space.states import states_of
+from ros2_mcp.values.definitions import DefinitionText
 from support.made_windows import CODEC, Make, Recorded
 
 MODE = "robot_msgs/msg/SafetyMode"

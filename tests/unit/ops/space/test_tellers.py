@@ -5,10 +5,10 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
-from ros2_mcp.codec.transforms import FrameTree
 from ros2_mcp.ops.space.edges import edge_row, in_words
 from ros2_mcp.ops.space.tellers import Publishers, Tellers, silent_in_words
 from ros2_mcp.robot.transforms import Life
+from ros2_mcp.world.transforms import FrameTree
 
 SECOND = 1_000_000_000
 ALSO = {"odometry": ["/base"], "localisation": ["/amcl"], "description": []}

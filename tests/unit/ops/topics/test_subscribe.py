@@ -11,13 +11,13 @@ import pytest
 
 from ros2_mcp.bags.stored import StoredTopic
 from ros2_mcp.bags.writer import BagWriter
-from ros2_mcp.binding import answer, bind
+from ros2_mcp.mcp.binding import answer, bind
 from ros2_mcp.model.errors import BadValue
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.memory import bags
 from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.memory.messages import get_messages
-from ros2_mcp.ops.results import silent
+from ros2_mcp.ops.results.results import silent
 from ros2_mcp.ops.sources.bag import BagSource, open_bag
 from ros2_mcp.ops.sources.kinds import Sources
 from ros2_mcp.ops.sources.live import Live

@@ -1,1 +1,0 @@
-"""Bytes to values to JSON and back; pictures."""

@@ -1,0 +1,1 @@
+"""Puts a robot and a server together, once, from settings."""

@@ -1,6 +1,0 @@
-"""The robots of one server: their tools in one list, and what is about all of them."""
-
-from ros2_mcp.fleet.fleet import Fleet
-from ros2_mcp.fleet.member import Member
-
-__all__ = ["Fleet", "Member"]

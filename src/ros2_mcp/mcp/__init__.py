@@ -1,0 +1,1 @@
+"""MCP: the server, its tools as clients meet them, completions, approvals and apps."""

@@ -1,0 +1,417 @@
+"""A declared tool as clients meet it: strict arguments in, text and structured content out, errors mapped once."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from inspect import Parameter
+from typing import Any, cast, get_args
+
+from mcp.types import CallToolResult, ContentBlock, ImageContent, TextContent, Tool, ToolAnnotations
+from pydantic import BaseModel, ConfigDict, ValidationError, create_model
+
+from ros2_mcp.model.aside import aside, extent
+from ros2_mcp.model.errors import BadInput, RobotError
+from ros2_mcp.model.finite import finite
+from ros2_mcp.model.system_limits import system_limit
+from ros2_mcp.model.text import as_sent, quoted, visible, visible_json
+from ros2_mcp.ops.memory.bag_store import BagStore
+from ros2_mcp.ops.results.results import Report, as_json, at_most_every, lines_of, structured
+from ros2_mcp.ops.results.text import MOST_CHARACTERS, as_text
+from ros2_mcp.ops.sources.kinds import OWN_KINDS
+from ros2_mcp.ops.sources.source import SourceKind
+from ros2_mcp.programs.declare import Function
+from ros2_mcp.robot import Robot
+from ros2_mcp.tools import ToolDeclaration
+from ros2_mcp.tools.arguments import WHOLE_SENTENCE, TimeArgument
+from ros2_mcp.tools.declare import ForPage
+from ros2_mcp.tools.injection import Call
+from ros2_mcp.tools.leniency import as_meant
+from ros2_mcp.tools.misnamed import hint_for
+from ros2_mcp.tools.schema import argument_schema, expected_kind, node_at, result_schema, text_for_number
+from ros2_mcp.view.viewing import Viewing
+
+_PLAIN_WORDS = {"dict_type": "an object is expected", "list_type": "a list is expected"}
+_NO_NUMBER = frozenset({"finite_number", "float_type", "float_parsing", "int_type", "int_parsing", "int_parsing_size"})
+"""The types of validation errors of what is no number, or none that can be used."""
+# What of a recording is damaged or missing, in every answer made from it; results with `problems` say it there.
+_DAMAGE = "damage"
+SUMMARY = "summary"
+"""The field of structured content with the lines of the summary."""
+# What there is to be said of an answer, also how arguments were taken that do not say it all.
+_NOTE = "note"
+_MOST_NAMED = 5
+_NARROWING = (
+    *("pattern", "fields", "max_array", "every_n", "message_limit", "number_of_messages", "limit", "start", "end"),
+    *("since", "node", "node_name", "node_names", "names", "topic_names", "kind", "package"),
+)
+# Twice a second looks alive, and does not fill the client's log during a minute's wait.
+_PROGRESS_S = 0.5
+
+
+class CallFailed(Exception):
+    """A call that did not do what was asked; its text is what the model reads, on one line and with nothing hidden."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(_cut(visible(text)))
+
+
+class StrictArguments(BaseModel):
+    """The arguments of a tool; an unknown one is an error."""
+
+    model_config = ConfigDict(extra="forbid", arbitrary_types_allowed=True)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BoundTool:
+    """A declared tool with what it works on: `listed` is how clients see it, `arguments` checks what they send.
+
+    `only_offered` leaves of a hint or a note what names tools that the server offers.
+    """
+
+    declaration: ToolDeclaration
+    listed: Tool
+    arguments: type[StrictArguments]
+    robot: Robot
+    store: BagStore
+    kinds: Sequence[SourceKind]
+    limitations: Sequence[str]
+    only_offered: Callable[[str], str]
+    functions: Callable[[], Sequence[Function]]
+    viewing: Viewing | None
+
+    @property
+    def name(self) -> str:
+        """The name under which it is listed."""
+        return self.declaration.name
+
+    async def call(
+        self, arguments: Mapping[str, Any], report: Report, robot: Robot | None = None, *, shows_pages: bool = False
+    ) -> CallToolResult:
+        """Validates the arguments, calls the function and renders its result.
+
+        Args:
+            arguments: as the client sent them.
+            report: is told of progress, at most twice a second.
+            robot: the robot as it is for the client that asks; the robot of the server if nobody in particular does.
+            shows_pages: whether that client shows the page beside the chat.
+
+        Raises:
+            CallFailed: with the text that the model reads.
+        """
+        try:
+            checked, told = await aside(extent(arguments), self._checked, arguments)
+        except ValidationError as error:
+            raise CallFailed(_explain(self.name, error, self.listed.input_schema)) from error
+        # One level only: an argument that is an object stays the model that the tool declared.
+        values = {name: getattr(checked, name) for name in self.arguments.model_fields}
+        told += [f"{name}: {said}." for name, kind in self._times() if (said := kind.taken_as(values[name]))]
+        view = robot or self.robot.acting_for(self.robot.principal)
+        with self.store.noting_damage() as damage:
+            try:
+                shown = at_most_every(_PROGRESS_S, _visibly(report))
+                result = await self._perform(checked, values, shown, view, shows_pages=shows_pages)
+                told += view.notes
+            except RobotError as error:
+                hint = self.only_offered(error.hint)
+                lines = [f"{type(error).__name__}: {error.message} {hint}".rstrip(), *told]
+                raise CallFailed(" ".join((*lines, *(f"Damage: {line}" for line in self._damage(damage()))))) from error
+            if isinstance(result, ForPage):
+                text = TextContent(type="text", text=visible(result.told))
+                return CallToolResult(content=[text], structured_content=dict(finite(result.value)))
+            noted = self._with_notes(result, told)
+            made = partial(answer, most=self.robot.result_bytes, narrowing=self._narrowing)
+            return await aside(extent(as_json(noted)), made, noted, self._damage(damage()), told)
+
+    async def perform(self, arguments: Mapping[str, Any], report: Report, robot: Robot) -> Any:
+        """The result itself, for a program; strict as a call is.
+
+        Raises:
+            RobotError: as the tool does; `BadInput` for arguments that it does not take.
+        """
+        try:
+            checked, _ = self._checked(arguments, are_exact=True)
+        except ValidationError as error:
+            raise BadInput(_explain(self.name, error, self.listed.input_schema)) from error
+        except CallFailed as error:
+            raise BadInput(str(error)) from error
+        values = {name: getattr(checked, name) for name in self.arguments.model_fields}
+        return await self._perform(checked, values, report, robot)
+
+    async def _perform(
+        self,
+        checked: StrictArguments,
+        values: Mapping[str, Any],
+        report: Report,
+        robot: Robot,
+        *,
+        shows_pages: bool = False,
+    ) -> Any:
+        made_for = Call(
+            robot=robot,
+            store=self.store,
+            report=report,
+            kinds=self.kinds,
+            limitations=self.limitations,
+            given=checked.model_fields_set,
+            functions=self.functions,
+            viewing=self.viewing,
+            shows_pages=shows_pages,
+        )
+        try:
+            return await self.declaration.perform(made_for, values)
+        except Exception as error:
+            if limit := system_limit(error):
+                raise limit from error
+            raise
+
+    def _checked(self, arguments: Mapping[str, Any], *, are_exact: bool = False) -> tuple[StrictArguments, list[str]]:
+        """The arguments as declared, and what is to be told of how they were taken; raises `ValidationError` too."""
+        meant, told = self._as_meant(arguments, are_exact=are_exact)
+        self._refuse_texts(meant)
+        return self.arguments.model_validate(meant), told
+
+    def _damage(self, lines: Sequence[str]) -> list[str]:
+        return [self.only_offered(line) for line in lines]
+
+    def _with_notes(self, result: Any, told: Sequence[str]) -> Any:
+        """The result with what is to be told in its own note, and there only tools that are offered."""
+        note = getattr(result, _NOTE, None)
+        if not isinstance(note, str):
+            return result
+        shown = " ".join(filter(None, (*told, self.only_offered(note))))
+        return result if shown == note else replace(result, note=shown)
+
+    def _times(self) -> list[tuple[str, TimeArgument]]:
+        """The arguments that are times."""
+        fields = self.arguments.model_fields
+        return [
+            (name, item) for name, field in fields.items() for item in field.metadata if isinstance(item, TimeArgument)
+        ]
+
+    def _as_meant(self, arguments: Mapping[str, Any], *, are_exact: bool = False) -> tuple[dict[str, Any], list[str]]:
+        """The arguments as they are meant, and what is to be told of that.
+
+        They have their own names, are taken apart where they came as text, and have the robot's own texts; what counts
+        as not given is left out. One desktop client sends a list or an object as a string of JSON, always. What the
+        model was shown with its hidden characters escaped, and sends back, means those characters; arguments that
+        `are_exact` come from a program, which was shown nothing.
+        """
+        meant: dict[str, Any] = {}
+        spelled: dict[str, str] = {}
+        unknown: list[str] = []
+        for name, value in arguments.items():
+            own_name = self.declaration.aliases.get(name, name)
+            if not own_name and name:  # an alias that is accepted and has no meaning here
+                continue
+            if self.declaration.risk == "stop" and own_name not in self.arguments.model_fields:
+                unknown.append(name)
+                continue
+            if (other := spelled.setdefault(own_name, name)) != name:
+                raise CallFailed(
+                    f"BadInput: {other!r} and {name!r} are two names of one argument: give only one of them."
+                )
+            field = self.arguments.model_fields.get(own_name)
+            if isinstance(value, str) and field and field.annotation is not str:
+                value = _parsed(value, acts=self.acts)  # noqa: PLW2901
+            meant[own_name] = value if are_exact else _as_sent(value)
+        taken, told = as_meant(self.listed.input_schema, meant, acts=self.acts)
+        if unknown:  # what stops is not refused because of them
+            told.append(f"{self.name} has no argument {', '.join(map(quoted, unknown[:_MOST_NAMED]))}: ignored.")
+        fields = self.arguments.model_fields  # some say themselves what null means, such as no time-out
+        nulls = [name for name, value in meant.items() if value is None and name in fields]
+        return {**{name: None for name in nulls if type(None) in get_args(fields[name].annotation)}, **taken}, told
+
+    @property
+    def _narrowing(self) -> Sequence[str]:
+        """Its arguments with which a caller gets less, or another part."""
+        return [name for name in _NARROWING if name in self.arguments.model_fields]
+
+    @property
+    def acts(self) -> bool:
+        """Whether it can change or move something, or stop it."""
+        return self.declaration.risk != "read"
+
+    def _refuse_texts(self, arguments: Mapping[str, Any]) -> None:
+        """Where the tool acts a text is no number: pydantic would take "1 " for one, and the robot would act on it."""
+        if self.acts and (path := text_for_number(self.listed.input_schema, arguments)):
+            raise CallFailed(f"BadInput: {path}: a text is given, a number is expected. Write it without quotes.")
+
+
+def bind(
+    declaration: ToolDeclaration,
+    robot: Robot,
+    store: BagStore,
+    kinds: Sequence[SourceKind] = OWN_KINDS,
+    *,
+    limitations: Sequence[str] = (),
+    only_offered: Callable[[str], str] = lambda text: text,
+    functions: Callable[[], Sequence[Function]] = tuple,
+    viewing: Viewing | None = None,
+) -> BoundTool:
+    """The tool with plain closed schemas, and annotations from the declared risk."""
+    signature = declaration.arguments()
+    fields: dict[str, Any] = {
+        name: (parameter.annotation, ... if parameter.default is Parameter.empty else parameter.default)
+        for name, parameter in signature.parameters.items()
+    }
+    arguments = create_model(declaration.name, __base__=StrictArguments, **fields)
+    listed = Tool(
+        name=declaration.name,
+        title=declaration.title,
+        description=declaration.description,
+        input_schema=argument_schema(arguments.model_json_schema()),
+        output_schema=None if declaration.audience == "page" else answer_schema(signature.return_annotation),
+        annotations=ToolAnnotations(
+            title=declaration.title,
+            read_only_hint=declaration.risk == "read",
+            destructive_hint=declaration.risk == "actuate",
+            idempotent_hint=declaration.risk in ("read", "stop"),
+            # A client that may not ask runs no tool with an open world: neither what only reads, nor the stop, needs to
+            # be asked about (decision 58).
+            open_world_hint=declaration.risk in ("write", "actuate"),
+        ),
+        _meta=_hints_of(declaration),
+    )
+    results: Mapping[str, Any] = listed.output_schema or {}
+    if results and declaration.recorded and "problems" not in results["properties"]:
+        results["properties"][_DAMAGE] = {"type": "array", "items": {"type": "string"}}  # only where there is some
+    if results:
+        results["properties"].setdefault(_NOTE, {"type": "string"})  # not the result's own: only where there is one
+    return BoundTool(
+        declaration=declaration,
+        listed=listed,
+        arguments=arguments,
+        robot=robot,
+        store=store,
+        kinds=kinds,
+        limitations=limitations,
+        only_offered=only_offered,
+        functions=functions,
+        viewing=viewing,
+    )
+
+
+def _hints_of(declaration: ToolDeclaration) -> dict[str, Any] | None:
+    """What one client's search goes by; others leave it alone."""
+    hints: dict[str, Any] = {"anthropic/searchHint": declaration.finds} if declaration.finds else {}
+    if declaration.always_loaded:
+        hints["anthropic/alwaysLoad"] = True
+    return hints or None
+
+
+def answer_schema(kind: Any) -> dict[str, Any]:
+    """The schema of the structured content of an answer with such a result."""
+    schema = result_schema(kind)
+    properties = {SUMMARY: {"type": "string"}, **schema["properties"]}
+    return {**schema, "properties": properties, "required": [SUMMARY, *schema["required"]]}
+
+
+def answer(
+    result: Any,
+    damage: Sequence[str] = (),
+    told: Sequence[str] = (),
+    *,
+    most: int = MOST_CHARACTERS,
+    narrowing: Sequence[str] = (),
+) -> CallToolResult:
+    """A result as MCP content: a text of at most so many characters, pictures, and all of it as structured content.
+
+    A summary is one line or a list of lines: a line break within one is shown as what it is, and begins no line.
+    `damage` says of the bags that were read for it what of them is damaged or missing, `told` how arguments were taken,
+    `narrowing` names the arguments with which a caller gets less.
+    """
+    beside: dict[str, Any] = {}
+    if told and not hasattr(result, _NOTE):
+        beside[_NOTE] = " ".join(told)
+    lines = [*told]
+    if damage and not hasattr(result, "problems"):  # those say it themselves
+        beside[_DAMAGE] = list(damage)
+        lines += [f"Damage: {line}" for line in damage]
+    content: list[ContentBlock] = [
+        TextContent(type="text", text=as_text(result, lines, most=most, narrowing=narrowing))
+    ]
+    for image in getattr(result, "images", ()):
+        data = base64.b64encode(image.data).decode()
+        content.append(ImageContent(type="image", data=data, mime_type=image.mime))
+    structure, _ = visible_json({**structured(result), **beside})
+    summary = "\n".join(map(visible, lines_of(result.summary())))
+    return CallToolResult(
+        content=content,
+        structured_content={SUMMARY: summary, **structure},
+        is_error=getattr(result, "has_failed", False),
+    )
+
+
+def _parsed(text: str, *, acts: bool) -> Any:
+    """What a text says in JSON, if that is a list, an object or null; the text itself otherwise.
+
+    For a tool that acts only if there is something in it: "{}" would become a message of defaults, which moves a robot
+    to places that nobody named.
+    """
+    try:
+        value = json.loads(text)
+    except (ValueError, RecursionError):
+        return text
+    return text if isinstance(value, (str, int, float)) or (acts and not value) else value
+
+
+def _as_sent(value: Any) -> Any:
+    """An argument as the client means it; see `as_sent`."""
+    if isinstance(value, str):
+        return as_sent(value)
+    if isinstance(value, dict):
+        return {as_sent(name): _as_sent(below) for name, below in cast("dict[str, Any]", value).items()}
+    if isinstance(value, list):
+        return [_as_sent(item) for item in cast("list[Any]", value)]
+    return value
+
+
+def _visibly(report: Report) -> Report:
+    """A `Report` whose lines have nothing hidden."""
+
+    async def shown(done: float, whole: float, line: str) -> None:
+        await report(done, whole, visible(line))
+
+    return shown
+
+
+def _cut(text: str) -> str:
+    """Text within the limit of what clients take."""
+    if len(text) <= MOST_CHARACTERS:
+        return text
+    return f"{text[:MOST_CHARACTERS]}… (cut after {MOST_CHARACTERS} characters)"
+
+
+def _explain(tool: str, error: ValidationError, schema: Mapping[str, Any]) -> str:
+    """What was wrong with a call's arguments and what would be right, a sentence for each."""
+    return " ".join(_explain_one(tool, problem, schema) for problem in error.errors())
+
+
+def _explain_one(tool: str, problem: Mapping[str, Any], schema: Mapping[str, Any]) -> str:
+    path = ".".join(str(part) for part in problem["loc"])
+    if problem["type"] == "extra_forbidden":
+        known = _names_beside(schema, problem["loc"])
+        hint = hint_for(str(problem["loc"][-1]), known)
+        return f"{tool} has no argument {path!r}. {hint}"
+    if problem["type"] == "missing":
+        return f"{tool} needs the argument {path!r}."
+    if problem["type"] == WHOLE_SENTENCE:
+        return f"BadInput: {path}: {problem['msg']}"
+    kind = expected_kind(node_at(schema, problem["loc"]))
+    if kind and (problem["input"] is None or problem["type"] in _NO_NUMBER):
+        message = f"{kind} is expected"
+    else:
+        message = _PLAIN_WORDS.get(problem["type"], str(problem["msg"]).removeprefix("Value error, "))
+    path = path or "the name of an argument"  # that is no text, such as half a character
+    return f"BadInput: {path}: {message}, not {json.dumps(problem['input'], default=str)[:100]}."
+
+
+def _names_beside(schema: Mapping[str, Any], path: Sequence[str | int]) -> list[str]:
+    """The names that are known where the path ends: arguments, or the fields of an element of one."""
+    for part in path[:-1]:
+        schema = schema["items"] if isinstance(part, int) else schema["properties"][part]
+    return list(schema["properties"])

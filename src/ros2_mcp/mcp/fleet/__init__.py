@@ -1,0 +1,6 @@
+"""The robots of one server: their tools in one list, and what is about all of them."""
+
+from ros2_mcp.mcp.fleet.fleet import Fleet
+from ros2_mcp.mcp.fleet.member import Member
+
+__all__ = ["Fleet", "Member"]

@@ -1,0 +1,166 @@
+"""What is asked of all robots of a server together: which there are, and to stop."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from time import monotonic
+from typing import Literal
+
+import anyio
+
+from ros2_mcp.mcp.fleet.member import Member
+from ros2_mcp.model.errors import RobotError
+from ros2_mcp.model.graph import Contact
+from ros2_mcp.model.text import quoted
+from ros2_mcp.ops.results.results import IF_ANY, microseconds
+from ros2_mcp.ops.stop import stop as stopping
+from ros2_mcp.robot import Robot
+
+ROBOTS = "ros2_robots"
+STOP = "ros2_stop"
+_CONNECT_S = 2.5
+"""How long `ros2_robots` waits: a bridge over ssh says hello within 2 s at a round trip of 0.1 s (measured)."""
+_NEVER_REACHED = "This server has never reached it, and moves nothing there."
+_SILENT_S = 1.0
+"""Longer than between two pings: who was not heard of for so long is silent, and may be so for long. Chosen."""
+_LOOK_S = 0.05
+"""Between two looks at who is silent."""
+_going_on: set[asyncio.Task[StoppedRobot]] = set()
+"""Stops that go on behind their answer; a task that nobody holds may vanish."""
+_logger = logging.getLogger(__name__)
+
+View = Callable[[Robot], Robot]
+"""A robot as it is for the client that asks."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RobotState:
+    """One robot: `state` is connected, connecting or away; `note` says why it is not connected.
+
+    `link_rtt_s` is the shortest way to it and back of the last minute, `clock_offset_s` how far its clock is ahead of
+    this machine's; null until they are known. `policy` names what is in force, empty where nothing is. `latched`:
+    nothing acts until an operator resets the latch.
+    """
+
+    robot: str
+    address: str
+    state: Literal["connected", "connecting", "away"]
+    distro: str
+    rmw: str
+    domain_id: int | None
+    link_rtt_s: float | None
+    clock_offset_s: float | None
+    read_only: bool
+    policy: str
+    latched: bool
+    note: str = field(metadata=IF_ANY)
+
+    def line(self) -> str:
+        """One line."""
+        ros = f", ROS 2 {self.distro} with {self.rmw}, domain {self.domain_id}" if self.distro else ""
+        told = [*(["read-only"] if self.read_only else []), *(["latched"] if self.latched else [])]
+        return " ".join(filter(None, (f"{', '.join((f'{self.robot}: {self.state}{ros}', *told))}.", self.note)))
+
+
+@dataclass(frozen=True, slots=True)
+class RobotStates:
+    """The robots of this server."""
+
+    robots: Sequence[RobotState]
+
+    def summary(self) -> list[str]:
+        """A line for each."""
+        return [robot.line() for robot in self.robots]
+
+
+@dataclass(frozen=True, slots=True)
+class StoppedRobot:
+    """What was stopped on one robot."""
+
+    robot: str
+    stopped: stopping.Stopped
+
+
+@dataclass(frozen=True, slots=True)
+class StoppedRobots:
+    """What was stopped, for each robot; `confirmed` if it is for all of them."""
+
+    robots: Sequence[StoppedRobot]
+    confirmed: bool
+    note: str = field(metadata=IF_ANY)
+
+    def summary(self) -> list[str]:
+        """A line for each robot."""
+        return [*([self.note] if self.note else []), *(f"{one.robot}: {one.stopped.summary()}" for one in self.robots)]
+
+
+async def states(members: Sequence[Member]) -> RobotStates:
+    """How all robots stand, after a moment for those that are not connected yet. One that is away holds up no other."""
+    return RobotStates(await asyncio.gather(*map(_state, members)))
+
+
+async def _state(member: Member) -> RobotState:
+    before = f" Last failure: {member.robot.graph.failure}" if member.robot.graph.failure else ""
+    state: Literal["connected", "connecting", "away"] = "connecting"
+    note = f"It has not answered within {_CONNECT_S:g} s: call ros2_robots again.{before}"
+    found: Contact | None = None
+    try:
+        with anyio.move_on_after(_CONNECT_S):
+            found = await member.robot.graph.contact()
+            state, note = "connected", ""
+    except RobotError as error:
+        state, note = "away", f"{error}"
+    return RobotState(
+        robot=member.name,
+        address=member.settings.robot.text,
+        state=state,
+        distro=found.distro if found else "",
+        rmw=found.rmw if found else "",
+        domain_id=found.domain_id if found else None,
+        link_rtt_s=microseconds(found.link_rtt_s) if found else None,
+        clock_offset_s=microseconds(found.clock_offset_s) if found else None,
+        read_only=member.robot.policy.read_only,
+        policy=" and ".join(document.name for document in member.robot.policy.documents),
+        latched=member.robot.guard.latch.look().is_set,
+        note=note,
+    )
+
+
+async def stop(members: Sequence[Member], view: View, note: str = "") -> StoppedRobots:
+    """Stops these robots at the same time: none waits for another. Never raises a `RobotError`.
+
+    The answer waits for no robot that is silent, once there is one to be told of, nor for any that stands by itself, as
+    its link lease has lapsed; the stop of such a one goes on.
+    """
+    tasks = [asyncio.ensure_future(_stop(member, view(member.robot))) for member in members]
+    latched_at = monotonic() + stopping.LATCHED_S
+    _going_on.update(tasks)
+    for task in tasks:
+        task.add_done_callback(_going_on.discard)
+    while pending := [(member, task) for member, task in zip(members, tasks, strict=True) if not task.done()]:
+        is_told = len(pending) < len(tasks)
+        if is_told and all(member.robot.graph.silent_s > _SILENT_S for member, _ in pending):
+            break
+        if monotonic() > latched_at and all(stopping.is_out_of_reach(member.robot) for member, _ in pending):
+            break
+        await asyncio.wait([task for _, task in pending], timeout=_LOOK_S)
+    stopped = [
+        task.result()
+        if task.done()
+        else StoppedRobot(member.name, stopping.not_stopped(stopping.unreached(member.robot)))
+        for member, task in zip(members, tasks, strict=True)
+    ]
+    return StoppedRobots(stopped, all(one.stopped.confirmed for one in stopped), note)
+
+
+async def _stop(member: Member, robot: Robot) -> StoppedRobot:
+    try:
+        if not robot.graph.was_reached:  # what waits for it was accepted before, and is not sent any more
+            return StoppedRobot(member.name, await stopping.stop_unreached(robot, _NEVER_REACHED))
+        return StoppedRobot(member.name, await stopping.stop(robot))
+    except Exception as error:  # a fault of ours with one robot must not keep the others from being told of
+        _logger.exception("stopping %s failed", member.name)
+        return StoppedRobot(member.name, stopping.not_stopped(f"A fault in this server: {quoted(repr(error))}"))

@@ -1,0 +1,32 @@
+"""A bound tool as a function of the module `robot` of programs."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Mapping
+from typing import Any
+
+from ros2_mcp.mcp.binding import BoundTool
+from ros2_mcp.programs.declare import Function, Use
+
+
+def function_of(tool: BoundTool) -> Function:
+    """The function that a tool with a name in programs is: its arguments, its result, and its own checks of both."""
+    declaration = tool.declaration
+    signature = declaration.arguments()
+    # What must be given comes first, so that it can be given without its name.
+    parameters = sorted(signature.parameters.values(), key=lambda each: each.default is not inspect.Parameter.empty)
+    plain = [each.replace(kind=inspect.Parameter.POSITIONAL_OR_KEYWORD) for each in parameters]
+
+    async def perform(use: Use, arguments: Mapping[str, Any]) -> Any:
+        return await tool.perform(arguments, use.report, use.robot)
+
+    return Function(
+        name=declaration.program,
+        signature=signature.replace(parameters=plain),
+        doc=declaration.description,
+        risk="read" if declaration.risk == "read" else "act",
+        recorded=declaration.recorded,
+        perform=perform,
+        tool=declaration.name,
+    )

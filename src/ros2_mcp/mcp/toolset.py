@@ -1,0 +1,228 @@
+"""The tools of one server: which it offers, why it lacks the others, and a call of one by its name."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+from mcp.types import CallToolResult
+
+from ros2_mcp.guard.audit import called_through
+from ros2_mcp.guard.policy import Policy
+from ros2_mcp.mcp.binding import BoundTool, CallFailed, bind
+from ros2_mcp.mcp.program_functions import function_of
+from ros2_mcp.model.commands import Principal
+from ros2_mcp.model.errors import BadInput
+from ros2_mcp.model.names import did_you_mean
+from ros2_mcp.ops.memory.bag_store import BagStore
+from ros2_mcp.ops.results.results import Report
+from ros2_mcp.ops.sources.kinds import OWN_KINDS
+from ros2_mcp.ops.sources.source import SourceKind
+from ros2_mcp.programs.declare import Function
+from ros2_mcp.programs.module import FUNCTIONS
+from ros2_mcp.programs.sandbox import is_installed
+from ros2_mcp.programs.stub import short
+from ros2_mcp.robot import Robot
+from ros2_mcp.tools import GROUPS, PAGE_TOOLS, TOOLS, ToolDeclaration
+from ros2_mcp.tools.declare import Risk
+from ros2_mcp.view.viewing import Viewing
+
+_TOOL = re.compile(r"\bros2_\w+")
+_CLAUSE = re.compile(r"(?<=[.;:]) ")
+_SENTENCE = re.compile(r"(?<=\.)(\s+)")
+_OTHER_NAMES = {tool.also_named: tool.name for tool in TOOLS if tool.also_named}
+
+
+_VIEW = "view"
+"""The group of the page beside the chat: without being chosen it is listed for clients that show such pages."""
+
+_BESIDE = {"turn": "drive", "feedback": "goal"}
+"""Functions that only programs have, and those of tools without which they are not there either."""
+
+
+class Toolset:
+    """The tools that the chosen groups and the policy leave, in the order of `tools/list`.
+
+    A tool that is not allowed is absent, not refused. `by_name` has those that are offered, `missing` says of each
+    other why it is not. `with_pages` are those that only clients are offered which show pages beside the chat.
+
+    Raises:
+        BadInput: for a group that does not exist.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        store: BagStore,
+        groups: Sequence[str] = (),
+        kinds: Sequence[SourceKind] = OWN_KINDS,
+        warnings: Sequence[str] = (),
+        viewing: Viewing | None = None,
+    ) -> None:
+        self.viewing = viewing
+        self._warnings = warnings
+        self._robot = robot
+        for group in groups:
+            if group not in (*GROUPS, "default", "all"):
+                choices = ", ".join(("default", "all", *GROUPS))
+                raise BadInput(f"There is no group of tools {group!r}.", f"Choose from {choices}.")
+        self._store, self._kinds = store, kinds
+        allowed = [_as_allowed(tool, robot.policy) for tool in TOOLS if _is_allowed(tool, robot.policy)]
+        # Who opens a recording has all that works on one: it is a short list.
+        chosen = [tool for tool in allowed if robot.policy.recorded or _is_chosen(tool, groups)]
+        if any(tool.risk != "read" for tool in chosen):  # whatever can set something in motion comes with what stops it
+            chosen = [tool for tool in allowed if tool in chosen or tool.risk == "stop"]
+        beside: list[ToolDeclaration] = []
+        if viewing and (robot.policy.recorded or not groups or not {"default", "all", _VIEW}.isdisjoint(groups)):
+            beside = [tool for tool in (*TOOLS, *PAGE_TOOLS) if tool.group == _VIEW and tool not in chosen]
+        self._left_out = [tool for tool in allowed if tool not in chosen and tool not in beside]
+        self.with_pages = {tool.name: self._bind(tool) for tool in beside}
+        self._allowed = allowed
+        self.by_name = {tool.name: self._bind(tool) for tool in chosen}
+        self._groups, self._policy = groups or ("default",), robot.policy
+        absent = {tool.name for tool in TOOLS} - self.by_name.keys()
+        for tool in self.by_name.values():
+            tool.listed.description = _without(absent, tool.declaration.description)
+            if tool.declaration.runs_programs:
+                tool.listed.description += f"\n\n{short(self.functions())}"
+        self.missing = {tool.name: self.why_missing([tool.name]) for tool in TOOLS if tool.name not in self.by_name}
+
+    def _bind(self, tool: ToolDeclaration) -> BoundTool:
+        return bind(
+            tool,
+            self._robot,
+            self._store,
+            self._kinds,
+            limitations=self.limitations,
+            only_offered=self._only_offered,
+            functions=self.functions,
+            viewing=self.viewing,
+        )
+
+    @cache  # noqa: B019 - a toolset lives as long as its server
+    def functions(self) -> Sequence[Function]:
+        """The module `robot` of programs: what only they have, and what is allowed of the groups that are offered."""
+        groups = {tool.declaration.group for tool in self.by_name.values()}
+        tools = [function_of(self._bind(tool)) for tool in self._allowed if tool.program and tool.group in groups]
+        may_act, recorded = not self._robot.policy.read_only, self._robot.policy.recorded
+        names = {"", *(each.name for each in tools)}
+        own = [each for each in FUNCTIONS if (may_act or each.risk == "read") and _BESIDE.get(each.name, "") in names]
+        own = [each for each in own if each.recorded or not recorded]
+        return [*own, *tools]
+
+    @property
+    def left_out_groups(self) -> list[str]:
+        """The groups with tools that could be offered, and are not."""
+        groups = {tool.group for tool in self._left_out}
+        return [group for group in GROUPS if group in groups]
+
+    @property
+    def limitations(self) -> list[str]:
+        """In words, what this server was told to do without, and which tools are not offered although they could be."""
+        return list(self._warnings) + [
+            f"Not offered: {', '.join(tool.name for tool in self._left_out if tool.group == group)}. "
+            f"Start the server with --tools default,{group} (or all) to have them."
+            for group in self.left_out_groups
+        ]
+
+    def why_missing(self, names: Collection[str]) -> str:
+        """Why this server does not offer these tools, in words that continue a sentence."""
+        tools = [tool for tool in TOOLS if tool.name in names]
+        if any(tool.runs_programs for tool in tools) and not is_installed():
+            return "the extra `programs` is not installed (ros2-mcp doctor shows the command)"
+        if self._policy.recorded:
+            return "the robot of this server is a recording (ros2_bag_info shows what is in it)"
+        if self._policy.read_only and any(tool.risk != "read" for tool in tools):
+            return "this server is read-only"
+        groups = dict.fromkeys((*self._groups, *(tool.group for tool in tools)))
+        return f"the option --tools {','.join(groups)} is needed"
+
+    def note_refusal(self, name: str, reason: str, principal: Principal, robot: Robot | None = None) -> None:
+        """A line in the audit about a call of a tool that acts, which did not come as far as the guard."""
+        if self.risk_of(name) in ("write", "actuate") and (audit := (robot or self._robot).guard.audit):
+            who = {"principal": principal.name, "transport": principal.transport, "login": principal.login}
+            with called_through(_OTHER_NAMES.get(name, name)):
+                audit.note("refused", **who, reason=reason)
+
+    def risk_of(self, name: str) -> Risk:
+        """The risk of a tool, offered or not; `read` where there is none of that name."""
+        for tool in (*TOOLS, *PAGE_TOOLS):
+            if tool.name == _OTHER_NAMES.get(name, name):
+                return tool.risk
+        return "read"
+
+    def _only_offered(self, text: str) -> str:
+        """A hint or a note with the clauses left out that name tools which are not offered, and how to have those."""
+        absent = self.missing.keys() & set(_TOOL.findall(text))
+        if not absent:
+            return text
+        clauses = [clause for clause in _CLAUSE.split(text) if not absent & set(_TOOL.findall(clause))]
+        kept = f"{' '.join(clauses).rstrip('.,;: ')}. " if clauses else ""
+        return f"{kept}Tools for this are not offered here: {self.why_missing(absent)}."
+
+    def offered(self, name: str) -> BoundTool | None:
+        """The tool of that name, or of the one that it has in another server; None if it is not offered."""
+        own_name = _OTHER_NAMES.get(name, name)
+        return self.by_name.get(own_name) or self.with_pages.get(own_name)
+
+    async def call(
+        self,
+        name: str,
+        arguments: Mapping[str, Any],
+        report: Report,
+        robot: Robot | None = None,
+        *,
+        shows_pages: bool = False,
+    ) -> CallToolResult:
+        """Calls a tool by its name, or by the one that it has in another server.
+
+        Raises:
+            CallFailed: with the text that the model reads.
+        """
+        tool = self.offered(name)
+        with called_through(_OTHER_NAMES.get(name, name)) as call:
+            try:
+                if tool:
+                    return await tool.call(arguments, report, robot, shows_pages=shows_pages)
+                own_name = _OTHER_NAMES.get(name, name)
+                if own_name in self.missing:
+                    raise CallFailed(f"{own_name} is not offered: {self.missing[own_name]}.")
+            except CallFailed as error:
+                if not call.has_line:  # it has not come as far as the guard
+                    of = robot or self._robot
+                    self.note_refusal(name, str(error), of.principal, of)
+                raise
+        names = [tool.name for tool in TOOLS]
+        raise CallFailed(f"There is no tool {name}. {did_you_mean(name, names, 'tools/list has them all.')}")
+
+
+def _without(absent: Collection[str], description: str) -> str:
+    """A description without the sentences that name tools which are not offered."""
+    parts = _SENTENCE.split(description)  # sentences, and between them what separates them
+    kept = [
+        part + "".join(parts[place + 1 : place + 2])
+        for place, part in enumerate(parts)
+        if place % 2 == 0 and not set(absent) & set(_TOOL.findall(part))
+    ]
+    return "".join(kept).rstrip()
+
+
+def _is_allowed(tool: ToolDeclaration, policy: Policy) -> bool:
+    if tool.runs_programs and not is_installed():
+        return False
+    if policy.recorded:
+        return tool.recorded
+    return tool.risk == "read" or tool.runs_programs or not policy.read_only
+
+
+def _as_allowed(tool: ToolDeclaration, policy: Policy) -> ToolDeclaration:
+    """A tool that runs programs only reads where nothing may be moved."""
+    return replace(tool, risk="read") if tool.runs_programs and (policy.recorded or policy.read_only) else tool
+
+
+def _is_chosen(tool: ToolDeclaration, groups: Sequence[str]) -> bool:
+    by_default = tool.by_default and (not groups or "default" in groups)
+    return by_default or tool.group in groups or "all" in groups

@@ -1,0 +1,1 @@
+"""How clients connect: standard streams, a Unix socket, HTTP."""

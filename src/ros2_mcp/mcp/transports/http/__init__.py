@@ -1,0 +1,1 @@
+"""MCP over HTTP: login, scopes, sessions, and the leases of clients."""

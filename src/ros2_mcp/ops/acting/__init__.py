@@ -1,0 +1,1 @@
+"""What operations that act share: values filled in, orders to vehicles, how an act ended."""

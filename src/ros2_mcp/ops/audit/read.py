@@ -1,0 +1,114 @@
+"""Reading the audit: what a client did, what was refused, and what became of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from anyio import to_thread
+
+from ros2_mcp.guard.chain import newest
+from ros2_mcp.guard.consent import Auditing
+from ros2_mcp.guard.policy import bounded
+from ros2_mcp.model.text import counted, named, quoted
+from ros2_mcp.ops.results.results import HIDDEN
+from ros2_mcp.robot import Robot
+
+MOST = 500
+"""Acts in one answer."""
+_LINES = 20
+"""Acts that a summary tells; all are in the values."""
+_SHOWN = ("act", "waits", "refused", "goal ended")
+_MOST_LINES = 100_000
+"""Of the audit, that are searched for the acts of one client among those of others: they are read in a second."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AuditedAct:
+    """One act as the audit has it. `outcome` is empty while it runs, and where its server ended first.
+
+    `verb` is `goal ended` of the end of a goal, and `refused` of a call that was refused before it was known what it
+    would do. `program` is the program that gave it and the line there: `program_0f3a9c21, line 3`.
+    `value` is the message, request, goal or parameters; what is none of them, such as a transition, is in its `value`.
+    """
+
+    number: int
+    time: str
+    tool: str = ""
+    verb: str = ""
+    name: str = ""
+    type: str = ""
+    outcome: str = ""
+    reason: str = ""
+    rule: str = ""
+    approval: str = ""
+    program: str = ""
+    value: Mapping[str, Any] | None = None
+
+    def in_words(self) -> str:
+        """One line."""
+        outcome = quoted(self.outcome or self.reason) if self.outcome or self.reason else "no outcome known"
+        return f"{self.number} {self.time} {self.verb} {named(self.name)}: {outcome}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AuditExcerpt:
+    """The newest acts of the client that asks, the oldest first. `head` is the end of the chain."""
+
+    acts: Sequence[AuditedAct]
+    head: str
+    failed: str
+    note: str = ""
+    shown: Sequence[str] = field(default=(), metadata=HIDDEN)
+
+    def summary(self) -> list[str]:
+        """A line for each of the newest."""
+        return [f"{counted(len(self.acts), 'act')} of this client in the audit, head {self.head}.", *self.shown]
+
+
+async def read(robot: Robot, limit: int = 50) -> AuditExcerpt:
+    """The newest acts of the client that asks.
+
+    Raises:
+        BadValue: if the limit is out of range.
+    """
+    bounded("limit", limit, 1, MOST, "acts")
+    auditing = robot.guard.audit
+    if not isinstance(auditing, Auditing) or auditing.log.path is None:
+        return AuditExcerpt(acts=(), head="", failed="", note="This server keeps no audit.")
+    await auditing.log.written()  # what this client has just done is among it
+    acts = await to_thread.run_sync(_acts, auditing.log.path, robot.principal.name, limit)
+    return AuditExcerpt(
+        acts=acts,
+        head=auditing.log.head.short,
+        failed=auditing.log.failed,
+        note=f"The audit cannot be written: {auditing.log.failed}." if auditing.log.failed else "",
+        shown=[act.in_words() for act in acts[-_LINES:]],
+    )
+
+
+def _acts(folder: Path, principal: str, limit: int) -> list[AuditedAct]:
+    outcomes: dict[Any, str] = {}
+    found: list[AuditedAct] = []
+    for entry in islice(newest(folder), _MOST_LINES):
+        kind, number = entry.get("kind"), entry.get("seq")
+        if kind == "outcome":
+            outcomes[entry.get("of")] = str(entry.get("outcome", ""))
+        elif kind in _SHOWN and entry.get("principal") == principal:
+            outcome = outcomes.get(number, "") or str(entry.get("outcome", ""))
+            found.append(AuditedAct(number=int(number or 0), outcome=outcome, **_fields(entry)))
+            if len(found) == limit:
+                break
+    return found[::-1]
+
+
+def _fields(entry: Mapping[str, Any]) -> dict[str, Any]:
+    names = ("time", "tool", "verb", "name", "type", "reason", "rule", "approval", "program")
+    value: Any = entry.get("value")
+    has_fields = type(value) in (dict, type(None))
+    fields = {name: str(entry.get(name, "")) for name in names}
+    fields["verb"] = fields["verb"] or str(entry.get("kind", ""))
+    return {**fields, "value": value if has_fields else {"value": value}}

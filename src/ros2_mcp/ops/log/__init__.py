@@ -1,0 +1,1 @@
+"""Reading the log of the robot's nodes."""

@@ -1,0 +1,1 @@
+"""Relays from topic to topic."""

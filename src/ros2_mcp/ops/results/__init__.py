@@ -1,0 +1,1 @@
+"""The results of operations, and their text."""

@@ -1,0 +1,468 @@
+"""Stop everything that this server has set in motion, and say what was confirmed."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from time import monotonic
+
+import anyio
+
+from ros2_mcp.guard.state import RESET_HINT
+from ros2_mcp.model.errors import BridgeLost, RobotError, TimedOut
+from ros2_mcp.model.goals import STATUS, TERMINAL
+from ros2_mcp.model.graph import TopicEndpoints
+from ros2_mcp.model.names import UNKNOWN_NODE
+from ros2_mcp.model.text import counted, listed
+from ros2_mcp.ops.acting.flights import StoppedFlight, brake_flights
+from ros2_mcp.ops.actions.result import result_of
+from ros2_mcp.ops.results.results import HIDDEN, IF_ANY, SAID
+from ros2_mcp.ops.stop.judge import Observation, Observed, is_confirmed
+from ros2_mcp.ops.stop.observe import observe_still
+from ros2_mcp.robot import Robot
+from ros2_mcp.robot.goals import UNKNOWN_GOAL, Goal
+from ros2_mcp.robot.jobs import Job
+from ros2_mcp_common.wire.protocol import StoppedTopic as Zero
+from ros2_mcp_common.wire.protocol import StopReply
+
+ENDED_S = 3.0
+"""An action server that is alive ends a cancelled goal within its control period; the answer must come soon."""
+_BRIDGE_S = 5.0
+"""For a bridge that is starting, once more after one that is lost: the answer must come soon, confirmed or not."""
+_OTHERS_S = 1.0
+"""For looking up who else publishes: the bridge knows it at once, unless discovery is still under way."""
+_OUT_OF_REACH_S = 2.3
+"""Who was not heard of for so long: the link lease of a robot elsewhere (2 s) has lapsed there, and what this server
+drove stands (bar: 0.3 s later). More waiting would change nothing for the robot."""
+LATCHED_S = 0.5
+"""A stop lasts that long at least before its answer waits no more: its latch is written by then. Chosen."""
+_LOOK_S = 0.05
+"""Between two looks at whether a robot is out of reach. Chosen."""
+_LATCH_S = 0.2
+"""A bridge that is alive has ended what moves, and sent its zeros, within a tenth of that."""
+_MOST_NAMED = 20
+"""Of each kind: enough to see what it was. All else is counted."""
+_MOST_GONE = 3
+"""Nodes that took commands and are gone, in one sentence: a base, its multiplexer, a logger."""
+_going_on: set[asyncio.Task[Stopped]] = set()
+"""Stops that go on behind their answer; a task that nobody holds may vanish."""
+_NOTHING: StopReply = {"repeats": 0, "relays": 0, "dropped": [], "topics": []}
+
+
+@dataclass(frozen=True, slots=True)
+class StoppedTopic:
+    """A topic that got a zero command.
+
+    `subscribers` were sent it, `unreached` are in the graph besides and were not. `acknowledged` is null where it is
+    not known. `others` are nodes that publish on it too: their messages still move the robot.
+    """
+
+    topic_name: str
+    subscribers: int
+    acknowledged: bool | None
+    others: Sequence[str] = ()
+    error: str = ""
+    unreached: int = 0
+    gone: Sequence[str] = ()
+    is_deserted: bool = field(default=False, metadata=HIDDEN)
+
+
+@dataclass(frozen=True, slots=True)
+class StoppedGoal:
+    """A goal that was asked to be cancelled, and its status when the waiting ended; `confirmed` once it has ended.
+
+    `cancelled` is false for one that had ended already.
+    """
+
+    action_name: str
+    goal_id: str
+    status: str
+    confirmed: bool
+    cancelled: bool = False
+    error: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stopped:
+    """What was stopped.
+
+    `dropped` was accepted before the stop, had not been sent yet, and is not sent any more. `unknown_services` were
+    called and `unknown_topics` published on by this server since it was started, the last ones first; it does not know
+    how what they set in motion is stopped (parameters and lifecycle transitions are configuration, and not among them).
+    `observed` says whether odometry and joint states from after the stop report that the robot stands, or hovers;
+    `latched` whether it has to be reset by an operator before anything acts again.
+    `confirmed` is true if the robot was so observed; every zero command reached its subscribers, and those that had
+    taken commands are still there; nobody else publishes on those topics; every goal has ended; every vehicle reports
+    a mode in which it stands; and no such service was called or topic published on since the robot was last observed to
+    stand.
+    """
+
+    repeats_stopped: int = field(metadata=SAID)
+    relays_stopped: int = field(metadata=SAID)
+    topics: Sequence[StoppedTopic]
+    goals: Sequence[StoppedGoal]
+    flights: Sequence[StoppedFlight] = ()
+    dropped: Sequence[str] = ()
+    unknown_services: Sequence[str] = ()
+    unknown_topics: Sequence[str] = ()
+    confirmed: bool
+    observed: Observed = "not observed"
+    latched: bool = False
+    note: str = field(metadata=IF_ANY)
+    is_doubted: bool = field(default=False, metadata=HIDDEN)
+
+    def summary(self) -> str:
+        """One line: what is confirmed of what it knows how to stop, and then what it cannot judge."""
+        verdict = "NOT confirmed" if self.is_doubted else "Stopped" if self.confirmed else "Stopped, partly confirmed"
+        ended = (self.repeats_stopped, self.relays_stopped, self.topics, self.goals, self.flights, self.dropped)
+        if not any(ended):
+            return f"{'NOT confirmed:' if self.is_doubted else 'Nothing was stopped.'} {self.note}"
+        cancelled = sum(goal.cancelled for goal in self.goals)
+        over = sum(goal.confirmed and not goal.cancelled for goal in self.goals)
+        unheard = sum(not (topic.subscribers or topic.unreached or topic.error) for topic in self.topics)
+        parts = (
+            (self.repeats_stopped, f"{counted(self.repeats_stopped, 'repeated publication')} ended"),
+            (self.relays_stopped, f"{counted(self.relays_stopped, 'relay')} ended"),
+            (len(self.topics) - unheard, f"zero on {counted(len(self.topics) - unheard, 'topic')}"),
+            (unheard, f"no receiver for the zero on {counted(unheard, 'topic')}"),
+            (cancelled, f"{counted(cancelled, 'goal')} cancelled"),
+            (over, f"{counted(over, 'goal')} had ended already"),
+            (len(self.flights), f"{counted(len(self.flights), 'flight')} made to stand"),
+        )
+        told = ", ".join(words for count, words in parts if count)
+        if self.confirmed and unheard and not any((*ended[:2], len(self.topics) - unheard, *ended[3:])):
+            return f"Nothing to stop: {told}. {self.note}".rstrip()  # as when the base has left the graph
+        if self.is_doubted:  # why comes first: who reads no further knows what may still move
+            return f"{verdict}: {self.note} Done: {told}." if told else f"{verdict}: {self.note}"
+        return f"{verdict}: {f'{told}. ' if told else ''}{self.note}".rstrip()
+
+
+async def stop(robot: Robot, by: str = "") -> Stopped:
+    """Ends what this server has set in motion: from the beginning of this call on, nothing leaves that was accepted
+    before it; repeated publishing, relays and playbacks end, every velocity topic that was driven gets its zero, every
+    goal is cancelled. Says what of it was confirmed, and never raises a `RobotError`.
+
+    A stop by a person, who is named by `by`, sets the latch; that of an agent does so under a policy.
+    """
+    _begin(robot, by)
+    return await _carry_out(robot, by)
+
+
+async def stop_in_reach(robot: Robot) -> Stopped:
+    """As `stop`; but the answer waits no longer for a robot elsewhere once that is out of reach: it says so, and the
+    stop goes on behind it.
+    """
+    _begin(robot, "")
+    task, begun_at = asyncio.ensure_future(_carry_out(robot, "")), monotonic()
+    _going_on.add(task)
+    task.add_done_callback(_going_on.discard)
+    while not task.done() and (monotonic() - begun_at < LATCHED_S or not is_out_of_reach(robot)):
+        await asyncio.wait({task}, timeout=_LOOK_S)
+    return task.result() if task.done() else not_stopped(unreached(robot), is_latched=robot.guard.latch.look().is_set)
+
+
+def is_out_of_reach(robot: Robot) -> bool:
+    """Whether a robot elsewhere that was reached is silent for so long that it stands by itself."""
+    return robot.is_remote and robot.graph.was_reached and robot.graph.unheard_s > _OUT_OF_REACH_S
+
+
+def unreached(robot: Robot) -> str:
+    """What is to be said of a robot whose stop goes on behind the answer."""
+    silent_s = robot.graph.unheard_s
+    since = f"nothing has come from it for {silent_s:.1f} s" if math.isfinite(silent_s) else "its link is lost"
+    return (
+        f"The robot is out of reach ({since}). What this server drives there stops when the link lease lapses. The "
+        "stop continues in the background: call ros2_stop again to see what is confirmed."
+    )
+
+
+async def _carry_out(robot: Robot, by: str) -> Stopped:
+    with anyio.CancelScope(shield=True):  # it is finished also where its own call is cancelled
+        stopped = await _stop(robot)
+        if robot.guard.audit:
+            robot.guard.audit.note(
+                "stopped",
+                by=by or robot.principal.name,
+                topics=[topic.topic_name for topic in stopped.topics],
+                flights=[flight.vehicle for flight in stopped.flights],
+                confirmed=stopped.confirmed,
+                observed=stopped.observed,
+            )
+        return stopped
+    raise AssertionError("a shield is not cancelled")
+
+
+async def stop_unreached(robot: Robot, note: str) -> Stopped:
+    """The same for a robot that this server has never reached: nobody is looked for."""
+    _begin(robot, "")
+    unwritten = await asyncio.to_thread(robot.guard.latch.write)
+    notes = [f"The latch could not be saved ({unwritten}): it is lost when this server ends."] if unwritten else []
+    is_latched = robot.guard.latch.look().is_set
+    notes += [note, *([f"The latch is set: commands are refused. {RESET_HINT}"] if is_latched else [])]
+    return Stopped(
+        repeats_stopped=0,
+        relays_stopped=0,
+        topics=(),
+        goals=(),
+        confirmed=False,  # nobody has seen whether it stands
+        latched=is_latched,
+        note=" ".join(notes),
+        is_doubted=bool(unwritten),
+    )
+
+
+def not_stopped(note: str, *, is_latched: bool = False) -> Stopped:
+    """What is to be said where a stop did not come to its end."""
+    return Stopped(
+        repeats_stopped=0,
+        relays_stopped=0,
+        topics=(),
+        goals=(),
+        confirmed=False,
+        latched=is_latched,
+        note=note,
+        is_doubted=True,
+    )
+
+
+def _begin(robot: Robot, by: str) -> None:
+    """From now on nothing is sent that was accepted before; to be called before anything is awaited."""
+    robot.raise_stop_epoch()
+    if by or robot.policy.in_force:
+        robot.guard.latch.hold(
+            by=by or "ros2_stop", reason="a person stopped the robot" if by else "an agent stopped it"
+        )
+
+
+async def _stop(robot: Robot) -> Stopped:
+    has_asked = anyio.Event()
+    (ended, problem), jobs, goals, flights, unwritten = await asyncio.gather(
+        _stop_bridge(robot, has_asked),  # it writes first
+        robot.jobs.stop_moving("ros2_stop"),
+        cancel_goals(robot),
+        brake_flights(robot),
+        _write_latch(robot, has_asked),
+    )
+    zeros = {(zero["topic"], zero["type"]): zero for zero in ended["topics"]}
+    missing = problem or "the bridge has sent no zero on it"
+    judging = [_judged(robot, topic, zeros.get((topic, kind)), missing) for topic, kind in _topics(robot, zeros)]
+    hovers = any(flight.armed for flight in flights)
+    commands, unsettled = robot.failsafes.commands(), robot.no_known_stop.unsettled()
+    observation, topics = await asyncio.gather(observe_still(robot, hovers=hovers), asyncio.gather(*judging))
+    services, others = robot.no_known_stop.names("service"), robot.no_known_stop.names("topic")
+    notes = [f"{problem}."] if problem else []
+    notes += [f"The latch could not be saved ({unwritten}): it is lost when this server ends."] if unwritten else []
+    notes += [f"{job.kind} {job.id} did not end cleanly: {error}" for job, error in jobs.items() if error]
+    doubts = [*notes, *_doubts(topics, goals, observation)]
+    unknown = _unknown(unsettled)
+    doubts += [flight.sentence for flight in flights if not flight.confirmed]
+    is_doubtful = observation.is_moving or observation.is_open
+    if is_doubtful:
+        doubts.append(observation.sentence)
+    if confirmed := is_confirmed(doubts, observation, unsettled):
+        robot.failsafes.stands(commands)
+    if observation.stands:
+        robot.no_known_stop.settle(unsettled)
+    facts = [flight.sentence for flight in flights if flight.confirmed]
+    facts += _facts(ended, topics, [*goals, *flights], jobs)
+    facts += [] if is_doubtful else [observation.sentence]
+    is_latched = robot.guard.latch.look().is_set
+    facts += [f"The latch is set: commands are refused. {RESET_HINT}"] if is_latched else []
+    dropped = _dropped(ended)
+    return Stopped(
+        repeats_stopped=ended["repeats"],
+        relays_stopped=ended["relays"],
+        topics=topics,
+        goals=goals,
+        flights=flights,
+        dropped=_first(dropped),
+        unknown_services=_first(services),
+        unknown_topics=_first(others),
+        confirmed=confirmed,
+        observed=observation.verdict,
+        latched=is_latched,
+        note=" ".join([*doubts, *facts, *unknown]),
+        is_doubted=bool(doubts),
+    )
+
+
+async def _write_latch(robot: Robot, has_asked: anyio.Event) -> str:
+    """Makes a latch that is held last, once the bridge has had its time to send the zeros: it looks at the file, too,
+    and would end in its name what the stop is to tell of. What kept it from being written; "" if nothing did.
+    """
+    with anyio.move_on_after(_LATCH_S):
+        await has_asked.wait()
+    return await asyncio.to_thread(robot.guard.latch.write)
+
+
+async def _stop_bridge(robot: Robot, has_asked: anyio.Event) -> tuple[StopReply, str]:
+    """What the bridge says it has ended; and what is to be said if it has not been asked, or not the one that moved it.
+
+    A bridge that is lost meanwhile has a successor that sends the zeros by itself; it is asked once more, for its
+    successor knows nothing of what was under way.
+    """
+    try:
+        with anyio.fail_after(_BRIDGE_S):
+            return await robot.stop_bridge(), ""
+    except BridgeLost:
+        problem = "The bridge was lost meanwhile, and its successor may not have found every subscriber yet: stop again"
+    except (RobotError, TimeoutError) as error:
+        reason = str(error) or f"it has not answered within {_BRIDGE_S:g} s"
+        return _NOTHING, f"The bridge could not be asked to stop ({reason.rstrip('.')}): its publications may continue"
+    finally:
+        has_asked.set()
+    try:
+        with anyio.fail_after(_BRIDGE_S):
+            return await robot.stop_bridge(), problem
+    except (RobotError, TimeoutError):
+        return _NOTHING, problem
+
+
+def _topics(robot: Robot, zeros: Mapping[tuple[str, str], Zero]) -> Sequence[tuple[str, str]]:
+    """Topic and type of all that this server drives or has just stopped."""
+    return list(dict.fromkeys([*((driven.topic, driven.type) for driven in robot.failsafes.driven), *zeros]))
+
+
+async def _judged(robot: Robot, topic: str, zero: Zero | None, missing: str) -> StoppedTopic:
+    """What became of the zero on a topic, and who else publishes there."""
+    if zero is None:
+        return StoppedTopic(topic, 0, False, error=f"{topic} got no zero: {missing[0].lower()}{missing[1:]}.")
+    if problem := zero.get("problem"):
+        return StoppedTopic(topic, zero["matched"], False, error=problem)
+    try:
+        present = await robot.graph.endpoints(topic, _OTHERS_S)
+    except RobotError as error:
+        unseen = f"Other publishers on {topic} could not be looked up: {error}"
+        return StoppedTopic(topic, zero["matched"], zero["acked"], error=unseen)
+    others = sorted({publisher.node for publisher in present.publishers} - {*robot.graph.own_nodes})
+    unseen = "" if present.settled else f"Discovery is under way: more may listen to {topic}, or publish on it."
+    unreached = max(0, present.subscribers_of(zero["type"]) - zero["matched"])
+    gone, is_deserted = _gone(robot, topic, zero, present)
+    return StoppedTopic(topic, zero["matched"], zero["acked"], others, unseen, unreached, gone, is_deserted)
+
+
+def _gone(robot: Robot, topic: str, zero: Zero, present: TopicEndpoints) -> tuple[Sequence[str], bool]:
+    """Who took commands on a topic and is gone, and whether nobody is left: a base that has lost its power or radio may
+    still move. A subscriber without a name may be one that took commands.
+    """
+    driven = next((one for one in robot.failsafes.driven if (one.topic, one.type) == (topic, zero["type"])), None)
+    if driven is None:
+        return (), False
+    if not driven.takers:
+        return (), driven.was_taken and not (zero["matched"] or present.subscribers_of(zero["type"]))
+    nodes = {subscriber.node for subscriber in present.subscribers}
+    gone = driven.takers - nodes
+    return sorted(gone), gone == driven.takers and UNKNOWN_NODE not in nodes
+
+
+async def cancel_goals(robot: Robot) -> list[StoppedGoal]:
+    """Cancels all goals that this server sent, and waits a little for their end; what became of each."""
+    found = await asyncio.gather(*(_cancel(robot, goal) for goal in robot.jobs.running(Goal)))
+    return [goal for goal in found if goal]
+
+
+async def _cancel(robot: Robot, goal: Goal) -> StoppedGoal | None:
+    """Cancels a goal and sees it end; one that its server does not know, or no longer, is not running. None for one
+    that had not been sent yet.
+    """
+    try:
+        response = await goal.request_cancel(ENDED_S)
+        is_unknown, cancelled = response["return_code"] == UNKNOWN_GOAL, bool(response["goals_canceling"])
+        if not goal.was_sent:
+            return None
+        if is_unknown and goal.is_running and not goal.is_accepted:
+            raise TimedOut(
+                f"The server of {goal.action} has not answered whether it accepts goal {goal.id}: stop again."
+            )
+        result = await result_of(robot, goal.action, goal.action_type, goal.id, ENDED_S)
+    except RobotError as error:
+        if not goal.was_sent:
+            return None
+        return StoppedGoal(goal.action, goal.id, "UNKNOWN", False, error=str(error))
+    cancelled = cancelled or result.status == "CANCELED"  # by the bridge, which has seen the latch first
+    confirmed = (is_unknown and result.status == STATUS[0]) or result.status_code in TERMINAL
+    return StoppedGoal(goal.action, goal.id, result.status, confirmed, cancelled)
+
+
+# ── in words ───────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def _doubts(topics: Sequence[StoppedTopic], goals: Sequence[StoppedGoal], seen: Observation) -> list[str]:
+    """Why it is not confirmed that the topics are still and the goals have ended; nothing if it is.
+
+    Where the robot was seen to stand, a subscriber that does not acknowledge needs no acknowledgement, and, by its
+    odometry, one that left beside others that stay was a logger or the like.
+    """
+    doubts: list[str] = []
+    for topic in topics:
+        if topic.others:
+            doubts.append(f"{', '.join(topic.others)} also publishes on {topic.topic_name}: the robot may still move.")
+        if topic.unreached:
+            doubts.append(
+                f"{counted(topic.unreached, 'subscriber')} of {topic.topic_name} did not get the zero: stop again."
+            )
+        if topic.error:
+            doubts.append(topic.error)
+        elif topic.subscribers and topic.acknowledged is None:
+            unknown = f"Arrival of the zero on {topic.topic_name} is unknown"
+            doubts += [] if seen.stands else [f"{unknown}: not every subscriber acknowledges."]
+        elif topic.subscribers and not topic.acknowledged:
+            doubts.append(f"Not every subscriber of {topic.topic_name} has acknowledged the zero.")
+        if topic.is_deserted or (topic.gone and not (seen.stands and seen.has_base)):
+            who = listed(topic.gone, _MOST_GONE) or "A subscriber"
+            doubts.append(f"{who} took commands on {topic.topic_name} and is gone: it may move until it is seen again.")
+    doubts += [goal.error for goal in goals if goal.error]
+    doubts += [f"Goal {goal.goal_id} has not ended yet." for goal in goals if not goal.confirmed and not goal.error]
+    return doubts
+
+
+def _unknown(unsettled: Sequence[tuple[str, str]]) -> list[str]:
+    """That it is not known how to stop these, by kinds and names; nothing if there are none."""
+    services, topics = ([name for of, name in unsettled if of == kind] for kind in ("service", "topic"))
+    sent = [f"called {counted(len(services), 'service')}"] if services else []
+    sent += [f"published on {counted(len(topics), 'topic')} without velocities"] if topics else []
+    if not sent:
+        return []
+    named = _first([*services[: _MOST_NAMED // 2], *topics[: _MOST_NAMED // 2]])
+    return [
+        f"NOT judged: this server has {' and '.join(sent)} ({', '.join(named)}). It does not know how to stop what "
+        "these started, which may continue."
+    ]
+
+
+def _facts(
+    ended: StopReply,
+    topics: Sequence[StoppedTopic],
+    others: Sequence[StoppedGoal | StoppedFlight],
+    jobs: Mapping[Job, str],
+) -> list[str]:
+    """What else is to be said."""
+    facts: list[str] = []
+    if dropped := _dropped(ended):
+        facts.append(f"{counted(len(dropped), 'request')} had not been sent yet and will not be sent.")
+    if ended_jobs := [job for job in jobs if job.kind not in ("repeat", "relay")]:
+        facts.append(f"Ended: {', '.join(f'{job.kind} {job.id}' for job in ended_jobs)}.")
+    facts += [
+        f"Nobody subscribes to {topic.topic_name} now."
+        for topic in topics
+        if not (topic.subscribers or topic.unreached or topic.error)
+    ]
+    if not (ended["repeats"] or ended["relays"] or ended["dropped"] or topics or others or jobs):
+        facts.append(
+            "This server had nothing in motion that it knows how to stop; motions that others started continue."
+        )
+    return facts
+
+
+def _dropped(ended: StopReply) -> list[str]:
+    """Publications and calls that had not been sent; what had not been fed to a relay is counted with that."""
+    words = {"publish": "publishing on", "call": "calling"}
+    return [f"{words[op]} {name}" for op, name in ended["dropped"] if op in words]
+
+
+def _first(names: Sequence[str]) -> list[str]:
+    """The first names, and how many more there are."""
+    more = len(names) - _MOST_NAMED
+    return [*names[:_MOST_NAMED], *([f"and {more} more"] if more > 0 else [])]

@@ -1,0 +1,1 @@
+"""Pictures for agents: maps, scenes, plots, camera images."""

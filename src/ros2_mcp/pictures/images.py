@@ -1,0 +1,299 @@
+"""Camera and depth images (sensor_msgs/msg/Image and CompressedImage) as what can be shown: grey or RGB, eight bits."""
+
+from __future__ import annotations
+
+import io
+import struct
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, UnidentifiedImageError
+
+from ros2_mcp.model.errors import BadData
+from ros2_mcp.model.pictures import Bounds, Picture
+from ros2_mcp.model.text import named, quoted
+from ros2_mcp.pictures.labels import label_raster
+from ros2_mcp.pictures.raster import Pixels, Raster
+
+_MAX_PIXELS = 64_000_000
+"""Largest compressed image that is unpacked: 192 MB as RGB. A file of a few kB may claim far more."""
+_READ = ("JPEG", "PNG", "WEBP", "BMP", "TIFF")
+_MIMES = {"JPEG": "image/jpeg", "PNG": "image/png"}
+_DEPTH_HEADER = struct.Struct("<iff")  # format, and the two numbers of the quantisation
+
+
+_Show = Callable[[NDArray[Any], str], Raster]
+
+
+@dataclass(frozen=True, slots=True)
+class _Layout:
+    dtype: str
+    channels: int
+    show: _Show
+
+
+def image_raster(message: Any, _: Bounds) -> Raster:
+    """The pixels of an image.
+
+    Raises:
+        BadData: for an encoding that cannot be shown, or data that does not fit width, height and step.
+    """
+    encoding: str = message.encoding
+    if encoding in _NV:
+        return _nv(message, _NV[encoding])
+    layout = _LAYOUTS.get(encoding.lower()) or _LAYOUTS.get(encoding)
+    if layout is None:
+        raise BadData(
+            f"Images with the encoding {quoted(encoding)} cannot be shown.",
+            f"Known are {', '.join(_LAYOUTS)}, nv12, nv21.",
+        )
+    return layout.show(_rows(message, layout.dtype, layout.channels), encoding)
+
+
+def may_be_depth(message: Any) -> bool:
+    """Whether an Image or CompressedImage says that it is a depth image."""
+    return "compressedDepth" in message.format if hasattr(message, "format") else message.encoding in _DEPTHS
+
+
+def depth_of(message: Any) -> NDArray[np.float64] | None:
+    """The distances of a depth image along its optical axis in metres, height × width; what is none is NaN.
+
+    It may be compressed. None for an image that is no depth image: another encoding, or 16 bits that are labels.
+
+    Raises:
+        BadData: if its data does not fit width, height and step, or is no whole picture.
+    """
+    if hasattr(message, "format"):
+        if "compressedDepth" not in message.format:
+            return None
+        metres = _compressed_metres(message.format, message.data.tobytes())
+        return np.where(np.isfinite(metres) & (metres > 0), metres, np.nan)
+    if message.encoding not in _DEPTHS:
+        return None
+    dtype, metres_each = _DEPTHS[message.encoding]
+    values = _rows(message, dtype, 1)[:, :, 0]
+    if dtype == "u2" and label_raster(values, message.encoding) is not None:
+        return None
+    metres = values.astype(np.float64) * metres_each
+    return np.where(np.isfinite(metres) & (metres > 0), metres, np.nan)
+
+
+def _depth_raster(metres: NDArray[Any], encoding: str) -> Raster:
+    """Distances as grey: the nearest 2 % white, the farthest 2 % dark, everything that is no distance black.
+
+    Two per cent at both ends, so that single outliers do not use up the scale.
+    """
+    valid = np.isfinite(metres) & (metres > 0)
+    share = 1 - float(np.count_nonzero(valid)) / metres.size
+    pixels = np.zeros(metres.shape, np.uint8)
+    if share == 1:
+        return Raster(pixels, f"Depth ({named(encoding)}): no valid distance.", kind="exact")
+    distances = metres[valid]
+    near, far = (float(bound) for bound in np.percentile(distances, (2, 98)))
+    scaled = (np.minimum(np.maximum(distances, near), far) - near) / max(far - near, 1e-9)
+    pixels[valid] = np.rint(255 - 205 * scaled).astype(np.uint8)
+    note = (
+        f"Depth ({named(encoding)}): {distances.min():.3f} m to {distances.max():.3f} m; "
+        f"white is {near:.3f} m or nearer, dark grey {far:.3f} m or farther, black invalid ({share:.1%})."
+    )
+    return Raster(pixels, note, kind="exact")
+
+
+def _labels_or(show: Callable[[NDArray[Any], str], Raster], *, any_value: bool = False) -> _Show:
+    """Labels where the values look like them; else what `show` makes of one channel."""
+
+    def shown(pixels: NDArray[Any], encoding: str) -> Raster:
+        plane = pixels[:, :, 0]
+        return label_raster(plane, encoding, any_value=any_value) or show(plane, encoding)
+
+    return shown
+
+
+def _stretched(values: NDArray[Any], encoding: str) -> Raster:
+    """Grey values of more than eight bits, stretched from their least to their greatest."""
+    low, high = int(values.min()), int(values.max())
+    pixels = np.rint((values.astype(np.float64) - low) * (255 / max(high - low, 1))).astype(np.uint8)
+    return Raster(pixels, f"{named(encoding)}: black is {low}, white is {high}.")
+
+
+def _rows(message: Any, dtype: str, channels: int, rows: int = 0) -> NDArray[Any]:
+    """The data as rows × width × channels, without the padding at each row's end."""
+    kind: np.dtype[Any] = np.dtype((">" if message.is_bigendian else "<") + dtype)
+    width, height = message.width, rows or message.height
+    row = width * channels * kind.itemsize
+    step = message.step or row
+    if not row or not height:
+        raise BadData(f"The image is empty: {width} × {message.height} pixels.")
+    if step < row:
+        raise BadData(f"A row of {width} pixels ({message.encoding}) needs {row} bytes, but step is {step}.")
+    if len(message.data) < step * (height - 1) + row:
+        raise BadData(
+            f"data has {len(message.data)} bytes, but step × height is {step} × {height} = {step * height} "
+            f"({message.encoding}, {width} × {message.height} pixels)."
+        )
+    offsets = (step, channels * kind.itemsize, kind.itemsize)
+    return np.ndarray((height, width, channels), kind, np.ascontiguousarray(message.data), 0, offsets)
+
+
+def _grey(plane: NDArray[Any], encoding: str) -> Raster:
+    return Raster(np.ascontiguousarray(plane), f"{encoding}.")
+
+
+def _colour(*order: int) -> Callable[[NDArray[Any], str], Raster]:
+    """Red, green and blue; `order` are their places in a pixel."""
+
+    def show(pixels: NDArray[Any], encoding: str) -> Raster:
+        dropped = " without its alpha" if pixels.shape[2] == 4 else ""
+        in_order = order == tuple(range(pixels.shape[2]))  # each copy of a picture costs as much as a tenth of its JPEG
+        return Raster(_to_8_bit(pixels if in_order else np.take(pixels, order, axis=2)), f"{encoding}{dropped}.")
+
+    return show
+
+
+def _bayer(red: int, blue: int) -> Callable[[NDArray[Any], str], Raster]:
+    """Each square of four becomes one pixel; `red` and `blue` are their places in it, row by row."""
+
+    def show(pixels: NDArray[Any], encoding: str) -> Raster:
+        plane = _to_8_bit(pixels[:, :, 0])
+        height, width = (side // 2 * 2 for side in plane.shape)
+        if not height or not width:
+            raise BadData(f"A Bayer image of {plane.shape[1]} × {plane.shape[0]} pixels has no full square.")
+        square = [plane[row:height:2, column:width:2] for row in (0, 1) for column in (0, 1)]
+        one, other = (square[place].astype(np.uint16) for place in range(4) if place not in (red, blue))
+        green = ((one + other) // 2).astype(np.uint8)
+        return Raster(
+            np.dstack((square[red], green, square[blue])), f"{named(encoding)}, at half its size, simply demosaiced."
+        )
+
+    return show
+
+
+def _yuv_422(luma: int) -> Callable[[NDArray[Any], str], Raster]:
+    """Two bytes a pixel, the luma at `luma`, the chroma of two neighbours in the other."""
+
+    def show(pixels: NDArray[Any], encoding: str) -> Raster:
+        width = pixels.shape[1] // 2 * 2
+        chroma = pixels[:, :width, 1 - luma]
+        u, v = (np.repeat(chroma[:, start::2], 2, axis=1) for start in (0, 1))
+        return Raster(_yuv_to_rgb(pixels[:, :width, luma], u, v), f"{encoding}.")
+
+    return show
+
+
+def _nv(message: Any, order: tuple[int, int]) -> Raster:
+    """A plane of luma, then at half the size chroma in pairs."""
+    height, width = message.height // 2 * 2, message.width // 2 * 2
+    planes = _rows(message, "u1", 1, rows=message.height + (message.height + 1) // 2)[:, :width, 0]
+    chroma = planes[message.height :][: height // 2]
+    u, v = (chroma[:, place::2].repeat(2, axis=0).repeat(2, axis=1) for place in order)
+    return Raster(_yuv_to_rgb(planes[:height], u, v), f"{message.encoding}.")
+
+
+def _yuv_to_rgb(y: NDArray[Any], u: NDArray[Any], v: NDArray[Any]) -> Pixels:
+    luma = (y.astype(np.float32) - 16) * 1.164
+    blue, red = u.astype(np.float32) - 128, v.astype(np.float32) - 128
+    rgb = np.dstack((luma + 1.596 * red, luma - 0.392 * blue - 0.813 * red, luma + 2.017 * blue))
+    return np.minimum(np.maximum(np.rint(rgb), 0), 255).astype(np.uint8)
+
+
+def _to_8_bit(pixels: NDArray[Any]) -> Pixels:
+    return pixels.astype(np.uint8, copy=False) if pixels.itemsize == 1 else (pixels >> 8).astype(np.uint8)
+
+
+# ── compressed images ────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def compressed_raster(message: Any, bounds: Bounds) -> Raster | Picture:
+    """The picture in a sensor_msgs/msg/CompressedImage; as the robot sent it where it keeps to the bounds.
+
+    Raises:
+        BadData: if it is no whole picture in a format that can be shown.
+    """
+    described: str = message.format
+    data = message.data.tobytes()
+    if "compressedDepth" in described:
+        return _compressed_depth(described, data)
+    image = _opened(data, described)
+    note = f"{named(described) if described else image.format}."
+    if image.mode.startswith("I"):  # grey of more than eight bits
+        values, encoding = np.asarray(image), described.partition(";")[0].strip()
+        if encoding == "16UC1":
+            return _depth_raster(values / 1000, encoding)
+        return _stretched(values, encoding or "16 bit grey")
+    labels = label_raster(np.asarray(image), named(described)) if (image.format, image.mode) == ("PNG", "L") else None
+    if labels is not None:
+        return labels
+    if image.format in _MIMES and max(image.size) <= bounds.max_side and len(data) <= bounds.max_bytes:
+        return Picture(data, _MIMES[image.format], *image.size, f"{note} As the robot sent it.")
+    return Raster(np.asarray(image if image.mode in ("L", "RGB") else image.convert("RGB")), note)
+
+
+def _opened(data: bytes, described: str) -> Image.Image:
+    """The picture in a file's bytes, completely read."""
+    try:
+        image = Image.open(io.BytesIO(data), formats=_READ)
+        if image.width * image.height > _MAX_PIXELS:
+            raise BadData(f"The picture is too large to show: {image.width} × {image.height} pixels.")
+        image.load()
+    except (UnidentifiedImageError, OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        raise BadData(
+            f"{len(data)} bytes with the format {quoted(described)} are not a whole picture: {quoted(str(error))}.",
+            f"Formats that can be shown are {', '.join(_READ)}.",
+        ) from error
+    return image
+
+
+def _compressed_depth(described: str, data: bytes) -> Raster:
+    """What image_transport's compressed_depth sends."""
+    return _depth_raster(_compressed_metres(described, data), described.partition(";")[0].strip())
+
+
+def _compressed_metres(described: str, data: bytes) -> NDArray[np.float64]:
+    """Distances in metres, height × width: of twelve bytes of header, then a PNG of 16 bits."""
+    if "rvl" in described.lower():
+        raise BadData("Depth pictures compressed with RVL cannot be shown.", "Set the publisher's format to png.")
+    if len(data) <= _DEPTH_HEADER.size:
+        raise BadData(f"A compressed depth picture of {len(data)} bytes is incomplete.")
+    _, scale, offset = _DEPTH_HEADER.unpack_from(data)
+    values = np.asarray(_opened(data[_DEPTH_HEADER.size :], described)).astype(np.float64)
+    if described.partition(";")[0].strip() != "32FC1":
+        return values / 1000
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(values > 0, scale / (values - offset), np.nan)
+
+
+# ── encodings of images ──────────────────────────────────────────────────────────────────────────────────────────
+
+_DEPTHS = {"32FC1": ("f4", 1.0), "16UC1": ("u2", 0.001)}
+"""Encodings of depth images by REP 118, with their kind of number and the metres of one."""
+_BAYER = {"rggb": (0, 3), "bggr": (3, 0), "gbrg": (2, 1), "grbg": (1, 2)}
+_NV = {"nv12": (0, 1), "nv21": (1, 0)}
+_LAYOUTS: Mapping[str, _Layout] = {
+    "rgb8": _Layout("u1", 3, _colour(0, 1, 2)),
+    "rgba8": _Layout("u1", 4, _colour(0, 1, 2)),
+    "bgr8": _Layout("u1", 3, _colour(2, 1, 0)),
+    "bgra8": _Layout("u1", 4, _colour(2, 1, 0)),
+    "rgb16": _Layout("u2", 3, _colour(0, 1, 2)),
+    "bgr16": _Layout("u2", 3, _colour(2, 1, 0)),
+    "8UC3": _Layout("u1", 3, _colour(2, 1, 0)),
+    "8UC4": _Layout("u1", 4, _colour(2, 1, 0)),
+    "mono8": _Layout("u1", 1, _labels_or(_grey)),
+    "8UC1": _Layout("u1", 1, _labels_or(_grey)),
+    "mono16": _Layout("u2", 1, _labels_or(_stretched)),
+    "16UC1": _Layout(
+        "u2", 1, _labels_or(lambda plane, encoding: _depth_raster(plane.astype(np.float32) / 1000, encoding))
+    ),
+    "8SC1": _Layout("i1", 1, _labels_or(_stretched, any_value=True)),
+    "16SC1": _Layout("i2", 1, _labels_or(_stretched, any_value=True)),
+    "32SC1": _Layout("i4", 1, _labels_or(_stretched, any_value=True)),
+    "32FC1": _Layout("f4", 1, lambda pixels, encoding: _depth_raster(pixels[:, :, 0].astype(np.float64), encoding)),
+    "yuv422": _Layout("u1", 2, _yuv_422(1)),
+    "uyvy": _Layout("u1", 2, _yuv_422(1)),
+    "yuv422_yuy2": _Layout("u1", 2, _yuv_422(0)),
+    "yuyv": _Layout("u1", 2, _yuv_422(0)),
+    **{f"bayer_{name}8": _Layout("u1", 1, _bayer(*places)) for name, places in _BAYER.items()},
+    **{f"bayer_{name}16": _Layout("u2", 1, _bayer(*places)) for name, places in _BAYER.items()},
+}

@@ -1,0 +1,1 @@
+"""Bytes of messages, their values, and JSON."""

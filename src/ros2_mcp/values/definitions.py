@@ -1,0 +1,266 @@
+"""The definitions that the robot itself has, read when they are needed."""
+
+from __future__ import annotations
+
+import re
+import threading
+from collections.abc import Mapping
+from typing import Any, cast
+
+from rosbags.interfaces import Nodetype
+from rosbags.typesys import TypesysError, get_types_from_idl
+
+from ros2_mcp.model.errors import UnknownInterface
+from ros2_mcp.model.interfaces import (
+    HEADER,
+    PRIMITIVES,
+    TIME,
+    Constant,
+    DefinitionText,
+    Field,
+    FieldType,
+    Interface,
+    Structure,
+)
+from ros2_mcp.model.names import did_you_mean
+from ros2_mcp.model.text import named, quoted
+from ros2_mcp.values.msg_text import read_structure, split_sections
+from ros2_mcp.values.store import MessageStore, type_hash
+
+__all__ = ["DefinitionText", "Definitions"]
+
+_SIDES: Mapping[str, Mapping[str, str]] = {
+    "msg": {"message": ""},
+    "srv": {"request": "_Request", "response": "_Response"},
+    "action": {"goal": "_Goal", "result": "_Result", "feedback": "_Feedback"},
+}
+"""The sides of each kind of interface, with the ending of the side's own type."""
+
+_ALWAYS_KNOWN: Mapping[str, DefinitionText] = {
+    TIME: DefinitionText("msg", "int32 sec\nuint32 nanosec\n"),
+    "builtin_interfaces/msg/Duration": DefinitionText("msg", "int32 sec\nuint32 nanosec\n"),
+    "unique_identifier_msgs/msg/UUID": DefinitionText("msg", "uint8[16] uuid\n"),
+}
+"""What the services of an action refer to, for robots that send only the action itself."""
+
+_IMPLIED: Mapping[str, Mapping[str, str]] = {
+    "msg": {},
+    "srv": {
+        "_Event": "service_msgs/msg/ServiceEventInfo info\n"
+        "{name}_Request[<=1] request\n{name}_Response[<=1] response\n",
+    },
+    "action": {
+        "_SendGoal_Request": "unique_identifier_msgs/msg/UUID goal_id\n{name}_Goal goal\n",
+        "_SendGoal_Response": "bool accepted\nbuiltin_interfaces/msg/Time stamp\n",
+        "_GetResult_Request": "unique_identifier_msgs/msg/UUID goal_id\n",
+        "_GetResult_Response": "int8 status\n{name}_Result result\n",
+        "_FeedbackMessage": "unique_identifier_msgs/msg/UUID goal_id\n{name}_Feedback feedback\n",
+    },
+}
+"""The types that rosidl makes of each service and action, by the ending of their names."""
+_IDENTIFIER = r"[A-Za-z]\w*"
+_TYPE_NAME = re.compile(rf"{_IDENTIFIER}/(msg|srv|action)/{_IDENTIFIER}", re.ASCII)
+_INCLUDE = re.compile(r"^\s*#.*$", re.MULTILINE)
+_PLACEHOLDER = "structure_needs_at_least_one_member"
+
+
+class Definitions:
+    """Definitions by full type name (`geometry_msgs/msg/Twist`), and all that services and actions imply.
+
+    `add` may be called while other threads decode: they finish with the definitions they began with.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.RLock()
+        self._set = _DefinitionSet(_ALWAYS_KNOWN)
+
+    def add(self, texts: Mapping[str, DefinitionText]) -> None:
+        """Takes definitions as the robot has them. One that differs from what was known replaces it everywhere.
+
+        Nothing is parsed yet. Raises `UnknownInterface` for a name that no interface can have.
+        """
+        with self._lock:
+            new = {name: text for name, text in texts.items() if self._set.texts.get(name) != text}
+            if new:
+                self._set = self._set.with_texts(new)
+
+    def knows(self, type_name: str) -> bool:
+        """Whether there is a definition, also of derived types such as `std_srvs/srv/SetBool_Request`."""
+        current = self._set
+        return type_name in current.texts or type_name in current.owners
+
+    def structure(self, type_name: str) -> Structure:
+        """The fields and constants of a message, or of one side of a service or an action.
+
+        Raises:
+            UnknownInterface: if there is no definition, or it cannot be read.
+        """
+        current = self._set
+        found = current.structures.get(type_name)
+        if found is not None:
+            return found
+        with self._lock:
+            return current.load(type_name)
+
+    def interface(self, type_name: str) -> Interface:
+        """The whole definition for showing: all sides and everything nested."""
+        kind = _kind_of(type_name) if type_name in self._set.texts else "msg"
+        sides = {side: self.structure(type_name + ending) for side, ending in _SIDES[kind].items()}
+        nested: dict[str, Structure] = {}
+        with self._lock:
+            for side in sides.values():
+                reachable = self._set.reachable(side.type)
+                nested |= {name: structure for name, structure in reachable.items() if name != side.type}
+        return Interface(type_name, kind, sides, nested)
+
+    def hash(self, type_name: str) -> str:
+        """The type's hash as it travels on the wire (`RIHS01_…`); empty where it cannot be computed."""
+        with self._lock:
+            every = self._set.reachable(type_name)
+        if any(field.type.base == "wstring" for structure in every.values() for field in structure.fields):
+            return ""
+        return type_hash(type_name, every)
+
+    def starts_with_header(self, type_name: str) -> bool:
+        """Whether the first field is a std_msgs/msg/Header, so that the message begins with a stamp."""
+        fields = self.structure(type_name).fields
+        return bool(fields) and fields[0].type == FieldType(HEADER)
+
+    def compiled(self, type_name: str) -> MessageStore:
+        """A store that can read and write the type."""
+        current = self._set
+        if type_name not in current.compiled:
+            with self._lock:
+                current.compile(type_name)
+        return current.store
+
+    def message_class(self, type_name: str) -> type:
+        """The class of the type's objects; made from one value for each field, in order."""
+        return cast("type", self.compiled(type_name).types[type_name])
+
+
+class _DefinitionSet:
+    """One consistent set of texts with what has been made from them so far."""
+
+    def __init__(self, texts: Mapping[str, DefinitionText]) -> None:
+        self.texts = dict(texts)
+        self.owners = {made: name for name in texts for made in _types_of(name)}
+        self.structures: dict[str, Structure] = {}
+        self.compiled: set[str] = set()
+        self.store = MessageStore()
+
+    def with_texts(self, new: Mapping[str, DefinitionText]) -> _DefinitionSet:
+        """A set with these texts too. What has been made is kept unless a text that was there changes."""
+        result = _DefinitionSet({**self.texts, **new})
+        if not any(name in self.texts for name in new):
+            result.structures, result.compiled, result.store = self.structures, self.compiled, self.store
+        return result
+
+    def load(self, type_name: str) -> Structure:
+        owner = self.owners.get(type_name)
+        if owner is None:
+            raise UnknownInterface(
+                f"No definition of {named(type_name)} is known.", did_you_mean(type_name, list(self.texts))
+            )
+        if type_name not in self.structures:
+            self.structures.update(_structures_of(owner, self.texts[owner]))
+        return self.structures[type_name]
+
+    def compile(self, type_name: str) -> None:
+        structures = self.reachable(type_name).values()
+        try:
+            self.store.add(structures)
+            self.store.get_msgdef(type_name)
+        except (TypesysError, SyntaxError) as error:
+            raise UnknownInterface(f"The definition of {type_name} is not valid: {quoted(str(error))}") from error
+        self.compiled.add(type_name)
+
+    def reachable(self, type_name: str) -> dict[str, Structure]:
+        """The structure of the type and of all that it contains, by name, in the order of their first use."""
+        found: dict[str, Structure] = {}
+
+        def collect(name: str, inside: tuple[str, ...]) -> None:
+            if name in inside:
+                raise UnknownInterface(f"The definition of {name} contains itself.")
+            if name in found:
+                return
+            found[name] = self.load(name)
+            for field in found[name].fields:
+                if field.type.is_message:
+                    collect(field.type.base, (*inside, name))
+
+        collect(type_name, ())
+        return found
+
+
+# ── from the texts to structures, with the types that services and actions imply ──────────────────────────────────
+
+
+def _kind_of(type_name: str) -> str:
+    """`msg`, `srv` or `action`.
+
+    Raises:
+        UnknownInterface: if it is not the full name of an interface.
+    """
+    match = _TYPE_NAME.fullmatch(type_name)
+    if match is None:
+        raise UnknownInterface(f"{quoted(type_name)} is not the full name of a type.", "Write it as package/msg/Name.")
+    return match[1]
+
+
+def _types_of(name: str) -> list[str]:
+    """The names of all the types with fields that the interface `name` defines."""
+    kind = _kind_of(name)
+    return [name + ending for ending in (*_SIDES[kind].values(), *_IMPLIED[kind])]
+
+
+def _structures_of(name: str, source: DefinitionText) -> dict[str, Structure]:
+    """Every structure that the interface `name` defines, by its full type name.
+
+    Raises:
+        UnknownInterface: if the text cannot be read.
+    """
+    kind = _kind_of(name)
+    types = [name + ending for ending in _SIDES[kind].values()]
+    if source.format == "idl":
+        found = _read_idl(name, source.text)
+        missing = [side for side in types if side not in found]
+        if missing:
+            raise UnknownInterface(f"The IDL text of {name} does not define {missing[0]}.")
+    else:
+        parts = split_sections(source.text)
+        if len(parts) != len(types):
+            raise UnknownInterface(f"The definition of {name} has {len(parts)} parts, a {kind} has {len(types)}.")
+        found = {side: read_structure(side, part) for side, part in zip(types, parts, strict=True)}
+    for ending, text in _IMPLIED[kind].items():
+        found.setdefault(name + ending, read_structure(name + ending, text.format(name=name)))
+    return found
+
+
+def _read_idl(name: str, text: str) -> dict[str, Structure]:
+    try:
+        return {
+            type_name: Structure(
+                type_name,
+                tuple(Field(field, _idl_type(field, node)) for field, node in fields if field != _PLACEHOLDER),
+                tuple(Constant(constant, str(base), value) for constant, base, value in constants),
+            )
+            for type_name, (constants, fields) in get_types_from_idl(_INCLUDE.sub("", text)).items()
+        }
+    except (TypesysError, ValueError) as error:
+        raise UnknownInterface(f"The IDL text of {name} cannot be read: {quoted(str(error))}") from error
+
+
+def _idl_type(field: str, node: Any) -> FieldType:
+    """The type that a node of rosbags' parse tree stands for: (kind, (name, bound)), or (kind, (element, size))."""
+    kind, rest = node
+    if kind == Nodetype.NAME:
+        return FieldType(rest)
+    if kind == Nodetype.BASE:
+        base, bound = rest
+        if base not in PRIMITIVES:
+            raise ValueError(f"the field {field} is a {base}, which ROS messages cannot carry")
+        return FieldType(base, text_bound=bound)
+    element = _idl_type(field, rest[0])
+    arity = "array" if kind == Nodetype.ARRAY else "sequence"
+    return FieldType(element.base, arity, rest[1], element.text_bound)

@@ -1,0 +1,1 @@
+"""What is known of space and bodies: transforms, descriptions, footprints, costs, clouds and scans."""

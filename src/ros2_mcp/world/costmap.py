@@ -1,0 +1,224 @@
+"""A costmap, or a map in its place: what it costs to be somewhere, and where one can get to from there.
+
+Import it inside functions only: it needs NumPy. `model/costs.py` says what costs mean.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ros2_mcp.model.costs import OCCUPIED, TOUCHING, Narrowest, Reach
+from ros2_mcp.model.errors import BadData
+from ros2_mcp.model.pictures import Place
+from ros2_mcp_common.geometry import yaw_rad
+
+_WIDE_M = 3.0
+"""A gap that is wider than this is no narrow spot for anything that drives through doors."""
+_MOST_ON_WAY = 400
+"""Points of a way that are measured: one each 10 cm of 40 m, and no more work for a longer one."""
+_OPPOSITE = -0.5
+"""The cosine of 120°: what stands to the other side of the robot, and not round the corner that it drives along."""
+
+
+class CostGrid:
+    """The cells of one message with their place in its frame."""
+
+    def __init__(self, message: Any) -> None:
+        """Raises `BadData` if its data does not fit its size."""
+        info = message.info
+        if not info.width or not info.height or len(message.data) != info.width * info.height:
+            raise BadData(f"The costmap has {len(message.data)} cells instead of {info.width} × {info.height}.")
+        if not info.resolution > 0:
+            raise BadData(f"The resolution of the costmap is {info.resolution} m.")
+        self.message = message
+        self.frame_id: str = message.header.frame_id.lstrip("/")
+        self.resolution_m = float(info.resolution)
+        data: Any = np.asarray(message.data, np.int8)
+        self.cells: NDArray[np.int8] = data.reshape(info.height, info.width)
+        at, turn = info.origin.position, info.origin.orientation
+        self._origin = (float(at.x), float(at.y))
+        self._yaw = yaw_rad(turn.x, turn.y, turn.z, turn.w)
+
+    @property
+    def corner(self) -> Place:
+        """The pose of the corner of cell (0, 0)."""
+        return Place(*self._origin, self._yaw)
+
+    def cell(self, x_m: float, y_m: float) -> tuple[int, int]:
+        """Row and column of a point, which may be outside."""
+        dx, dy = x_m - self._origin[0], y_m - self._origin[1]
+        cos, sin = math.cos(self._yaw), math.sin(self._yaw)
+        return (
+            math.floor((cos * dy - sin * dx) / self.resolution_m),
+            math.floor((cos * dx + sin * dy) / self.resolution_m),
+        )
+
+    def point(self, row: float, column: float) -> tuple[float, float]:
+        """The middle of a cell, in m."""
+        x, y = (column + 0.5) * self.resolution_m, (row + 0.5) * self.resolution_m
+        cos, sin = math.cos(self._yaw), math.sin(self._yaw)
+        return self._origin[0] + cos * x - sin * y, self._origin[1] + sin * x + cos * y
+
+    def cost(self, x_m: float, y_m: float) -> int | None:
+        """The cost at a point; None outside."""
+        row, column = self.cell(x_m, y_m)
+        rows, columns = self.cells.shape
+        return int(self.cells[row, column]) if 0 <= row < rows and 0 <= column < columns else None
+
+    def extent(self) -> str:
+        """In words, where it is, in m."""
+        rows, columns = self.cells.shape
+        corners = [self.point(row, column) for row in (-0.5, rows - 0.5) for column in (-0.5, columns - 0.5)]
+        xs, ys = [x for x, _ in corners], [y for _, y in corners]
+        return f"x {min(xs):.2f} to {max(xs):.2f}, y {min(ys):.2f} to {max(ys):.2f}"
+
+    def nearest_free(self, x_m: float, y_m: float) -> tuple[float, float] | None:
+        """The middle of the nearest cell in which the robot touches nothing; None where there is none."""
+        rows, columns = np.nonzero((self.cells >= 0) & (self.cells < TOUCHING))
+        if not len(rows):
+            return None
+        row, column = self.cell(x_m, y_m)
+        best = int(np.argmin((rows - row) ** 2 + (columns - column) ** 2))
+        return self.point(int(rows[best]), int(columns[best]))
+
+    def nearest_occupied(self, x_m: float, y_m: float) -> tuple[float, float] | None:
+        """The middle of the nearest occupied cell; None where there is none."""
+        rows, columns = np.nonzero(self.cells >= OCCUPIED)
+        if not len(rows):
+            return None
+        row, column = self.cell(x_m, y_m)
+        best = int(np.argmin((rows - row) ** 2 + (columns - column) ** 2))
+        return self.point(int(rows[best]), int(columns[best]))
+
+    def nearest(self, x_m: float, y_m: float, least: int, most: int) -> tuple[int, int] | None:
+        """Row and column of the nearest cell with a value from `least` to `most`; None where there is none.
+
+        It looks at one row after the other, from that of the point outwards: a map of 16 million cells has hits for
+        which there would be no memory.
+        """
+        row, column = self.cell(x_m, y_m)
+        found: tuple[int, int] | None = None
+        nearest = math.inf
+        for other in sorted(range(len(self.cells)), key=lambda each: abs(each - row)):
+            if (other - row) ** 2 >= nearest:
+                break
+            line = self.cells[other]
+            hits = np.flatnonzero((line >= least) & (line <= most))
+            if len(hits):
+                hit = int(hits[np.argmin(np.abs(hits - column))])
+                if (distance := (other - row) ** 2 + (hit - column) ** 2) < nearest:
+                    nearest, found = distance, (other, hit)
+        return found
+
+    def rows(self, together: int) -> list[list[int]]:
+        """The values by rows, from the lowest on; of each square of `together` × `together` cells the largest one."""
+        cells = self.cells
+        for axis, length in enumerate(self.cells.shape):
+            cells = np.maximum.reduceat(cells, range(0, length, together), axis=axis)
+        return cells.tolist()
+
+    def reach(self, start: tuple[float, float], goal: tuple[float, float]) -> Reach | None:
+        """Where one gets to from `start` through cells in which the robot touches nothing, unknown ones included.
+
+        A robot that touches something begins at the nearest place where it does not. None where the start is outside,
+        or in what is occupied.
+        """
+        cost = self.cost(*start)
+        if cost is None or cost >= OCCUPIED:
+            return None
+        free = self.nearest_free(*start) if cost >= TOUCHING else start
+        if free is None:
+            return None
+        row, column = self.cell(*free)
+        rows, starts, ends = _runs(self.cells < TOUCHING)
+        here = int(np.flatnonzero((rows == row) & (starts <= column) & (column < ends))[0])
+        connected = _connected(rows, starts, ends)
+        reached = np.flatnonzero(connected == connected[here])
+        goal_row, goal_column = self.cell(*goal)
+        nearest = np.minimum(np.maximum(starts[reached], goal_column), ends[reached] - 1)
+        best = int(np.argmin((rows[reached] - goal_row) ** 2 + (nearest - goal_column) ** 2))
+        at = int(rows[reached][best]), int(nearest[best])
+        x, y = self.point(*at)
+        return Reach(at == (goal_row, goal_column), x, y, math.hypot(goal[0] - x, goal[1] - y))
+
+    def narrowest(self, way: Sequence[tuple[float, float]]) -> Narrowest | None:
+        """How near a way leads past what is occupied, and through which gap; None where nothing stands within 3 m."""
+        step = max(1, math.ceil(len(way) / _MOST_ON_WAY))
+        points: NDArray[np.float64] = np.array([*way[::step], way[-1]])
+        taken = self._occupied_around(points)
+        if not len(taken):
+            return None
+        near: tuple[float, int] | None = None
+        gap: tuple[float, tuple[float, float]] | None = None
+        for index, point in enumerate(points):
+            away = taken - point
+            far = np.hypot(away[:, 0], away[:, 1])
+            first = int(np.argmin(far))
+            if far[first] > _WIDE_M:
+                continue
+            if near is None or far[first] < near[0]:
+                near = float(far[first]), index
+            others = np.flatnonzero((away @ away[first] <= _OPPOSITE * far * far[first]) & (far <= _WIDE_M))
+            if len(others):
+                between = taken[others] - taken[first]
+                wide = np.hypot(between[:, 0], between[:, 1])
+                other = int(np.argmin(wide))
+                if wide[other] <= _WIDE_M and (gap is None or wide[other] < gap[0]):
+                    x, y = taken[first] + between[other] / 2
+                    gap = float(wide[other]), (float(x), float(y))
+        if near is None:
+            return None
+        cell = self.resolution_m  # what is measured is between the middles of cells
+        return Narrowest(
+            clearance_m=max(near[0] - cell / 2, 0.0),
+            clearance_at=(float(points[near[1]][0]), float(points[near[1]][1])),
+            gap_m=None if gap is None else max(gap[0] - cell, 0.0),
+            gap_at=None if gap is None else gap[1],
+        )
+
+    def _occupied_around(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The middles (n × 2, m) of the occupied cells that are within 3 m of the box around some points."""
+        cells = [self.cell(float(x), float(y)) for x, y in points]
+        room = math.ceil(_WIDE_M / self.resolution_m)
+        low_row, low_column = (max(min(one[axis] for one in cells) - room, 0) for axis in (0, 1))
+        high_row, high_column = (max(max(one[axis] for one in cells) + room + 1, 0) for axis in (0, 1))
+        rows, columns = np.nonzero(self.cells[low_row:high_row, low_column:high_column] >= OCCUPIED)
+        x = (columns + low_column + 0.5) * self.resolution_m
+        y = (rows + low_row + 0.5) * self.resolution_m
+        cos, sin = math.cos(self._yaw), math.sin(self._yaw)
+        return np.stack((self._origin[0] + cos * x - sin * y, self._origin[1] + sin * x + cos * y), axis=1)
+
+
+def _runs(is_open: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """The runs of open cells: their rows, first columns, and columns after the last; row by row."""
+    steps = np.diff(np.pad(is_open.astype(np.int8), ((0, 0), (1, 1))), axis=1)
+    rows, starts = np.nonzero(steps == 1)
+    return rows, starts, np.nonzero(steps == -1)[1]
+
+
+def _connected(rows: NDArray[np.int64], starts: NDArray[np.int64], ends: NDArray[np.int64]) -> NDArray[np.int64]:
+    """For each run a number that it shares with all runs that it touches, at corners too."""
+    first = np.searchsorted(rows, np.arange(int(rows[-1]) + 2) if len(rows) else np.zeros(1)).tolist()
+    parents, begins, stops = list(range(len(rows))), starts.tolist(), ends.tolist()
+
+    def root(run: int) -> int:
+        while parents[run] != run:
+            parents[run] = parents[parents[run]]
+            run = parents[run]
+        return run
+
+    for row in range(1, len(first) - 1):
+        above, below = first[row - 1], first[row]
+        while above < first[row] and below < first[row + 1]:
+            if begins[above] <= stops[below] and begins[below] <= stops[above]:
+                parents[root(below)] = root(above)
+            if stops[above] < stops[below]:
+                above += 1
+            else:
+                below += 1
+    return np.array([root(run) for run in range(len(parents))], np.int64)

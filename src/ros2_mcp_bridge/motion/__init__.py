@@ -1,0 +1,1 @@
+"""Motion by feedback: drive, nudges, motion until a condition holds."""

@@ -1,0 +1,159 @@
+"""Moving at one velocity until a condition on a topic holds. Pure: times are given, monotonic, in s.
+
+It stands while that topic, or odometry, is late, and ends where it stays silent: nobody drives on what is not seen.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from ros2_mcp_bridge.motion.asking import Asking
+from ros2_mcp_bridge.motion.controller import Feed, Velocity
+from ros2_mcp_bridge.motion.drive import SILENT_S, Beat, late_in_s
+from ros2_mcp_bridge.ros import interfaces
+from ros2_mcp_bridge.ros.message_types import MessageTypes
+
+# The way is measured from one place to the next that is as far as this from it, m: what odometry trembles is no way.
+STRIDE_M = 0.02
+# The periods of topics are known from so many messages on; of one that tells of events nothing has to come.
+FIRST_MESSAGES = 3
+
+
+class Way:
+    """How far odometry says that a robot has come, along its path."""
+
+    def __init__(self) -> None:
+        self._measured_m = 0.0
+        self._at: tuple[float, float, float] | None = None
+        self._now: tuple[float, float, float] | None = None
+
+    def hear(self, message: Any) -> None:
+        """Of nav_msgs/msg/Odometry, or of what else has a pose; raises `ValueError` for a place that is no number."""
+        place = getattr(message.pose, "pose", message.pose).position
+        now = (float(place.x), float(place.y), float(place.z))
+        if not all(map(math.isfinite, now)):
+            raise ValueError("a place has to be finite")
+        self._now = now
+        if self._at is None:
+            self._at = now
+        elif (step_m := math.dist(self._at, now)) >= STRIDE_M:
+            self._measured_m += step_m
+            self._at = now
+
+    def begin(self) -> None:
+        """From here on."""
+        self._measured_m, self._at = 0.0, self._now
+
+    @property
+    def length_m(self) -> float:
+        """The way up to now."""
+        return self._measured_m + (math.dist(self._at, self._now) if self._at and self._now else 0.0)
+
+
+class Until:
+    """The controller: see `motion.Controller`. `outcome` is `met`, `distance` or `silent`.
+
+    `velocity` are the numbers of the command by their names; `may_be_silent` for a topic that tells of events alone;
+    `odometry` (topic and type) with `max_distance_m`, where the way has a limit or is to be told.
+    """
+
+    def __init__(
+        self,
+        *,
+        topic: Feed,
+        asking: Asking,
+        velocity: Velocity,
+        may_be_silent: bool = False,
+        odometry: Feed | None = None,
+        max_distance_m: float | None = None,
+    ) -> None:
+        if not any(velocity.values()) or not all(map(math.isfinite, velocity.values())):
+            raise ValueError("a velocity is needed")
+        if max_distance_m is not None and odometry is None:
+            raise ValueError("a limit of the way needs odometry")
+        self.outcome = ""
+        self.why = ""
+        self.feeds: Sequence[Feed] = [topic, odometry] if odometry else [topic]
+        self._asking = asking
+        self._velocity = velocity
+        self._may_be_silent = may_be_silent
+        self._max_distance_m = max_distance_m
+        self._beats = {feed.role: Beat(feed.topic) for feed in self.feeds}
+        self._way = Way()
+        self._began_at: float | None = None
+        self._met_at: float | None = None
+        self._paused_s = self._elapsed_s = 0.0
+
+    @staticmethod
+    def of(asked: Mapping[str, Any]) -> Until:
+        """What the server asks for; raises `KeyError`, `TypeError` or `ValueError` for what cannot be asked."""
+        types = MessageTypes(interfaces.load(asked["type"]))
+        odometry, most = asked.get("odometry"), asked.get("max_distance_m")
+        return Until(
+            topic=Feed("condition", asked["topic"], asked["type"]),
+            asking=Asking(types, types.name, asked["condition"]),
+            velocity={name: float(value) for name, value in asked["velocity"].items()},
+            may_be_silent=bool(asked.get("may_be_silent")),
+            odometry=Feed("odometry", odometry["topic"], odometry["type"]) if odometry else None,
+            max_distance_m=None if most is None else float(most),
+        )
+
+    def awaits(self) -> str:
+        """Topics of which too little has come; none where the condition is met already."""
+        if self._asking.is_met:
+            return ""
+        return " and ".join(
+            beat.topic
+            for role, beat in self._beats.items()
+            if beat.count < FIRST_MESSAGES and not (role == "condition" and self._may_be_silent)
+        )
+
+    def late_in_s(self, now: float) -> float:
+        """See `controller.Controller`."""
+        return late_in_s(self._beats.values(), now)
+
+    def hear(self, role: str, message: Any, now: float) -> None:
+        """A message that the condition is asked of, or odometry."""
+        if role == "odometry":
+            self._way.hear(message)
+        elif self._asking.ask(message) and self._met_at is None:
+            self._met_at = now
+        self._beats[role].heard(now)
+
+    def step(self, now: float) -> Velocity | None:
+        """The velocity, zeros while a topic is late; None once it has ended."""
+        if self._began_at is None:
+            self._began_at = now
+            self._way.begin()
+        seconds, self._elapsed_s = now - self._began_at - self._elapsed_s, now - self._began_at
+        if self._asking.is_met:
+            return self._end("met", "")
+        if self._max_distance_m is not None and self._way.length_m >= self._max_distance_m:
+            return self._end(
+                "distance", f"The limit of {self._max_distance_m:g} m was reached; the condition was not met."
+            )
+        late = [beat for role, beat in self._beats.items() if self._counts(role) and beat.late_s(now) > 0]
+        for beat in late:
+            if beat.late_s(now) > SILENT_S:
+                return self._end("silent", f"{beat.topic} has sent nothing for {beat.age_s(now):.2f} s.")
+        if late:
+            self._paused_s += seconds
+            return dict.fromkeys(self._velocity, 0.0)
+        return self._velocity
+
+    def report(self) -> Mapping[str, object]:
+        """What the condition was asked of, the way in m (None without odometry), and times in s."""
+        return {
+            **self._asking.report(),
+            "distance_m": round(self._way.length_m, 4) if "odometry" in self._beats else None,
+            "elapsed_s": round(self._elapsed_s, 3),
+            "paused_s": round(self._paused_s, 2),
+        }
+
+    def _counts(self, role: str) -> bool:
+        return not (role == "condition" and self._may_be_silent)
+
+    def _end(self, outcome: str, why: str) -> None:
+        self.outcome, self.why = outcome, why

@@ -1,0 +1,184 @@
+"""The watchdog's ears: what it is told of the robot comes from here, and what follows is carried out."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any, Protocol
+
+from ros2_mcp_bridge.loop import Seldom
+from ros2_mcp_bridge.request import OperationError, Request, Steps
+from ros2_mcp_bridge.ros import interfaces, rcl
+from ros2_mcp_bridge.ros.graph import Graph
+from ros2_mcp_bridge.stream import Sample
+from ros2_mcp_bridge.topics.relay import FollowedSource
+from ros2_mcp_bridge.topics.replayed import NewestOfOld
+from ros2_mcp_bridge.topics.subscriptions import RawSubscription
+from ros2_mcp_common.latch import Latch
+from ros2_mcp_common.policy.feedback import Watchdog, rules_of
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+# While the robot is driven; a message waits no longer than that. Part of `feedback.REACTION_S`. Chosen.
+LOOK_S = 0.02
+# While it rests: enough to notice that it is driven, and to keep the queues short. Chosen.
+REST_LOOK_S = 0.1
+# Whoever floods the topic must not keep the ROS thread; the rest is heard at the next look. Chosen.
+HEARS_AT_MOST_S = 0.01
+# A message waits longer only where this process was held up for longer. Chosen.
+WAITED_AT_MOST_S = 1.0
+BY = "watchdog"
+
+
+class Heard(Protocol):
+    """What names a topic: a rule of the watchdog, a feed of a motion."""
+
+    @property
+    def topic(self) -> str:
+        """Its full name."""
+        ...
+
+    @property
+    def type(self) -> str:
+        """Its full type."""
+        ...
+
+
+class Ear:
+    """One topic of feedback, followed as its publishers come and go. While it gives a message, `received_at` is when
+    the middleware received it (monotonic, in s): it may have waited for the next look.
+    """
+
+    def __init__(self, node: Node, graph: Graph, heard: Heard) -> None:
+        request = Request({"op": "watch", "source": heard.topic, "type": heard.type}, b"")
+        self._interface = request.interface = interfaces.load(heard.type)
+        self._topic = heard.topic
+        self._source = FollowedSource(node, graph, request)
+        self._has_failed = False
+        self.received_at = 0.0
+        self._subscription: RawSubscription | None = None
+        self._old: NewestOfOld[Sample] | None = None
+
+    def hear(self, take_in: Callable[[Any], None]) -> None:
+        """Give `take_in` the messages that wait, decoded; of what a latched topic replays the newest. One that cannot
+        be taken or understood is not heard: then the topic becomes stale, and the watchdog watches on.
+        """
+        deadline = time.monotonic() + HEARS_AT_MOST_S
+
+        def decode(sample: Sample) -> None:
+            waited_s = (time.time_ns() - sample.received_ns) / 1e9  # by a clock that may be set
+            self.received_at = time.monotonic() - min(max(waited_s, 0.0), WAITED_AT_MOST_S)
+            with suppress(Exception):  # anybody can publish a broken one, and a type need not have all that is read
+                take_in(rcl.deserialize(sample.data, self._interface))
+
+        def pass_on(sample: Sample) -> None:
+            for one in self._old.passed(sample, time.monotonic()) if self._old else (sample,):
+                decode(one)
+
+        try:
+            self._resubscribe()
+            if self._subscription is not None:
+                self._subscription.drain(pass_on, lambda: time.monotonic() > deadline)
+            for one in self._old.due(time.monotonic()) if self._old else ():
+                decode(one)
+        except rcl.RCLError as error:
+            if not self._has_failed:
+                sys.stderr.write(f"{self._topic} cannot be heard: {error}\n")  # once
+            self._has_failed = True
+
+    @property
+    def is_settling(self) -> bool:
+        """Whether what a latched topic kept may still be about to come."""
+        return self._old is not None and self._old.is_settling(time.monotonic())
+
+    def _resubscribe(self) -> None:
+        opened_ns = time.time_ns()
+        self._source.resubscribe()
+        if self._source.subscription is not self._subscription:
+            self._subscription = self._source.subscription
+            self._old = NewestOfOld(opened_ns, time.monotonic()) if self._source.is_latched else None
+
+    def destroy(self) -> None:
+        """End hearing."""
+        self._source.destroy()
+
+
+class Watching:
+    """The watchdog of one bridge: hears, judges, and where something is found stops the robot and sets the latch."""
+
+    def __init__(self, node: Node, graph: Graph, *, latch: Latch, stop: Callable[[], object]) -> None:
+        self._node = node
+        self._graph = graph
+        self._latch = latch
+        self._stop = stop
+
+    def watch(
+        self,
+        rules: Callable[[], Mapping[str, Any] | None],
+        is_driven: Callable[[], bool],
+        by_goal: Callable[[], bool],
+    ) -> Steps[None]:
+        """Steps that watch for ever, once the rules have come, if they ask for it."""
+        while (given := rules()) is None:
+            yield Seldom(REST_LOOK_S)
+        speed, pose = rules_of(given)
+        if speed is None and pose is None:
+            return
+        watchdog = Watchdog(speed, pose)
+        try:
+            ears = [
+                (Ear(self._node, self._graph, rule), take(watchdog))
+                for rule, take in ((speed, _speed_to), (pose, _pose_to))
+                if rule
+            ]
+        except OperationError as error:  # its type is not there: it is never heard, so that nothing drives for long
+            sys.stderr.write(f"the watchdog hears nothing: {error}\n")
+            ears = []
+
+        def hear() -> None:
+            for ear, take in ears:
+                ear.hear(take)
+
+        yield from rounds(watchdog, hear, is_driven, self._end, by_goal=by_goal)
+
+    def _end(self, found: str) -> None:
+        """Zeros first; the latch holds at once, and is written beside, because that takes as long as the disk."""
+        self._stop()
+        if (state := self._latch.look()).is_set and state.by == BY:
+            return  # set once more its count would grow, and nobody could reset it
+        self._latch.hold(by=BY, reason=found)
+        sys.stderr.write(f"the watchdog stops the robot: {found}\n")
+        threading.Thread(target=self._latch.write_at_last, daemon=True).start()
+
+
+def rounds(
+    watchdog: Watchdog,
+    hear: Callable[[], None],
+    is_driven: Callable[[], bool],
+    end: Callable[[str], None],
+    now: Callable[[], float] = time.monotonic,
+    by_goal: Callable[[], bool] = lambda: False,
+) -> Steps[None]:
+    """Steps that go on for ever: tell it what is driven, let it hear what has come, and `end` what it finds."""
+    while True:
+        watchdog.told(is_driven(), now(), by_goal=by_goal())
+        hear()
+        if found := watchdog.look(now()):
+            end(found)
+        yield LOOK_S if watchdog.is_busy else REST_LOOK_S
+
+
+def _speed_to(watchdog: Watchdog) -> Callable[[Any], None]:
+    return lambda message: watchdog.heard_speed(message, time.monotonic())
+
+
+def _pose_to(watchdog: Watchdog) -> Callable[[Any], None]:
+    def take(message: Any) -> None:
+        header = getattr(message, "header", None)  # a type without one tells a place in no frame
+        watchdog.heard_pose(message, getattr(header, "frame_id", ""), time.monotonic())
+
+    return take

@@ -1,0 +1,136 @@
+"""Entering and leaving ROS: the context, the node, the executor."""
+
+from __future__ import annotations
+
+import os
+import platform
+import time
+from collections.abc import Generator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import rclpy
+from rclpy.context import Context
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import get_rmw_implementation_identifier
+
+from ros2_mcp_bridge.ros import participants, rcl
+from ros2_mcp_common.wire.protocol import PROTOCOL, Hello
+
+if TYPE_CHECKING:
+    from rclpy.executors import Executor
+    from rclpy.node import Node
+
+# With four others, 2 of 10 new participants heard all of them at once (decision 13): three times the chance.
+MORE_CANDIDATES = 2
+# The participants of this machine answer an announcement after 0.2 to 1 ms (decision 13), a busy one later.
+ANSWERED_S = 0.2
+# What rcl logs goes to stderr, which is the bridge's log; it writes no file on the robot.
+WITHOUT_LOG_FILES = ["--ros-args", "--disable-external-lib-logs"]
+# While these answers are waited for; each time reads the kernel's table of ports. Chosen.
+_LOOK_EVERY_S = 0.01
+
+
+def enter(node_name: str) -> tuple[Node, Executor]:
+    """Initialise ROS and make the bridge's node; returns it with its executor."""
+    node = join(node_name)
+    try:
+        from rclpy.experimental.events_executor import EventsExecutor as BestExecutor
+    except ImportError:  # before Jazzy
+        from rclpy.executors import SingleThreadedExecutor as BestExecutor
+    executor = BestExecutor(context=node.context)
+    executor.add_node(node)
+    return node, executor
+
+
+def join(node_name: str) -> Node:
+    """Initialise ROS and make a node, as light as it can be.
+
+    A participant that has not discovered everybody on this machine at once discovers the others only at their next
+    announcement, up to 3 s later: then more are tried, and the one that has discovered most stays.
+    """
+    node = _new_node(node_name)
+    deadline = time.monotonic() + ANSWERED_S
+    while not (complete := participants.all_discovered(node)) and time.monotonic() <= deadline:
+        time.sleep(_LOOK_EVERY_S)
+    if not complete:
+        nodes = [node, *(_new_node(node_name) for _ in range(MORE_CANDIDATES))]
+        time.sleep(ANSWERED_S)
+        node = max(nodes, key=participants.discovered)
+        for other in nodes:
+            if other is not node:
+                destroy(other)
+    return node
+
+
+def leave(node: Node, executor: Executor) -> None:
+    """Undo `enter`. Whoever lists the node does not any more, and nothing of it stays in shared memory."""
+    executor.remove_node(node)
+    executor.shutdown()
+    rcl.destroy_endpoints()
+    destroy(node)
+
+
+def hello(node: Node, executor: Executor) -> dict[str, object]:
+    """The event that tells the server who we are."""
+    packages = Path(str(rclpy.__file__)).parent.parent
+    wheels = (found.name.split("_")[1] for found in packages.glob("ros_*_rclpy-*.dist-info"))
+    introduction = Hello(
+        python=platform.python_version(),
+        distro=os.environ.get("ROS_DISTRO") or next(wheels, ""),
+        rmw=get_rmw_implementation_identifier(),
+        domain_id=node.context.get_domain_id(),
+        node=node.get_fully_qualified_name(),
+        pid=os.getpid(),
+        executor=type(executor).__name__,
+    )
+    return {"event": "hello", "protocol": PROTOCOL, **introduction._asdict()}
+
+
+def _new_node(node_name: str) -> Node:
+    context = Context()
+    with _receiving_after_sending():
+        rclpy.init(args=WITHOUT_LOG_FILES, context=context, signal_handler_options=SignalHandlerOptions.NO)
+        return rclpy.create_node(
+            node_name,
+            context=context,
+            use_global_arguments=False,
+            enable_rosout=False,
+            start_parameter_services=False,
+        )
+
+
+@contextmanager
+def _receiving_after_sending() -> Generator[None, None, None]:
+    """Let threads that are started here run only when this one waits: they share its processor and stand back.
+
+    A new participant of Fast DDS 2.14 announces itself a moment before it heeds what its threads receive, so that it
+    misses answers that come within a fraction of a millisecond, as those of this machine do. See decision 13.
+    """
+    if not hasattr(os, "sched_setaffinity") or os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK != os.SCHED_OTHER:
+        yield
+        return
+    processors = os.sched_getaffinity(0)
+    with suppress(OSError):
+        # The processor that this thread runs on (field 39 of its stat) is seldom one that others keep busy.
+        after_name = Path("/proc/thread-self/stat").read_text().rpartition(")")[2]
+        os.sched_setaffinity(0, {int(after_name.split()[36])})
+        try:  # real time for this thread alone, where that is allowed
+            os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(1))
+        except PermissionError:  # else batch for all, of which none interrupts another
+            os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+    try:
+        yield
+    finally:
+        for thread in Path("/proc/self/task").iterdir():
+            with suppress(OSError):  # it may have ended meanwhile
+                os.sched_setaffinity(int(thread.name), processors)
+                os.sched_setscheduler(int(thread.name), os.SCHED_OTHER | os.SCHED_RESET_ON_FORK, os.sched_param(0))
+
+
+def destroy(node: Node) -> None:
+    """Undo `join`."""
+    context = node.context
+    node.destroy_node()
+    context.try_shutdown()

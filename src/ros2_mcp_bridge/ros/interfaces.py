@@ -1,0 +1,52 @@
+"""Python classes of interfaces, by the names that the graph uses."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import sys
+from functools import lru_cache
+from typing import Any
+
+from ros2_mcp_bridge.request import OperationError
+
+# the topics and services that an action is made of have types of their own, which rclpy keeps in Action.Impl
+_PARTS_OF_ACTIONS = {
+    "SendGoal": "SendGoalService",
+    "GetResult": "GetResultService",
+    "FeedbackMessage": "FeedbackMessage",
+}
+
+# A type has one name: Python would also find it by others, which no table of types knows.
+_NAME = re.compile(r"[A-Za-z]\w*/(msg|srv|action)/[A-Za-z]\w*", re.ASCII)
+
+
+# More types than a robot has; a class stays loaded anyway, so that forgetting one frees nothing.
+@lru_cache(maxsize=1024)
+def load(type_name: str) -> Any:
+    """The class of `std_msgs/msg/String`, `nav2_msgs/action/Wait_SendGoal` and the like, its type support loaded.
+
+    Raises `OperationError` of kind `unknown_type`.
+    """
+    from rclpy.type_support import check_for_type_support  # pyright: ignore[reportUnknownVariableType]
+
+    try:
+        if not _NAME.fullmatch(type_name):
+            raise ValueError("that is not the name of an interface")
+        package, kind, name = type_name.split("/")
+        if package not in sys.modules:
+            importlib.invalidate_caches()  # it may have been built since this began
+        module = importlib.import_module(f"{package}.{kind}")
+        if kind == "action" and "_" in name:
+            action, _, part = name.partition("_")
+            interface = getattr(getattr(module, action).Impl, _PARTS_OF_ACTIONS[part])
+        else:
+            interface = getattr(module, name)
+        check_for_type_support(interface)
+    except Exception as error:  # importing a broken interface package can raise anything
+        raise OperationError(
+            "unknown_type",
+            f"The robot's ROS installation cannot load {type_name}: {error or type(error).__name__}.",
+            "Names look like std_msgs/msg/String; the package must be installed and sourced where the bridge runs.",
+        ) from error
+    return interface

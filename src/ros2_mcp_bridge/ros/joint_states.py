@@ -1,0 +1,134 @@
+"""Where the joints of the robot are, as it tells it: taken from the middleware when somebody asks, and not before."""
+
+from __future__ import annotations
+
+import json
+import math
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from ros2_mcp_bridge.request import OperationError, Request, Steps
+from ros2_mcp_bridge.ros import interfaces, qos, rcl
+from ros2_mcp_common.policy.curves import State
+from ros2_mcp_common.policy.trajectory_limits import JointBounds, Joints
+from ros2_mcp_common.wire.protocol import JointsReply
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
+# Joints tell where they are at 10 to 1,000 Hz. What is older may be far from where the joint is by now: to hold there
+# would be to go back there. Chosen.
+STALE_S = 0.5
+# Of joint states: arm, gripper, wheels; a robot that has more of them is unknown to us. Chosen.
+MOST_TOPICS = 8
+# Whoever hangs while it takes must not keep the other thread, which goes on with what was taken before. Chosen.
+TAKE_S = 0.05
+NS_PER_S = 1_000_000_000
+# For a first message with the joints of a trajectory, once per topic, before it is sent: a publisher that missed our
+# announcement is discovered with the next one, 3 s later (decision 13).
+MEASURED_S = 3.5
+# Between looks while joints are waited for: they tell of themselves at 10 to 1,000 Hz.
+LOOK_S = 0.02
+
+
+class JointStates:
+    """The newest position of each joint, of all topics with joint states that there are.
+
+    A subscription that nobody takes from costs nothing but the middleware's own work: its queue has one place.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._interface: Any = None
+        self._subscriptions: dict[str, rcl.RawSubscription] = {}
+        self._positions: dict[str, tuple[float, float]] = {}
+        self._speeds: dict[str, float] = {}
+        self.described: Mapping[str, JointBounds] = {}
+        self._lock = threading.Lock()
+        self._looked_at = -math.inf
+
+    def follow(self) -> None:
+        """Subscribe to what is there by now. ROS thread only."""
+        if self._interface is None:
+            self._interface = interfaces.load(JOINT_STATE)
+        profile = qos.profile({"reliability": "best_effort"}, max_depth=1)
+        for name, types in self._node.get_topic_names_and_types():
+            if JOINT_STATE in types and name not in self._subscriptions and len(self._subscriptions) < MOST_TOPICS:
+                self._subscriptions[name] = rcl.subscription(self._node, self._interface, name, profile)
+
+    def missing(self, joints: Sequence[str]) -> list[str]:
+        """Those that nobody has told of lately. From any thread."""
+        self._look()
+        oldest = time.monotonic() - STALE_S
+        return [joint for joint in joints if self._positions.get(joint, (0.0, -math.inf))[1] < oldest]
+
+    def positions(self, joints: Sequence[str]) -> list[float]:
+        """Where these joints are now. From any thread.
+
+        Raises `ValueError`, in words, where that is not known.
+        """
+        if missing := self.missing(joints):
+            raise ValueError(f"no joint state of the last {STALE_S:g} s has the position of {', '.join(missing)}")
+        return [self._positions[joint][0] for joint in joints]
+
+    def known(self, joints: Sequence[str]) -> Joints:
+        """How these joints move now, and their limits in the robot's description. From any thread. Raises as above."""
+        positions = self.positions(joints)
+        measured = {name: State(at, self._speeds.get(name)) for name, at in zip(joints, positions, strict=True)}
+        return Joints(measured, self.described)
+
+    def wait(self, request: Request) -> Steps[JointsReply]:
+        """How joints move now, waited for at most `within_s`: asked before the first trajectory. The body, if there is
+        one, has the limits of the robot's description: those of joints by name, as `JointBounds`.
+        """
+        if request.body:
+            try:
+                described = json.loads(request.body)
+                self.described = {str(name): JointBounds(**each) for name, each in described.items()}
+            except (ValueError, TypeError, AttributeError) as error:
+                raise OperationError("bad_request", f"These limits of joints cannot be read: {error!r}") from error
+        joints, deadline = request.texts("joints"), time.monotonic() + request.number("within_s", MEASURED_S)
+        self.follow()
+        while (missing := self.missing(joints)) and time.monotonic() < deadline:
+            self.follow()
+            yield LOOK_S
+        measured = self.known([name for name in joints if name not in missing]).measured
+        return {"joints": {name: (state.position, state.speed) for name, state in measured.items()}}
+
+    def clear(self) -> None:
+        """End following."""
+        for subscription in self._subscriptions.values():
+            subscription.destroy_when_not_in_use()
+        self._subscriptions.clear()
+
+    def _look(self) -> None:
+        """Take what has come. Its age is known by two clocks: by when it was looked last, and by the middleware's
+        stamp, which is wrong where the machine's time was set meanwhile.
+        """
+        if not self._lock.acquire(timeout=TAKE_S):
+            return
+        try:
+            now, before, self._looked_at = time.monotonic(), self._looked_at, time.monotonic()
+            for subscription in list(self._subscriptions.values()):
+                taken = subscription.take_message(self._interface, True)
+                if taken:
+                    stamp_ns: int = taken[1].get("received_timestamp") or time.time_ns()
+                    self._take_in(taken[0], max(before, now - max(0.0, (time.time_ns() - stamp_ns) / NS_PER_S)))
+        finally:
+            self._lock.release()
+
+    def _take_in(self, data: bytes, at: float) -> None:
+        try:
+            message = rcl.deserialize(data, self._interface)
+        except Exception:  # noqa: BLE001 - anybody can publish a broken one: it tells nothing
+            return
+        speeds = dict(zip(message.name, message.velocity, strict=False))
+        for name, position in zip(message.name, message.position, strict=False):
+            if math.isfinite(position):
+                self._positions[name] = position, at
+                self._speeds.pop(name, None)
+                if math.isfinite(speed := speeds.get(name, math.nan)):
+                    self._speeds[name] = speed

@@ -1,0 +1,1 @@
+"""The process that sends the zero when its bridge has died."""

@@ -1,0 +1,99 @@
+"""Entering ROS over UDP alone: what a killed process leaves locked in shared memory then holds up nobody here.
+
+Who writes to a port of Fast DDS's shared memory, and who waits at one, locks it; a process that is killed meanwhile
+leaves it locked, and the others wait for 1 s. Which transports there are can be said only in a profile, since
+rmw_fastrtps adds shared memory to whatever else it is told where ROS stays on this machine.
+See docs/decisions/0033-the-stopper-speaks-udp-alone.md.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Generator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from rclpy.utilities import get_rmw_implementation_identifier
+
+from ros2_mcp_bridge.ros import participants
+
+# Where Fast DDS itself keeps files, in memory; gone as soon as the profile has been read.
+_FOLDER = "/dev/shm"
+# Fast DDS 2 reads the first, Fast DDS 3 the second.
+_PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+_PROFILE_FILES = ("DEFAULT_FASTRTPS_PROFILES.xml", "DEFAULT_FASTDDS_PROFILES.xml")
+# With one of these somebody has chosen how participants find or reach each other; that is not changed.
+_CHOSEN_VARIABLES = (*_PROFILE_VARIABLES, "FASTDDS_BUILTIN_TRANSPORTS", "ROS_DISCOVERY_SERVER", "ROS_STATIC_PEERS")
+_RANGE, _LOCAL_ONLY = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY"
+# As rmw_fastrtps has it where ROS stays on this machine: no multicast, and the first 32 participants are asked.
+_STAYS_HERE = """<builtin>
+    <metatrafficUnicastLocatorList><locator/></metatrafficUnicastLocatorList>
+    <initialPeersList><locator><udpv4><address>127.0.0.1</address></udpv4></locator></initialPeersList>
+   </builtin>"""
+_PROFILE = """<?xml version="1.0" encoding="UTF-8"?>
+<dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
+ <profiles>
+  <transport_descriptors>
+   <transport_descriptor>
+    <transport_id>udp</transport_id><type>UDPv4</type>{peers}
+   </transport_descriptor>
+  </transport_descriptors>
+  <participant profile_name="udp_alone" is_default_profile="true">
+   <rtps>
+    <userTransports><transport_id>udp</transport_id></userTransports>
+    <useBuiltinTransports>false</useBuiltinTransports>
+    {discovery}
+   </rtps>
+  </participant>
+ </profiles>
+</dds>
+"""
+
+
+def profile(*, stays_here: bool) -> str:
+    """The profile, in XML; `stays_here` where ROS does not leave this machine."""
+    peers = "<maxInitialPeersRange>32</maxInitialPeersRange>" if stays_here else ""
+    return _PROFILE.format(peers=peers, discovery=_STAYS_HERE if stays_here else "")
+
+
+@contextmanager
+def alone() -> Generator[None, None, None]:
+    """A context in which participants of Fast DDS are made without shared memory, if nobody has chosen transports.
+
+    The first participant of the process has to be made in it: the profile is read once.
+    """
+    if not _is_ours_to_choose():
+        yield
+        return
+    stays_here, former = participants.reach_is_local(), dict(os.environ)
+    try:
+        file = tempfile.NamedTemporaryFile("w", dir=_FOLDER, prefix="ros2_mcp_", suffix=".xml")  # noqa: SIM115
+    except OSError:  # where nothing can be written there, there is no shared memory to be locked either
+        yield
+        return
+    with file:
+        file.write(profile(stays_here=stays_here))
+        file.flush()
+        os.environ.update(dict.fromkeys(_PROFILE_VARIABLES, file.name))
+        if stays_here:  # which the profile says now
+            os.environ[_RANGE] = "SYSTEM_DEFAULT"
+            os.environ.pop(_LOCAL_ONLY, None)
+        try:
+            yield
+        finally:
+            for name in (*_PROFILE_VARIABLES, _RANGE, _LOCAL_ONLY):
+                if name in former:
+                    os.environ[name] = former[name]
+                else:
+                    os.environ.pop(name, None)
+
+
+def _is_ours_to_choose() -> bool:
+    if not get_rmw_implementation_identifier().startswith("rmw_fastrtps"):
+        return False
+    if os.environ.get(_RANGE, "").upper() == "OFF" or any(map(os.environ.get, _CHOSEN_VARIABLES)):
+        return False
+    with suppress(OSError):  # a working folder that is gone has no profile either
+        return not any((Path.cwd() / name).exists() for name in _PROFILE_FILES)
+    return True

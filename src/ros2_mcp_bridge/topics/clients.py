@@ -1,0 +1,179 @@
+"""Service calls: request bytes in, response bytes out, many at once."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from typing import TYPE_CHECKING, Any
+from weakref import WeakKeyDictionary
+
+from rclpy.qos import QoSProfile, QoSReliabilityPolicy
+
+from ros2_mcp_bridge.exit.failsafes import FailSafes
+from ros2_mcp_bridge.exit.lifeline import Lifeline
+from ros2_mcp_bridge.exit.limiter import Limiter
+from ros2_mcp_bridge.request import OperationError, Request, Steps
+from ros2_mcp_bridge.ros import rcl
+from ros2_mcp_bridge.topics.pace import Pace
+from ros2_mcp_bridge.topics.pool import Pool
+from ros2_mcp_common.policy import stamps
+from ros2_mcp_common.policy.flight import brakes
+from ros2_mcp_common.policy.rules import READING_TYPES, meaning
+from ros2_mcp_common.wire import protocol
+from ros2_mcp_common.wire.protocol import CallReply
+
+if TYPE_CHECKING:
+    from rclpy.client import Client
+    from rclpy.node import Node
+    from rclpy.task import Future
+
+# An answer wakes its request; this is only for noticing that a server has gone or time is up. Chosen.
+POLL_S = 0.1
+# While a server is waited for: rclpy does not notify of its appearance. Chosen.
+APPEARS_POLL_S = 0.005
+# A server that has just come up throws its answer away if it has not discovered our client yet. A server that was there
+# at once, or came within the first of these times, has had time to discover us; any other is given the second. Both are
+# chosen, not measured.
+JUST_STARTED_S = 0.3
+KNOWS_US_S = 0.5
+# Fast DDS drops an answer where the server has not discovered our reader 0.1 s after the request came. What discovery
+# lost it repairs within 3 s; then what changes nothing is asked once more, unless the server has answered us before.
+ASKS_AGAIN_S = 3.0
+# Discovery can lose sight of a server for a short time; a server that is missing for longer is gone. Chosen.
+GONE_AFTER_S = 0.3
+# The default depth of 10 loses responses where more are on their way at the same moment.
+MANY_AT_ONCE = QoSProfile(depth=500, reliability=QoSReliabilityPolicy.RELIABLE)
+
+ServiceKey = tuple[str, str]
+
+
+class Clients:
+    """Pooled clients of services, those of actions included."""
+
+    def __init__(self, node: Node, failsafes: FailSafes, limiter: Limiter, lifeline: Lifeline) -> None:
+        self._node = node
+        self._lifeline = lifeline
+        self._failsafes = failsafes
+        self._limiter = limiter
+        self.pool: Pool[ServiceKey, Client] = Pool(node.destroy_client)
+        self._awaited: dict[Future, tuple[Request, Pace]] = {}
+        self._paces: WeakKeyDictionary[Client, Pace] = WeakKeyDictionary()
+
+    def call(self, request: Request) -> Steps[tuple[CallReply, bytes]]:
+        """Send a request and wait for its response."""
+        return self.answered(request, request.number("timeout_s"))
+
+    def answered(self, request: Request, timeout_s: float) -> Steps[tuple[CallReply, bytes]]:
+        """Steps that send a request, and wait at most so long for its response."""
+        service, wait_s = request.text("service"), request.number("wait_s", 0.0)
+        started = time.monotonic()
+        latest = started + request.number("within_s", wait_s + timeout_s)
+        with self._use(request) as (client, message):
+            yield from _wait_server(client, service, wait_s, latest)
+            pace = self._paces.setdefault(client, Pace())
+            yield from pace.wait_turn(request, latest)
+            sent_at = time.monotonic()
+            if sent_at >= latest:
+                too_late = f"The server of {service} appeared too late: nothing was sent."
+                raise OperationError("timeout", too_late, "Try again: it is there now.")
+            request.leave()
+            futures: list[Future] = []
+
+            def send() -> None:
+                futures.append(self._send(client, request, message))
+                self._awaited[futures[-1]] = request, pace
+
+            again_at, deadline = sent_at + ASKS_AGAIN_S, min(sent_at + timeout_s, latest)
+            may_be_lost = request.text("type") in READING_TYPES and not pace.has_answered and again_at < deadline
+            try:
+                send()
+                if may_be_lost and not (yield from _wait_response(client, service, futures, again_at)):
+                    send()
+                if not (yield from _wait_response(client, service, futures, deadline)):
+                    raise OperationError("timeout", f"{service} did not answer within {timeout_s:g} s.")
+                body = rcl.serialize(next(future for future in futures if future.done()).result())
+            finally:
+                for future in futures:
+                    self._awaited.pop(future, None)
+                    client.remove_pending_request(future)
+        elapsed_s = round(time.monotonic() - sent_at, 6)
+        return {"waited_s": round(sent_at - started, 6), "elapsed_s": elapsed_s}, body
+
+    def look(self) -> None:
+        """Wake those whose answers have come: after each round, for rclpy's own callbacks take two rounds more."""
+        for future in [future for future in self._awaited if future.done()]:
+            request, pace = self._awaited.pop(future)
+            pace.answered(request)
+            request.wake()
+
+    def unserved(self) -> set[ServiceKey]:
+        """The services that we have a client of and nobody serves: pairs of name and type."""
+        return {key for key, client in self.pool.entities().items() if not client.service_is_ready()}
+
+    def failsafe(self, request: Request) -> Steps[protocol.Cancelled]:
+        """A request that cancels a goal, or makes a vehicle stand, at the end, if its server is there, unless this
+        request is cancelled before. Where this process and the server die together, the stopper sends it.
+
+        No other: it is sent where the latch is set, too.
+        """
+        with self._use(request) as (client, message):
+            service, type_name = request.text("service"), request.text("type")
+            if meaning(service, type_name).verb != "cancel" and not brakes(service, type_name, message):
+                problem = f"{service} cancels no goals, nor does it make a vehicle stand: it cannot be left."
+                raise OperationError("bad_request", problem)
+
+            def call_if_ready() -> Future | None:
+                return self._send(client, request, message) if client.service_is_ready() else None
+
+            with self._lifeline.leaving(service, type_name, request.body):
+                return (yield from self._failsafes.until_cancelled(request, call_if_ready))
+
+    def _send(self, client: Client, request: Request, message: Any) -> Future:
+        """The exit of requests; raises `OperationError` for what the policy does not let out."""
+        self._limiter.check_call(request, message, leaves=True)
+        return client.call_async(message)
+
+    @contextmanager
+    def _use(self, request: Request) -> Generator[tuple[Client, Any], None, None]:
+        """The pooled client of the service that a request names, and the message to send."""
+        service, type_name = request.text("service"), request.text("type")
+        try:
+            message = rcl.deserialize(request.body, request.interface.Request)
+        except Exception as error:  # the middlewares raise errors of many kinds
+            problem = f"{request.op}: the body is no request of {type_name}: {error}"
+            raise OperationError("bad_request", problem) from error
+        if request.flag("brakes") and not brakes(service, type_name, message):
+            raise OperationError("bad_request", f"{service} is not asked to make a vehicle stand: it is an order.")
+        stamps.zero(message)  # whatever the server let through: a trajectory begins when it arrives
+        self._limiter.check_call(request, message, leaves=False)  # before anything is made, or waited for
+        create = partial(rcl.client, self._node, request.interface, service, MANY_AT_ONCE)
+        with self.pool.use((service, type_name), create) as (client, _):
+            yield client, message
+
+
+def _wait_server(client: Client, service: str, wait_s: float, latest: float) -> Steps[None]:
+    started = time.monotonic()
+    deadline = started + wait_s
+    while not client.service_is_ready():
+        if time.monotonic() >= deadline:
+            raise OperationError("not_found", f"No server of {service} appeared within {wait_s:g} s.")
+        yield APPEARS_POLL_S
+    if time.monotonic() - started > JUST_STARTED_S:
+        yield min(KNOWS_US_S, max(0.0, latest - time.monotonic()))
+
+
+def _wait_response(client: Client, service: str, futures: Sequence[Future], until: float) -> Steps[bool]:
+    """Whether one of the requests was answered before that time, on the steady clock."""
+    last_ready = time.monotonic()
+    while not any(future.done() for future in futures):
+        now = time.monotonic()
+        if client.service_is_ready():
+            last_ready = now
+        if now - last_ready > GONE_AFTER_S:
+            raise OperationError("server_gone", f"The server of {service} disappeared before it answered.")
+        if now >= until:
+            return False
+        yield min(POLL_S, until - now)
+    return True

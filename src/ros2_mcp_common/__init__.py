@@ -1,0 +1,1 @@
+"""What server and bridge share: stream, policies, small languages. Standard library only, no ROS."""

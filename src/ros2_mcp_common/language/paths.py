@@ -1,0 +1,244 @@
+"""Paths to fields: `pose.pose.position`, `ranges[0:10]`, `name[-1]`, `transforms[*].header.frame_id`.
+
+`transforms[child_frame_id == "base_link"]` are the elements of which that is so. Server and bridge share them: they
+read messages of rosbags as well as of rclpy. Needs no ROS.
+"""
+
+from __future__ import annotations
+
+import difflib
+import keyword
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from operator import attrgetter
+from typing import Any, cast
+
+from ros2_mcp_common.language.field_types import TEXTS, FieldType, TypedField, Types
+
+_PART = re.compile(r"(?P<name>[A-Za-z]\w*)(?P<brackets>(?:\[[^\[\]]*\])?)", re.ASCII)
+_DOT = re.compile(r"\.(?![^\[]*\])")  # not within brackets
+_WHERE = re.compile(r"""\s*(?P<path>[\w.]+)\s*==\s*(?:"(?P<text>[^"]*)"|'(?P<other>[^']*)'|(?P<number>-?\d+))\s*""")
+_INDEX = re.compile(r"-?\d+", re.ASCII)
+_SLICE = re.compile(r"(-?\d+)?:(-?\d+)?(?::([1-9]\d*))?", re.ASCII)
+_NOT_AN_INDEX = 'Write [3], [-1], [0:10], [::5], [*] or [name == "x"].'
+
+
+class PathError(ValueError):
+    """A path that does not exist, or leads to nothing in a message; the hint says what would be right."""
+
+    def __init__(self, path: str, message: str, hint: str = "") -> None:
+        super().__init__(f"{path}: {message}" if path else message)
+        self.path = path
+        self.message = message
+        self.hint = hint
+
+
+@dataclass(frozen=True)
+class Where:
+    """Of the elements of a list of messages those in which the value at `path` is this one."""
+
+    path: FieldPath
+    value: str | int
+
+    def among(self, elements: Sequence[object]) -> list[object]:
+        """Those elements."""
+        return [element for element in elements if self.path.value_in(element) == self.value]
+
+
+Pick = int | slice | Where | None
+
+
+@dataclass(frozen=True)
+class Step:
+    """One field on the way, and what of it is picked: one element, a slice, or (None) the field as it is."""
+
+    field: TypedField
+    pick: Pick = None
+
+    @property
+    def type(self) -> FieldType:
+        """The type of the field, or of one element where some are picked."""
+        return self.field.type if self.pick is None else self.field.type.element
+
+
+@dataclass(frozen=True)
+class FieldPath:
+    """A path that fits the definition; made with `parse`."""
+
+    path: str
+    steps: tuple[Step, ...]
+
+    @property
+    def type(self) -> FieldType:
+        """The type at the end of the path; of one element where several are picked."""
+        return self.steps[-1].type
+
+    @property
+    def is_list(self) -> bool:
+        """Whether it stands for several values."""
+        return self.type.arity != "single" or any(isinstance(step.pick, (slice, Where)) for step in self.steps)
+
+    def finds_none_in(self, message: object) -> bool:
+        """Whether it asks for elements with a value, and the message has none."""
+        return any(isinstance(step.pick, Where) for step in self.steps) and not len(self.value_in(message))
+
+    def element(self, number: int) -> int | None:
+        """The index of one of its values in the message's own list.
+
+        None where it cannot be told: several lists lead there, or it is counted from the end of one of any length.
+        """
+        lists = [step for step in self.steps if isinstance(step.pick, (slice, Where))]
+        if self.type.arity != "single":
+            lists.append(self.steps[-1])
+        if len(lists) != 1 or isinstance(lists[0].pick, Where):
+            return None
+        field, pick = lists[0].field, lists[0].pick
+        if not isinstance(pick, slice):
+            return number
+        start = pick.start or 0
+        if start < 0:
+            if field.type.arity != "array":
+                return None
+            start = max(start + field.type.size, 0)
+        return start + number * (pick.step or 1)
+
+    def value_in(self, message: object) -> Any:
+        """The value in a message; beyond a slice, a flat list of all that the path leads to.
+
+        Raises:
+            PathError: where a list has no such element.
+        """
+        if all(step.pick is None for step in self.steps):
+            value = value_at(message, self.path)
+            return _integers(value) if self.type.base == "byte" else value
+        return _follow(self.path, self.steps, message)
+
+
+def parse(types: Types, type_name: str, path: str) -> FieldPath:
+    """Reads a path and checks it against the definition.
+
+    Raises:
+        PathError: for a path that does not exist, with the nearest that does.
+    """
+    steps: list[Step] = []
+    inside = FieldType(type_name)
+    for part in _DOT.split(path.strip()):
+        match = _PART.fullmatch(part)
+        if match is None:
+            raise PathError(
+                path, f"{part!r} is not a field.", f"A path is like pose.position or ranges[0:10]. {_NOT_AN_INDEX}"
+            )
+        steps.append(_step(types, path, inside, match["name"], match["brackets"]))
+        inside = steps[-1].type
+    return FieldPath(path.strip(), tuple(steps))
+
+
+def value_at(message: object, path: str) -> Any:
+    """The value at a path that is made of names and dots."""
+    return _getter(path)(message)
+
+
+def attribute(name: str) -> str:
+    """How a field of that name is called in Python: a word of Python's gets a `_`, as rosbags does it."""
+    return f"{name}_" if keyword.iskeyword(name) else name
+
+
+@lru_cache(maxsize=4096)
+def _getter(path: str) -> attrgetter[Any]:
+    return attrgetter(".".join(map(attribute, path.split("."))))
+
+
+def _step(types: Types, path: str, inside: FieldType, name: str, brackets: str) -> Step:
+    if inside.arity != "single":
+        raise PathError(path, f"{inside} is a list; {name!r} is a field of its elements.", _NOT_AN_INDEX)
+    if not inside.is_message:
+        raise PathError(path, f"{inside} has no fields, so {name!r} cannot be one.")
+    fields = types.fields(inside.base)
+    if name not in fields:
+        near = _nearest(name, list(fields))
+        hint = f"Did you mean {near}? " if near else ""
+        raise PathError(path, f"{inside.base} has no field {name!r}.", f"{hint}Its fields are {', '.join(fields)}.")
+    field, index = fields[name], brackets[1:-1]
+    if not brackets:
+        return Step(field)
+    if field.type.arity == "single":
+        raise PathError(path, f"{name} is a single {field.type}, not a list.")
+    if index == "*":
+        return Step(field, slice(None))
+    if _INDEX.fullmatch(index):
+        size = field.type.size
+        if field.type.arity == "array" and size and not -size <= int(index) < size:
+            raise no_element(path, int(index), size)
+        return Step(field, int(index))
+    if found := _WHERE.fullmatch(index):
+        return Step(field, _where(types, path, field, found))
+    match = _SLICE.fullmatch(index)
+    if match is None:
+        raise PathError(path, f"[{index}] is not an index.", _NOT_AN_INDEX)
+    return Step(field, slice(*(int(bound) if bound else None for bound in match.groups())))
+
+
+def _where(types: Types, path: str, field: TypedField, found: re.Match[str]) -> Where:
+    """The elements that `[name == "x"]` means; raises `PathError` where they can have no such value."""
+    below = parse(types, field.type.base, found["path"]) if field.type.is_message else None
+    value = int(found["number"]) if found["number"] else found["text"] or found["other"] or ""
+    kind = below.type if below and not below.is_list else None
+    if below is None or kind is None or not (kind.base in TEXTS if isinstance(value, str) else kind.is_number):
+        raise PathError(path, f"{found[0].strip()} cannot be asked of {field.type}.", _NOT_AN_INDEX)
+    return Where(below, value)
+
+
+def several_of(values: Any, pick: slice | Where) -> Any:
+    """What is picked of a list or an array."""
+    return values[pick] if isinstance(pick, slice) else pick.among(values)
+
+
+def no_element(path: str, index: int, length: int) -> PathError:
+    """The error of an index that a list of that length does not have."""
+    there = f"only [0] to [{length - 1}]" if length else "it is empty"
+    return PathError(path, f"there is no element [{index}], {there}.")
+
+
+def element_at(values: Any, index: int, path: str) -> Any:
+    """One element of a list or array; raises `PathError` where it is shorter."""
+    if not -len(values) <= index < len(values):
+        raise no_element(path, index, len(values))
+    element = values[index]
+    return element.item() if type(element).__module__ == "numpy" else element  # a number of NumPy's, or a message
+
+
+def _follow(path: str, steps: Sequence[Step], value: Any) -> Any:
+    for index, step in enumerate(steps, 1):
+        value = getattr(value, attribute(step.field.name))
+        if step.field.type.base == "byte":
+            value = _integers(value)
+        if isinstance(step.pick, int):
+            value = element_at(value, step.pick, path)
+        elif step.pick is not None:
+            value = several_of(value, step.pick)
+            if index < len(steps):
+                return [leaf for element in value for leaf in _leaves(_follow(path, steps[index:], element))]
+    return value
+
+
+def _leaves(value: Any) -> Sequence[Any]:
+    return cast("Sequence[Any]", value) if hasattr(value, "__len__") and not isinstance(value, str) else [value]
+
+
+def _integers(value: Any) -> Any:
+    """A `byte`, or a list of them, as integers: rclpy has bytes of length 1 for each, rosbags has integers."""
+    if isinstance(value, bytes):
+        return value[0]
+    if isinstance(value, list):
+        return [_integers(each) for each in cast("list[object]", value)]
+    return value
+
+
+def _nearest(name: str, known: Sequence[str]) -> str:
+    """The known name that this was most likely meant to be, or an empty string."""
+    by_folded = {candidate.lower(): candidate for candidate in known}
+    # 0.6 is what difflib takes for close by itself.
+    close = difflib.get_close_matches(name.lower(), list(by_folded), n=1, cutoff=0.6)
+    return by_folded[close[0]] if close else ""

@@ -1,0 +1,311 @@
+"""What the fields of a value may be, and how a value that is beyond it is brought within. Needs no ROS.
+
+The same functions judge in the server, on values as JSON objects, and in the bridge, on messages that rclpy decoded.
+A path names fields: `linear.x`, `points[].velocities[]` (each element), nothing for the whole value. Of a stamped type
+(a header and one more field) the name of that field may be left out: `linear` of a `TwistStamped` is `twist.linear`.
+Whatever cannot be judged fails: a field that is not there, a text where a number is meant, NaN.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from ros2_mcp_common.policy.curves import extremes, segments
+from ros2_mcp_common.policy.field_values import (
+    Unfit,
+    at,
+    fields_of,
+    get,
+    is_list,
+    number_at,
+    numbers,
+    steps_of,
+    with_frame_ids,
+)
+from ros2_mcp_common.policy.trajectory_limits import CurveLimits, LookAtJoints, nobody_measures, seconds, states_at
+from ros2_mcp_common.policy.trajectory_limits import problem as problem_of_curve
+
+# A scaled vector is this much shorter than its limit, so that rounding to float32 (6e-8) leaves it within.
+_WITHIN = 1 - 1e-6
+# The limits of a trajectory hold for rounded times, too: a nanosecond of one second.
+_ROUNDING = 1 + 1e-9
+
+
+@dataclass(frozen=True)
+class Zone:
+    """A polygon in a coordinate frame, in metres; what is to lie in it keeps `margin_m` from its edges."""
+
+    frame_id: str
+    polygon: tuple[tuple[float, float], ...]
+    margin_m: float = 0.0
+
+
+@dataclass(frozen=True)
+class Pace:
+    """A limit on a list of trajectory points (`positions`, `time_from_start`).
+
+    No joint moves faster than `most` (rad/s or m/s) anywhere between two points, and the first point, whose way there
+    is not known, comes `first_s` after the start or later.
+    """
+
+    most: float
+    first_s: float
+
+
+@dataclass(frozen=True)
+class Checks:
+    """What the fields of a value must be, by their paths.
+
+    `norm`: the length of the vector of all numbers below the path is at most that. `range`: each number lies between
+    both bounds, included. `one_of`: it is one of these. `zero`: all numbers below are 0. `count`: a list has from so
+    many to so many elements. `zone`: the position lies in the zone of that name. `pace`: as `Pace` says.
+    """
+
+    norm: Mapping[str, float] = field(default_factory=dict[str, float])
+    range: Mapping[str, tuple[float, float]] = field(default_factory=dict[str, "tuple[float, float]"])
+    one_of: Mapping[str, tuple[Any, ...]] = field(default_factory=dict[str, "tuple[Any, ...]"])
+    zero: tuple[str, ...] = ()
+    count: Mapping[str, tuple[int, int]] = field(default_factory=dict[str, "tuple[int, int]"])
+    zone: Mapping[str, str] = field(default_factory=dict[str, str])
+    pace: Mapping[str, Pace] = field(default_factory=dict[str, Pace])
+    curve: Mapping[str, CurveLimits] = field(default_factory=dict[str, CurveLimits])
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether every value passes."""
+        by_path = (self.norm, self.range, self.one_of, self.zero, self.count, self.zone, self.pace, self.curve)
+        return not any(by_path)
+
+
+# ── judging ────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def problem(checks: Checks, value: Any, zones: Mapping[str, Zone], look: LookAtJoints = nobody_measures) -> str:
+    """What of a value is beyond its limits, in words that begin with the path; empty if nothing is. `look` is asked
+    where the joints of a trajectory are.
+    """
+    try:
+        return next(_problems(checks, value, zones, look), "")
+    except Unfit as unfit:
+        return str(unfit)
+
+
+def _problems(checks: Checks, value: Any, zones: Mapping[str, Zone], look: LookAtJoints) -> Iterator[str]:
+    for bounds, judge in _by_path(checks):
+        for path, bound in bounds.items():
+            for shown, found in at(value, path):
+                yield from judge(shown, found, bound)
+    for path, name in checks.zone.items():
+        for shown, found, frame_id in with_frame_ids(value, path):
+            if reason := outside(found, frame_id, zones[name]):
+                yield f"{shown or 'the position'} {reason} (zone {name})"
+    for path, limits in checks.curve.items():
+        for shown, found in at(value, path):
+            if reason := problem_of_curve(found, limits, look):
+                yield f"{shown or 'the trajectory'}: {reason}"
+
+
+def _by_path(checks: Checks) -> Sequence[tuple[Mapping[str, Any], Callable[[str, Any, Any], Iterator[str]]]]:
+    """Bounds by their paths, and what judges them."""
+    return [
+        (checks.norm, _too_long),
+        (dict.fromkeys(checks.zero, (0.0, 0.0)), _out_of_range),
+        (checks.range, _out_of_range),
+        (checks.one_of, _none_of),
+        (checks.count, _too_many),
+        (checks.pace, _too_fast),
+    ]
+
+
+def _too_long(shown: str, found: Any, most: float) -> Iterator[str]:
+    length = _length(numbers(found, shown))
+    if not length <= most:
+        yield f"{shown or 'its length'} is {length:.6g}, at most {most:g} is allowed"
+
+
+def _out_of_range(shown: str, found: Any, bounds: tuple[float, float]) -> Iterator[str]:
+    low, high = bounds
+    for path, number in numbers(found, shown):
+        if not low <= number <= high:
+            yield f"{path} is {number:.6g}, {f'{low:g} to {high:g}' if low != high else f'only {low:g}'} is allowed"
+
+
+def _none_of(shown: str, found: Any, allowed: tuple[Any, ...]) -> Iterator[str]:
+    if not any(_is_same(found, one) for one in allowed):
+        yield f"{shown} is {_shown(found)}, only {' or '.join(map(_shown, allowed))} is allowed"
+
+
+def _too_many(shown: str, found: Any, bounds: tuple[int, int]) -> Iterator[str]:
+    fewest, most = bounds
+    many = len(found) if is_list(found) else -1
+    if not fewest <= many <= most:
+        yield f"{shown} has {many} elements, {fewest} to {most} are allowed"
+
+
+def _length(found: Iterator[tuple[str, float]]) -> float:
+    """The length of a vector; infinite where it overflows, NaN where one of its numbers is."""
+    return math.hypot(*(number for _, number in found))
+
+
+def _is_same(found: Any, allowed: Any) -> bool:
+    """True is not 1: they would be equal to Python."""
+    if isinstance(found, bool) or isinstance(allowed, bool):
+        return found is allowed
+    return bool(found == allowed)
+
+
+def _shown(value: Any) -> str:
+    """A value within a sentence: texts as ASCII in quotes, cut short."""
+    return ascii(value) if len(ascii(value)) <= 60 else f"{ascii(value)[:57]}…"
+
+
+def outside(position: Any, frame_id: str, zone: Zone) -> str:
+    """Why a position (a point, a pose or a stamped one of them) is not in the zone; empty if it is."""
+    if frame_id != zone.frame_id:
+        return f"is in the frame {_shown(frame_id)}, only {_shown(zone.frame_id)} can be judged"
+    for step in ("pose", "point", "position"):
+        if step in fields_of(position):
+            position = get(position, step)
+    if "pose" in fields_of(position):  # of a pose with covariance
+        position = get(get(position, "pose"), "position")
+    x, y = (number_at(position, axis, axis) for axis in ("x", "y"))
+    if not (math.isfinite(x) and math.isfinite(y)):
+        return "is no finite position"
+    if not _is_inside(x, y, zone.polygon):
+        return f"({x:.6g}, {y:.6g}) lies outside"
+    nearest = min(_distance(x, y, one, other) for one, other in _edges(zone.polygon))
+    return (
+        f"is {nearest:.3g} m from the edge, at least {zone.margin_m:g} m is needed" if nearest < zone.margin_m else ""
+    )
+
+
+def _edges(polygon: Sequence[tuple[float, float]]) -> Iterator[tuple[tuple[float, float], tuple[float, float]]]:
+    return ((polygon[place - 1], polygon[place]) for place in range(len(polygon)))
+
+
+def _is_inside(x: float, y: float, polygon: Sequence[tuple[float, float]]) -> bool:
+    inside = False
+    for (x1, y1), (x2, y2) in _edges(polygon):
+        if (y1 > y) != (y2 > y) and x < (x2 - x1) * (y - y1) / (y2 - y1) + x1:
+            inside = not inside
+    return inside
+
+
+def _distance(x: float, y: float, one: tuple[float, float], other: tuple[float, float]) -> float:
+    """From a point to a line between two others."""
+    dx, dy = other[0] - one[0], other[1] - one[1]
+    squared = dx * dx + dy * dy
+    along = ((x - one[0]) * dx + (y - one[1]) * dy) / squared if squared else 0.0
+    along = min(1.0, max(0.0, along))
+    return math.hypot(x - one[0] - along * dx, y - one[1] - along * dy)
+
+
+def _too_fast(shown: str, points: Any, pace: Pace) -> Iterator[str]:
+    if not is_list(points) or not len(points):
+        yield f"{shown} has no points"
+        return
+    before_s, before = 0.0, None
+    for place, point in enumerate(points):
+        here = f"{shown}[{place}]"
+        now_s = seconds(point, here)
+        now = states_at(point, len(get(point, "positions")), here)
+        if before is None:
+            if not now_s * _ROUNDING >= pace.first_s:
+                yield f"{here} comes after {now_s:g} s, at least {pace.first_s:g} s is needed for the way there"
+        elif len(now) != len(before):
+            yield f"{here} has {len(now)} positions, the one before has {len(before)}"
+        elif not now_s > before_s:
+            yield f"{here} comes no later than the point before: it is reached faster than {pace.most:g} per second"
+        else:
+            most = pace.most * (now_s - before_s) * _ROUNDING
+            for joint, states in enumerate(zip(before, now, strict=True)):
+                curves = [extremes(way.speed) for way in segments(*states, now_s - before_s)]
+                if not all(-most <= low and high <= most for low, high in curves):
+                    yield f"{here}.positions[{joint}] is reached faster than {pace.most:g} per second"
+        before_s, before = now_s, now
+
+
+# ── bringing within ────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def clamp(checks: Checks, value: Any) -> bool:
+    """Changes a value in place so that it keeps its `zero`, `norm` and `range`; what cannot be done is left undone.
+
+    Returns whether it is within these now and was not before.
+
+    All vectors with a `norm`, and numbers with a `range` below them, are scaled by one factor: a robot keeps the
+    curvature of its path. Any other number with a `range` is brought to its nearest bound by itself. NaN stays.
+    """
+    scaled = Checks(norm=checks.norm, range=checks.range, zero=checks.zero)
+    if scaled.is_empty or not problem(scaled, value, {}):
+        return False
+    try:
+        for path in checks.zero:
+            for parent, name in _places(value, path):
+                _put_scaled(parent, name, 0.0)
+        _scale(checks, value)
+        for path, (low, high) in checks.range.items():
+            for parent, name in _places(value, path):
+                number = number_at(parent, name, path)
+                if not low <= number <= high and not math.isnan(number):
+                    _put(parent, name, type(get(parent, name))(min(high, max(low, number))))
+    except (Unfit, TypeError, ValueError, AssertionError):  # the last ones are of messages that take no such value
+        return False
+    return not problem(scaled, value, {})
+
+
+def _put(value: Any, name: str, changed: Any) -> None:
+    if isinstance(value, dict):
+        value[name] = changed
+    else:
+        setattr(value, name, changed)
+
+
+def _scale(checks: Checks, value: Any) -> None:
+    """Scales every vector with a `norm` by the factor that brings all of them, and ranges below them, within."""
+    factor = 1.0
+    for path, most in checks.norm.items():
+        for _, found in at(value, path):
+            length = _length(numbers(found, path))
+            factor = min(factor, most / length * _WITHIN) if length > most else factor
+    for path, (low, high) in checks.range.items():
+        if not (_has_norm(path, checks) and low <= 0 <= high):
+            continue
+        for _, number in (below for _, found in at(value, path) for below in numbers(found, path)):
+            bound = high if number > 0 else low
+            factor = min(factor, bound / number * _WITHIN) if not low <= number <= high and number else factor
+    if factor < 1:
+        for parent, name in (place for path in checks.norm for place in _places(value, path)):
+            _put_scaled(parent, name, factor)
+
+
+def _has_norm(path: str, checks: Checks) -> bool:
+    return any(path == norm or path.startswith(f"{norm}.") for norm in checks.norm)
+
+
+def _put_scaled(parent: Any, name: str, factor: float) -> None:
+    number = get(parent, name)
+    scaled = float(number) * factor if factor else 0.0
+    _put(parent, name, scaled if isinstance(number, float) else int(scaled))
+
+
+def _places(value: Any, path: str) -> Iterator[tuple[Any, str]]:
+    """Where the numbers at or below a path are: the object or message, and the name of the field. Not in lists."""
+    steps = steps_of(value, path)
+    if "[]" in steps:
+        raise Unfit(f"{path} cannot be changed")
+    for step in steps[:-1]:
+        value = get(value, step)
+    yield from _leaves(value, steps[-1:] or fields_of(value))
+
+
+def _leaves(value: Any, names: Sequence[str]) -> Iterator[tuple[Any, str]]:
+    for name in names:
+        below = get(value, name)
+        if fields_of(below):
+            yield from _leaves(below, fields_of(below))
+        else:
+            yield value, name

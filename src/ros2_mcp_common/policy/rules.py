@@ -1,0 +1,544 @@
+"""The compiled rules of the policies in force: data that goes down to the bridge as JSON, and the functions that judge.
+
+The server asks them for its errors, the bridge at its exits, so that both decide alike. Needs no ROS. Several policies
+are an intersection: each has to allow what is done, and all their limits hold. Within one: nothing is allowed but what
+an allowance names, what is forbidden stays so whatever allows it, and every limit whose type and name fit holds.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal, cast
+
+from ros2_mcp_common.policy.checks import Checks, Pace, Zone, clamp
+from ros2_mcp_common.policy.checks import problem as problem_of
+from ros2_mcp_common.policy.field_values import get
+from ros2_mcp_common.policy.trajectory_limits import CurveLimits, JointBounds, LookAtJoints, nobody_measures
+
+Verb = Literal["publish", "relay", "play", "call", "goal", "cancel", "set", "transition", "record", "read"]
+"""What is done; `publish` once or repeatedly, `set` parameters, make a `transition` of a lifecycle node. `read` is a
+call of a service that only tells something."""
+Over = Literal["refuse", "clamp"]
+
+SET_PARAMETERS = "rcl_interfaces/srv/SetParameters"
+SET_PARAMETERS_ATOMICALLY = "rcl_interfaces/srv/SetParametersAtomically"
+CHANGE_STATE = "lifecycle_msgs/srv/ChangeState"
+CANCEL_GOAL = "action_msgs/srv/CancelGoal"
+_SEND_GOAL, _GET_RESULT, _ATOMICALLY = "_SendGoal", "_GetResult", "set_parameters_atomically"
+
+READING_TYPES = frozenset(
+    {
+        "rcl_interfaces/srv/DescribeParameters",
+        "rcl_interfaces/srv/GetParameterTypes",
+        "rcl_interfaces/srv/GetParameters",
+        "rcl_interfaces/srv/ListParameters",
+        "lifecycle_msgs/srv/GetAvailableStates",
+        "lifecycle_msgs/srv/GetAvailableTransitions",
+        "lifecycle_msgs/srv/GetState",
+        "controller_manager_msgs/srv/ListControllers",
+        "type_description_interfaces/srv/GetTypeDescription",
+        "lora_msgs/srv/GetMessages",
+        "wisevision_msgs/srv/InfluxGetMessages",
+    }
+)
+"""Types of services whose definition says that they read something and change nothing; the last two are those of the
+Data Black Box."""
+
+META_TYPES: Sequence[str] = (
+    "composition_interfaces/**",
+    "controller_manager_msgs/**",
+    "rcl_interfaces/srv/SetParameters",
+    "rcl_interfaces/srv/SetParametersAtomically",
+    "rcl_interfaces/srv/SetLoggerLevels",
+    "lifecycle_msgs/srv/ChangeState",
+    "nav2_msgs/srv/ManageLifecycleNodes",
+    "nav2_msgs/srv/Toggle",
+    "nav2_msgs/srv/LoadMap",
+    "nav2_msgs/srv/SaveMap",
+    "nav_msgs/srv/LoadMap",
+    "nav_msgs/srv/SetMap",
+    "slam_toolbox/**",
+    "cartographer_ros_msgs/**",
+    "rosbag2_interfaces/**",
+    "topic_tools_interfaces/**",
+    "rosapi_msgs/**",
+    "rosbridge_msgs/**",
+    "gazebo_msgs/**",
+    "ros_gz_interfaces/**",
+    "simulation_interfaces/**",
+    "robot_localization/**",
+    "diagnostic_msgs/srv/AddDiagnostics",
+    "moveit_msgs/srv/LoadMap",
+    "moveit_msgs/srv/SaveMap",
+    "moveit_msgs/srv/ApplyPlanningScene",
+    "moveit_msgs/srv/ChangeControlDimensions",
+    "moveit_msgs/srv/ChangeDriftDimensions",
+    "moveit_msgs/srv/SetPlannerParams",
+    "moveit_msgs/srv/ServoCommandType",
+    "mavros_msgs/srv/FileOpen",
+    "mavros_msgs/srv/FileWrite",
+    "mavros_msgs/srv/FileRemove",
+    "mavros_msgs/srv/FileRename",
+    "mavros_msgs/srv/FileTruncate",
+    "mavros_msgs/srv/FileMakeDir",
+    "mavros_msgs/srv/FileRemoveDir",
+    "mavros_msgs/srv/ParamPush",
+    "mavros_msgs/srv/ParamSet",
+    "mavros_msgs/srv/ParamSetV2",
+    "mavros_msgs/srv/CommandLong",
+    "mavros_msgs/srv/CommandInt",
+    "ur_dashboard_msgs/**",
+    "webots_ros2_msgs/**",
+    "rmw_dds_common/**",
+    "*/action/*_SendGoal",
+    "action_msgs/srv/CancelGoal",
+)
+"""Types of services that change what else may happen: they load code, write files, switch controllers and what watches
+over the robot, or are goals and cancellations under a name that is no action's. No pattern allows them but a rule that
+says `meta: true`; setting parameters and transitions have verbs of their own."""
+
+
+def segments_match(pattern: Sequence[str], name: Sequence[str], *, hidden: bool) -> bool:
+    """Whether segments fit a pattern: `*` is any one, `**` any number of them, none included.
+
+    A segment that begins with an underscore, which ROS hides, fits no wildcard unless `hidden`.
+    """
+    # Whether the parts of the pattern so far fit the first 0, 1, … segments: no pattern takes long for any name.
+    fits = [True, *(False for _ in name)]
+    for part in pattern:
+        if part == "**":
+            for place, segment in enumerate(name):
+                fits[place + 1] = fits[place + 1] or (fits[place] and (hidden or not segment.startswith("_")))
+        else:
+            is_fit = (fits[place] and _fits(part, segment, hidden) for place, segment in enumerate(name))
+            fits = [False, *is_fit]
+    return fits[-1]
+
+
+def _fits(part: str, segment: str, hidden: bool) -> bool:
+    """Whether one segment fits one part of a pattern."""
+    if part == "*":
+        return hidden or not segment.startswith("_")
+    return segment.endswith(part[1:]) if part.startswith("*") else segment == part  # `*_SendGoal`, of types alone
+
+
+def matches(patterns: Sequence[str], name: str, *, hidden: bool = False) -> bool:
+    """Whether a full name or type fits one of the patterns, segment by segment."""
+    parts = name.strip("/").split("/")
+    return any(segments_match(pattern.strip("/").split("/"), parts, hidden=hidden) for pattern in patterns)
+
+
+def only_reads(service_type: str) -> bool:
+    """Whether a service of that type reads something and changes nothing; asking for the result of a goal does, too."""
+    return service_type in READING_TYPES or ("/action/" in service_type and service_type.endswith(_GET_RESULT))
+
+
+def is_meta(service_type: str) -> bool:
+    """Whether a service of that type changes what else may happen."""
+    return matches(META_TYPES, service_type, hidden=True)
+
+
+@dataclass(frozen=True)
+class Meaning:
+    """What calling a service means: the verb, and name and type of what is acted on."""
+
+    verb: Verb
+    name: str
+    type: str
+
+
+def meaning(service: str, service_type: str) -> Meaning:
+    """What calling a service of that name and type means, whichever way the call comes.
+
+    By the name, too: a service of such a type that is no action's or node's own is called as it is named.
+    """
+    subject, _, last = service.rpartition("/")
+    subject = subject or "/"
+    if only_reads(service_type):
+        return Meaning("read", service, service_type)
+    if service.endswith("/_action/send_goal") and "/action/" in service_type and service_type.endswith(_SEND_GOAL):
+        return Meaning("goal", subject[: -len("/_action")], service_type[: -len(_SEND_GOAL)])
+    if service.endswith("/_action/cancel_goal") and service_type == CANCEL_GOAL:
+        return Meaning("cancel", subject[: -len("/_action")], service_type)
+    if (service_type, last) in ((SET_PARAMETERS, "set_parameters"), (SET_PARAMETERS_ATOMICALLY, _ATOMICALLY)):
+        return Meaning("set", subject, service_type)
+    if service_type == CHANGE_STATE and last == "change_state":
+        return Meaning("transition", subject, service_type)
+    return Meaning("call", service, service_type)
+
+
+# ── the rules as data ──────────────────────────────────────────────────────────────────────────────────────────────
+
+
+@dataclass(frozen=True)
+class Allowance:
+    """One entry of `allow`: what may be done, on which names and types, within which bounds. None: no bound.
+
+    `rule` is what errors call it. `checks` are on the value: the message, the request, the goal, or the parameters by
+    their names. `sources` are what a relay may take its messages from, `parameters` the names that may be set,
+    `transitions` the labels that may be made. `consent` is empty where the mode decides.
+    """
+
+    rule: str
+    verb: Verb
+    names: tuple[str, ...]
+    types: tuple[str, ...] = ("**",)
+    checks: Checks = field(default_factory=Checks)
+    rate_hz: float | None = None
+    for_s: float | None = None
+    per_minute: float | None = None
+    consent: Literal["", "each", "never"] = ""
+    sole_publisher: bool = False
+    sources: tuple[str, ...] = ()
+    force: bool = False
+    parameters: tuple[str, ...] = ()
+    transitions: tuple[str, ...] = ()
+    meta: bool = False
+
+    def covers(self, verb: Verb, name: str, type_name: str) -> bool:
+        """Whether it is about this."""
+        if verb != self.verb or not matches(self.names, name):
+            return False
+        if verb == "call" and is_meta(type_name) and not self.meta:
+            return False
+        return verb in ("cancel", "record", "set", "transition") or matches(self.types, type_name, hidden=True)
+
+    def problem(self, value: Any, zones: Mapping[str, Zone], look: LookAtJoints = nobody_measures) -> str:
+        """Why it does not allow a value, in words; empty if it does."""
+        if self.verb == "set" and "**" not in self.parameters:
+            others = [name for name in value if name not in self.parameters]
+            if others:
+                return f"the parameter {others[0]} may not be set, only {', '.join(self.parameters)}"
+        is_bound = self.verb == "transition" and "**" not in self.transitions
+        if is_bound and (problem := _transition_problem(get(value, "transition"), self.transitions)):
+            return problem
+        return problem_of(self.checks, value, zones, look)
+
+
+def _transition_problem(transition: Any, labels: Sequence[str]) -> str:
+    """A node takes the label, and the id where there is none: both have to mean what is allowed."""
+    label, number = get(transition, "label"), int(get(transition, "id"))
+    ids = [each for name in ([label] if label else labels) for each in _TRANSITIONS.get(name, ())]
+    if (label and label not in labels) or (number not in ids and not (label and number == 0)):
+        return f"the transition {label or number} may not be made, only {', '.join(labels)}"
+    return ""
+
+
+_TRANSITIONS = {
+    "configure": (1,),
+    "cleanup": (2,),
+    "activate": (3,),
+    "deactivate": (4,),
+    "unconfigured_shutdown": (5,),
+    "inactive_shutdown": (6,),
+    "active_shutdown": (7,),
+    "shutdown": (5, 6, 7),
+}
+"""The ids of lifecycle_msgs/msg/Transition by their labels."""
+
+
+@dataclass(frozen=True)
+class Forbidden:
+    """One entry of `forbid`; no verb: whatever is done with that name or type. `publish` is every way of publishing."""
+
+    rule: str
+    verb: Verb | Literal[""] = ""
+    names: tuple[str, ...] = ("**",)
+    types: tuple[str, ...] = ("**",)
+
+    def covers(self, verb: Verb, name: str, type_name: str) -> bool:
+        """Whether it is about this."""
+        fits = not self.verb or verb == self.verb or (self.verb == "publish" and verb in ("relay", "play"))
+        fits = fits or (self.verb == "call" and verb in ("set", "transition", "goal", "cancel"))
+        return fits and matches(self.names, name, hidden=True) and matches(self.types, type_name, hidden=True)
+
+
+@dataclass(frozen=True)
+class Ramp:
+    """How fast the length of a vector may grow and shrink, in its unit per second; None: at once."""
+
+    up: float | None = None
+    down: float | None = None
+
+
+@dataclass(frozen=True)
+class Limit:
+    """Bounds on every value of these types (and names), however it was allowed.
+
+    `tool` and `stream` say what happens with a value beyond them that a tool call brings, or a relay or playback.
+    After `hold_s` without a new command the zero is sent. `ramp` is by paths of vectors.
+    """
+
+    rule: str
+    types: tuple[str, ...]
+    names: tuple[str, ...] = ("**",)
+    checks: Checks = field(default_factory=Checks)
+    ramp: Mapping[str, Ramp] = field(default_factory=dict[str, Ramp])
+    hold_s: float | None = None
+    tool: Over = "refuse"
+    stream: Over = "clamp"
+
+    def covers(self, name: str, type_name: str) -> bool:
+        """Whether it is about this."""
+        return matches(self.types, type_name, hidden=True) and matches(self.names, name, hidden=True)
+
+
+@dataclass(frozen=True)
+class RuleSet:
+    """What one policy says."""
+
+    name: str
+    allow: tuple[Allowance, ...] = ()
+    forbid: tuple[Forbidden, ...] = ()
+    limits: tuple[Limit, ...] = ()
+    zones: Mapping[str, Zone] = field(default_factory=dict[str, Zone])
+    allows_all: bool = False
+
+
+# ── judging ────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+@dataclass(frozen=True)
+class Settled:
+    """What became of a value: `problem` says how it breaks `rule`, both empty where it does not; `clamped` that it was
+    changed.
+    """
+
+    rule: str
+    problem: str
+    clamped: bool
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Of one policy: what allows a name and type, and which limits hold for its values."""
+
+    rules: RuleSet
+    allow: tuple[Allowance, ...]
+    limits: tuple[Limit, ...]
+
+
+@dataclass(frozen=True)
+class Ruling:
+    """What all policies together say about a verb, name and type; `problem` is empty if each allows it.
+
+    Made once for a topic or service, and asked for each value.
+    """
+
+    problem: str
+    rule: str
+    policies: tuple[Candidates, ...] = ()
+
+    @property
+    def allowances(self) -> Sequence[Allowance]:
+        """All that allow it, of all policies."""
+        return [entry for policy in self.policies for entry in policy.allow]
+
+    @property
+    def limits(self) -> Sequence[Limit]:
+        """All that hold for its values."""
+        return [limit for policy in self.policies for limit in policy.limits]
+
+    def most(self, bound: Literal["rate_hz", "for_s", "per_minute"]) -> float | None:
+        """The least bound of the policies; of several allowances of one policy the largest counts. None: no bound."""
+        per_policy = [[getattr(entry, bound) for entry in policy.allow] for policy in self.policies if policy.allow]
+        return min((max(bounds) for bounds in per_policy if None not in bounds), default=None)
+
+    def allows_source(self, source: str) -> bool:
+        """Whether a relay may take its messages from there: each policy has to allow it."""
+        return all(any(matches(entry.sources, source) for entry in each.allow) for each in self.policies if each.allow)
+
+    @property
+    def hold_s(self) -> float | None:
+        """After how long without a new command the zero is sent; None: not by a rule."""
+        return min((limit.hold_s for limit in self.limits if limit.hold_s is not None), default=None)
+
+    @property
+    def needs_value(self) -> bool:
+        """Whether the value matters."""
+        has_names = any(entry.verb in ("set", "transition") for entry in self.allowances)
+        return has_names or any(not part.checks.is_empty for part in (*self.allowances, *self.limits))
+
+    @property
+    def curves(self) -> Sequence[str]:
+        """The paths of trajectories whose whole curve has limits."""
+        parts = (*self.allowances, *self.limits)
+        return list(dict.fromkeys(path for part in parts for path in part.checks.curve))
+
+    def judge(self, value: Any, look: LookAtJoints = nobody_measures) -> tuple[str, str]:
+        """Which rule a value breaks, and how, in words; both empty if it is within all limits."""
+        for policy in self.policies:
+            for limit in policy.limits:
+                if found := problem_of(limit.checks, value, policy.rules.zones, look):
+                    return limit.rule, found
+            found = [(entry.rule, entry.problem(value, policy.rules.zones, look)) for entry in policy.allow]
+            if found and all(reason for _, reason in found):
+                return found[0]
+        return "", ""
+
+    def settle(self, value: Any, way: Literal["tool", "stream"], look: LookAtJoints = nobody_measures) -> Settled:
+        """Judges a value of a tool call, or of a relay, feed or playback; where its limits say `clamp`, it is brought
+        within them before, in place.
+        """
+        clamped = False
+        for limit in self.limits:
+            if (limit.tool if way == "tool" else limit.stream) == "clamp":
+                clamped = clamp(limit.checks, value) or clamped
+        for entry in self.allowances if way == "stream" else ():
+            clamped = clamp(entry.checks, value) or clamped
+        rule, found = self.judge(value, look)
+        return Settled(rule, found, clamped)
+
+
+@dataclass(frozen=True)
+class Rules:
+    """Everything that is in force: what goes down to the bridge, once, before anything else acts.
+
+    `digest` is the SHA-256 of all policies in their canonical form.
+    """
+
+    digest: str
+    policies: tuple[RuleSet, ...]
+
+    def ruling(self, verb: Verb, name: str, type_name: str) -> Ruling:
+        """What all policies say about it, whatever the value."""
+        if verb == "read":
+            return Ruling("", "reading")
+        found: list[Candidates] = []
+        if entry := self._forbidden(verb, name, type_name):
+            return Ruling(f"{_act(verb, name, type_name)} is forbidden", entry.rule)
+        for policy in self.policies:
+            allow = tuple(entry for entry in policy.allow if entry.covers(verb, name, type_name))
+            if not (allow or policy.allows_all):
+                return Ruling(
+                    f"{_act(verb, name, type_name)} is not allowed: no rule allows it", f"{policy.name}: allow"
+                )
+            limits = tuple(limit for limit in policy.limits if limit.covers(name, type_name))
+            found.append(Candidates(policy, allow, limits))
+        return Ruling("", "; ".join(policy.allow[0].rule for policy in found if policy.allow), tuple(found))
+
+    def topic(self, name: str, type_name: str, verbs: Sequence[Verb] = ("publish",)) -> Ruling:
+        """What is said about publishing there: by `publish`, or for what is fed and relayed by `relay` or `play`."""
+        rulings = [self.ruling(verb, name, type_name) for verb in verbs]
+        return next((ruling for ruling in rulings if not ruling.problem), rulings[0])
+
+    def service(self, service: str, service_type: str) -> Ruling:
+        """What is said about calling a service, by what that means; for the value give `judged_part` of the request.
+
+        What is forbidden to be called stays so whatever it means.
+        """
+        meant = meaning(service, service_type)
+        if meant.verb != "read" and (entry := self._forbidden("call", service, service_type)):
+            return Ruling(f"{_act('call', service, service_type)} is forbidden", entry.rule)
+        return self.ruling(meant.verb, meant.name, meant.type)
+
+    def _forbidden(self, verb: Verb, name: str, type_name: str) -> Forbidden | None:
+        """The first entry that forbids it, of any policy."""
+        entries = (entry for policy in self.policies for entry in policy.forbid)
+        return next((entry for entry in entries if entry.covers(verb, name, type_name)), None)
+
+    def as_json(self) -> dict[str, Any]:
+        """As it goes down to the bridge; `from_json` makes the same of it."""
+        return dataclasses.asdict(self)
+
+    @classmethod
+    def from_json(cls, value: Mapping[str, Any]) -> Rules:
+        """The rules of that JSON; raises `KeyError`, `TypeError` or `ValueError` if it has another shape."""
+        return cls(value["digest"], tuple(_rule_set(each) for each in value["policies"]))
+
+
+def judged_part(verb: Verb, request: Any) -> Any:
+    """What of a request the limits are about: the goal in it, the parameters by their names, else all of it.
+
+    Raises `ValueError` if one parameter is there twice: nobody could say which of them holds.
+    """
+    if verb == "goal":
+        return get(request, "goal")
+    if verb != "set":
+        return request
+    parameters: dict[str, Any] = {}
+    for entry in get(request, "parameters"):
+        name = get(entry, "name")
+        if name in parameters:
+            raise ValueError(f"the parameter {name!r} is set twice")
+        parameters[name] = parameter_value(get(entry, "value"))
+    return parameters
+
+
+_PARAMETER_FIELDS = (
+    "",
+    "bool_value",
+    "integer_value",
+    "double_value",
+    "string_value",
+    "byte_array_value",
+    "bool_array_value",
+    "integer_array_value",
+    "double_array_value",
+    "string_array_value",
+)
+"""Of rcl_interfaces/msg/ParameterValue, by the codes of its `type`."""
+
+
+def parameter_value(value: Any) -> Any:
+    """What a ParameterValue means, as a JSON object or a message; None where it is not set."""
+    code = int(get(value, "type"))
+    return get(value, _PARAMETER_FIELDS[code]) if 0 < code < len(_PARAMETER_FIELDS) else None
+
+
+def _act(verb: Verb, name: str, type_name: str) -> str:
+    words = {"publish": "publishing on", "relay": "relaying to", "play": "playing on", "call": "calling"}
+    words |= {"goal": "sending a goal to", "cancel": "cancelling goals of", "set": "setting parameters of"}
+    words |= {"transition": "changing the state of", "record": "recording", "read": "asking"}
+    return f"{words[verb]} {name} ({type_name})" if type_name else f"{words[verb]} {name}"
+
+
+# ── from JSON ──────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def _rule_set(value: Mapping[str, Any]) -> RuleSet:
+    return RuleSet(
+        name=value["name"],
+        allow=tuple(_with_checks(Allowance, each) for each in value["allow"]),
+        forbid=tuple(Forbidden(**_tuples(each)) for each in value["forbid"]),
+        limits=tuple(_limit(each) for each in value["limits"]),
+        zones={name: _zone(each) for name, each in value["zones"].items()},
+        allows_all=bool(value["allows_all"]),
+    )
+
+
+def _tuples(value: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: tuple(cast("list[Any]", each)) if isinstance(each, list) else each for name, each in value.items()}
+
+
+def _with_checks(kind: Any, value: Mapping[str, Any]) -> Any:
+    return kind(**{**_tuples(value), "checks": _checks(value["checks"])})
+
+
+def _limit(value: Mapping[str, Any]) -> Limit:
+    ramp = {path: Ramp(**each) for path, each in value["ramp"].items()}
+    return _with_checks(Limit, {**value, "ramp": ramp})
+
+
+def _checks(value: Mapping[str, Any]) -> Checks:
+    return Checks(
+        norm=dict(value["norm"]),
+        range={path: (low, high) for path, (low, high) in value["range"].items()},
+        one_of={path: tuple(allowed) for path, allowed in value["one_of"].items()},
+        zero=tuple(value["zero"]),
+        count={path: (fewest, most) for path, (fewest, most) in value["count"].items()},
+        zone=dict(value["zone"]),
+        pace={path: Pace(**each) for path, each in value["pace"].items()},
+        curve={path: _curve(each) for path, each in value["curve"].items()},
+    )
+
+
+def _curve(value: Mapping[str, Any]) -> CurveLimits:
+    more: dict[str, Any] = {"joints": {name: JointBounds(**each) for name, each in value["joints"].items()}}
+    return CurveLimits(**{**_tuples(value), **more})
+
+
+def _zone(value: Mapping[str, Any]) -> Zone:
+    return Zone(value["frame_id"], tuple((x, y) for x, y in value["polygon"]), value["margin_m"])

@@ -1,0 +1,1 @@
+"""What crosses between server and bridge: packets, their pieces, the operations, and every limit."""

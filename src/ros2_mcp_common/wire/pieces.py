@@ -1,0 +1,152 @@
+"""Pieces and credit: how large packets share a slow link with small ones. Both sides of the stream use this module.
+
+A large packet is cut into pieces, and only so many bytes of pieces are under way as the other side has not yet
+acknowledged. So little waits in the link itself, however slow it is, and a small packet that is written next arrives
+soon. Pieces belong to a *lane*: the packets of one lane come one after the other, those of different lanes take turns.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from typing import TYPE_CHECKING
+
+from ros2_mcp_common.wire.limits import MOST_WINDOW_BYTES, PIECE_BYTES
+from ros2_mcp_common.wire.packets import PacketError, PacketReader, pack
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
+    from typing import Any
+
+    from ros2_mcp_common.wire.packets import Packet
+
+# The lane of what is no sample: replies of the bridge, requests of the server. Samples have the number of their
+# subscription, which begins at 1.
+LANE_OF_REQUESTS = 0
+
+
+# Above what the link carries in a round trip, so that it shows if it can carry more: by as much the window grows in
+# each. A quarter of a round trip waits in the link then, and a piece, which keeps a slow one busy. Chosen.
+GAIN = 1.25
+SPARE_BYTES = PIECE_BYTES
+# The fastest of so long decides how much the link carries: longer than a pause between two pictures, and short enough
+# that a radio which has become slow is noticed. Chosen.
+RATE_KEPT_S = 5.0
+
+
+class Credit:
+    """How many bytes of pieces may still be written: so many may be under way and not acknowledged.
+
+    These are `least_bytes`, or what the link was seen to carry in its shortest round trip, and a little more: with less
+    a fast link far away would stand idle, with more small packets would wait behind large ones.
+    """
+
+    def __init__(self, least_bytes: int, now: Callable[[], float] = time.monotonic) -> None:
+        self._least_bytes = least_bytes
+        self._now = now
+        self._written = 0
+        self._acknowledged = 0
+        # Of each piece under way: the bytes up to its end, when it left, and what had been acknowledged by then.
+        self._under_way: deque[tuple[int, float, int]] = deque()
+        self._rtt_s = 0.0
+        self._rates: deque[tuple[float, float]] = deque()  # when, and bytes per s; the fastest first, later ones slower
+
+    @property
+    def window_bytes(self) -> int:
+        """How many bytes may be under way."""
+        if not self._rates:
+            return self._least_bytes
+        carried = int(GAIN * self._rates[0][1] * self._rtt_s) + SPARE_BYTES
+        return max(self._least_bytes, min(carried, MOST_WINDOW_BYTES))
+
+    @property
+    def has_room(self) -> bool:
+        """Whether another piece may be written."""
+        return self._written - self._acknowledged + PIECE_BYTES <= self.window_bytes
+
+    def write(self, size: int) -> None:
+        """A piece of so many bytes is written."""
+        self._written += size
+        self._under_way.append((self._written, self._now(), self._acknowledged))
+
+    def acknowledge(self, total: object) -> None:
+        """The other side has taken so many bytes of pieces in all; raises `PacketError` for what cannot be."""
+        if not isinstance(total, int) or not self._acknowledged <= total <= self._written:
+            raise PacketError(f"{total!r} bytes were acknowledged, of {self._written} that were written")
+        self._acknowledged = total
+        taken = None
+        while self._under_way and self._under_way[0][0] <= total:
+            taken = self._under_way.popleft()
+        if taken:
+            self._learn(*taken)
+
+    def _learn(self, end: int, left_s: float, acknowledged: int) -> None:
+        """Take in how long a piece took, and how much was acknowledged in that time."""
+        now = self._now()
+        took_s = max(now - left_s, 1e-6)  # of a clock's ticks
+        self._rtt_s = min(self._rtt_s or took_s, took_s)
+        rate = (end - acknowledged) / took_s
+        while self._rates and self._rates[-1][1] <= rate:
+            self._rates.pop()
+        while self._rates and self._rates[0][0] < now - RATE_KEPT_S:
+            self._rates.popleft()
+        self._rates.append((now, rate))
+
+
+class Cut:
+    """A packet that leaves in pieces; `kind` is how such a packet is marked: `{"op": "piece"}` or `event`."""
+
+    def __init__(self, kind: str, lane: int, packet: bytes) -> None:
+        self._kind = kind
+        self._lane = lane
+        self._rest = memoryview(packet)
+        self._begins = True
+
+    @property
+    def left_bytes(self) -> int:
+        """How much of it has not left."""
+        return len(self._rest)
+
+    def take(self) -> tuple[bytes, int]:
+        """The next piece as a packet, and how many bytes of the whole it carries."""
+        body, self._rest = bytes(self._rest[:PIECE_BYTES]), self._rest[PIECE_BYTES:]
+        header = {self._kind: "piece", "lane": self._lane, **({"begins": True} if self._begins else {})}
+        self._begins = False
+        return pack(header, body), len(body)
+
+
+class Lanes:
+    """Puts packets together again. `taken_bytes` is what the other side is to be told, to be acknowledged."""
+
+    def __init__(self) -> None:
+        self.taken_bytes = 0
+        self._readers: dict[int, PacketReader] = {}
+
+    def feed(self, header: Mapping[str, Any], body: bytes) -> Iterator[Packet]:
+        """The packet that this piece completes, if it does.
+
+        One that does not come to its end was given up by whoever sent it, when another begins on its lane. What follows
+        on a lane that was closed here is forgotten.
+
+        Raises:
+            PacketError: if it is no piece of a packet.
+        """
+        lane = header.get("lane")
+        if not isinstance(lane, int):
+            raise PacketError(f"a piece is of the lane {lane!r}")
+        self.taken_bytes += len(body)
+        if header.get("begins"):
+            self._readers[lane] = PacketReader()
+        reader = self._readers.get(lane)
+        if reader is None:
+            return
+        for packet in reader.feed(body):
+            if "piece" in (packet.header.get("op"), packet.header.get("event")):
+                raise PacketError("a piece is cut into pieces")
+            yield packet
+        if not reader.is_inside_packet:
+            self.close(lane)
+
+    def close(self, lane: int) -> None:
+        """Forget what came of a lane that has ended."""
+        self._readers.pop(lane, None)
