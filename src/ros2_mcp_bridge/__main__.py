@@ -21,13 +21,13 @@ from ros2_mcp_bridge.exit.spawning import STOPPER_ARGUMENT, STOPPERS, copy_proce
 from ros2_mcp_bridge.lease import LinkLease
 from ros2_mcp_bridge.loop import Loop, log_failure
 from ros2_mcp_bridge.request import Request
-from ros2_mcp_bridge.ros import definitions, interfaces, participants
+from ros2_mcp_bridge.ros import definitions, interfaces
 from ros2_mcp_bridge.stream import Outbox, claim_standard_streams, read_packets
 from ros2_mcp_common.allocation import keep_freed_memory
 from ros2_mcp_common.latch import FILE, Latch, LatchState
 from ros2_mcp_common.policy.rules import meaning
 from ros2_mcp_common.wire.packets import PacketError
-from ros2_mcp_common.wire.protocol import Empty, Lapsed, PingReply, PolicyReply
+from ros2_mcp_common.wire.protocol import BRIDGE_NODE, Empty, Lapsed, PingReply, PolicyReply
 
 if TYPE_CHECKING:
     from ros2_mcp_bridge.operations import Operation, Operations
@@ -141,7 +141,7 @@ class Bridge:
             missing = "init_failed"
             operations.load_types()
             copies = {name: copy_process(partial(stopper.main, name)) for name in STOPPERS}
-            node, executor = ros.enter(f"{participants.BRIDGE_NODE}{os.getpid()}")
+            node, executor = ros.enter(f"{BRIDGE_NODE}{os.getpid()}")
             self._operations = operations.Operations(
                 node=node,
                 loop=self._loop,

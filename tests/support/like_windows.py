@@ -29,7 +29,7 @@ LACKING = {
     socket: ("AF_UNIX", "SO_PEERCRED", "SOCK_NONBLOCK", "SOCK_CLOEXEC"),
     time: ("CLOCK_BOOTTIME", "clock_gettime"),
 }
-OURS = ("ros2_mcp", "ros2_mcp_bridge")
+OURS = ("ros2_mcp", "ros2_mcp_bridge", "ros2_mcp_common")
 
 
 def server_modules() -> list[str]:

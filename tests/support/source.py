@@ -10,7 +10,7 @@ from pathlib import Path
 
 from support.processes import ROOT
 
-PACKAGES = ("ros2_mcp", "ros2_mcp_bridge", "ros2_mcp_demo", "ros2_mcp_interfaces")
+PACKAGES = ("ros2_mcp", "ros2_mcp_bridge", "ros2_mcp_common", "ros2_mcp_demo", "ros2_mcp_interfaces")
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 

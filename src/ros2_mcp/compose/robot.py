@@ -11,7 +11,6 @@ from functools import partial
 from typing import Any
 
 import anyio
-from anyio import to_thread
 
 from ros2_mcp.compose.entries import only_one
 from ros2_mcp.guard.consent import Auditing, Consent, with_consent
@@ -185,36 +184,12 @@ async def running(robot: Robot, store: BagStore) -> AsyncGenerator[None, None]:
     Jobs end first, as long as the bridge can still stop what they move; the bridge leaves the robot last.
     """
     if not store.subject:
-        await begin(robot)
+        await robot.attach()
     try:
         yield
     finally:
         with anyio.CancelScope(shield=True):  # who is cancelled leaves the robot stopped all the same
-            await leave(robot, store)
-
-
-async def begin(robot: Robot) -> None:
-    """Connects to the robot's bridge, which is started if it is not coming up already. Returns at once."""
-    await robot.bridge.attach()
-
-
-async def leave(robot: Robot, store: BagStore) -> None:
-    """Ends all work on a robot, and its bridge last.
-
-    Where nobody would be told of the end the link is closed first, so that no job waits for a robot that is away: this
-    server has nothing in motion there, or the far bridge's lease ends it.
-    """
-    if not robot.graph.was_reached or (robot.is_remote and not robot.graph.is_connected):
-        await robot.bridge.close()
-    try:
-        await robot.jobs.close()
-    finally:
-        try:
-            await robot.transforms.close()
-            await robot.newest.close()
-            await store.close()
-        finally:
-            await robot.bridge.close()
-            robot.failsafes.close()
-            if isinstance(robot.guard.audit, Auditing):
-                await to_thread.run_sync(robot.guard.audit.log.close)
+            try:
+                await robot.leave()
+            finally:
+                await store.close()

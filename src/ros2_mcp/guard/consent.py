@@ -67,6 +67,10 @@ class Auditing:
         """Something else has happened; does not wait for it to be written."""
         self.log.note(kind, **fields)
 
+    def close(self) -> None:
+        """Writes what is left, and closes the file."""
+        self.log.close()
+
     def refused(self, act: Act, error: Exception) -> None:
         """It does not happen, and why not, or waits for a person."""
         exact = exact_of(act, self._policy, self._epoch())

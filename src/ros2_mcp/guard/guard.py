@@ -82,12 +82,16 @@ class Audit(Protocol):
         """It has happened, or failed; does not wait for it to be written."""
         ...
 
+    def close(self) -> None:
+        """Writes what is left, and closes the file."""
+        ...
+
 
 class Guard:
     """The policy, and around it all that can hold a command back. Whatever is None holds nothing back.
 
-    Who builds one of these sets it where the guard is made (`compose/robot.py`). Without a state folder the latch is kept in
-    memory, and no other server is looked for.
+    Who builds one of these sets it where the guard is made (`compose/robot.py`). Without a state folder the latch is
+    kept in memory, and no other server is looked for.
     """
 
     def __init__(

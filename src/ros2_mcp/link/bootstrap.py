@@ -2,8 +2,8 @@
 
 A way in is a program that gives the standard streams of a shell somewhere else: ssh, a container engine's client, any
 other. Its words are completed by two programs in single quotes, which every login shell takes as they are: a shell
-script that looks for python3, and a line of Python that executes stage 1 (`ros2_mcp_common/start/stage1.py`), which comes on
-stdin with the bridge as a zip. See docs/decisions/0034-the-bridge-is-sent-and-not-installed.md.
+script that looks for python3, and a line of Python that executes stage 1 (`ros2_mcp_common/start/stage1.py`), which
+comes on stdin with the bridge as a zip. See docs/decisions/0034-the-bridge-is-sent-and-not-installed.md.
 """
 
 from __future__ import annotations
@@ -22,13 +22,14 @@ from pathlib import Path
 from typing import Any
 
 import ros2_mcp_bridge
+import ros2_mcp_common
 from ros2_mcp.model.errors import LinkError
 from ros2_mcp.model.text import quoted
+from ros2_mcp_common.start import stage1
 from ros2_mcp_common.start.finding import Search
-from ros2_mcp_common.start.stage1 import MARKER
 
 PACKAGE = ros2_mcp_bridge.__name__
-_SOURCES = Path(ros2_mcp_bridge.__file__).parent
+_SOURCES = tuple(Path(str(package.__file__)).parent for package in (ros2_mcp_bridge, ros2_mcp_common))
 _NO_PYTHON, _IS_TERMINAL = 97, 96
 # 126 and 127 are what shells say of a program that they cannot execute or find.
 _NO_SHELL = (126, 127)
@@ -95,7 +96,7 @@ class Arrival:
         if self.is_through:
             return piece
         self._waiting += piece
-        marker = MARKER + self.nonce.encode() + b" "
+        marker = stage1.MARKER + self.nonce.encode() + b" "
         while not self.is_through and not self.failure:
             noise, found, rest = self._waiting.partition(marker)
             line, ended, behind = rest.partition(b"\n")
@@ -253,8 +254,8 @@ def _sent(nonce: str, search: Search, container: str, options: Sequence[str]) ->
         "search": search.as_json(),
         "options": tuple(options),
     }
-    stage1 = base64.b64encode(zlib.compress(bare((_SOURCES / "stage1.py").read_text("utf-8")).encode(), 9))
-    return stage1 + b"\n" + json.dumps(head).encode() + b"\n" + archive
+    first = base64.b64encode(zlib.compress(bare(Path(stage1.__file__).read_text("utf-8")).encode(), 9))
+    return first + b"\n" + json.dumps(head).encode() + b"\n" + archive
 
 
 @cache
@@ -265,8 +266,10 @@ def packed_bridge() -> bytes:
     """
     archive = io.BytesIO()
     with zipfile.ZipFile(archive, "w") as file:
-        for source in sorted(_SOURCES.glob("*.py")):
-            file.writestr(f"{_SOURCES.name}/{source.name}", bare(source.read_text("utf-8")))
+        for folder in _SOURCES:
+            for source in sorted(folder.rglob("*.py")):
+                name = source.relative_to(folder.parent).as_posix()
+                file.writestr(name, bare(source.read_text("utf-8")))
     return zlib.compress(archive.getvalue(), 9)
 
 

@@ -20,12 +20,14 @@ _BOOTSTRAP = """\
 import sys
 sys.path[:] = [entry for entry in sys.path if entry]
 from importlib import import_module, util
-folder, name = sys.argv[1:3]
+above, name = sys.argv[1:3]
 del sys.argv[1:3]
-spec = util.spec_from_file_location(name, folder + "/__init__.py", submodule_search_locations=[folder])
-sys.modules[name] = util.module_from_spec(spec)
-spec.loader.exec_module(sys.modules[name])
-sys.argv[0] = folder + "/__main__.py"
+for each in (name, "ros2_mcp_common"):
+    folder = above + "/" + each
+    spec = util.spec_from_file_location(each, folder + "/__init__.py", submodule_search_locations=[folder])
+    sys.modules[each] = util.module_from_spec(spec)
+    spec.loader.exec_module(sys.modules[each])
+sys.argv[0] = above + "/" + name + "/__main__.py"
 sys.exit(import_module(name + ".__main__").main())
 """
 
@@ -58,8 +60,8 @@ class RosInstallation:
 
     def command(self, package: str, args: Sequence[str] = ()) -> Command:
         """How to run one of our packages (`ros2_mcp_bridge`, `ros2_mcp_demo`) as `python -m` would."""
-        folder = Path(__file__).resolve().parents[2] / package
-        argv = [self.python, "-c", _BOOTSTRAP, str(folder), package, *args]
+        above = Path(__file__).resolve().parents[2]
+        argv = [self.python, "-c", _BOOTSTRAP, str(above), package, *args]
         # What puts our interface packages in front of those of the installation.
         in_front = {
             "AMENT_PREFIX_PATH": os.pathsep.join(str(prefix) for prefix in self.interface_prefixes),

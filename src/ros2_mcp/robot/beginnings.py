@@ -1,4 +1,4 @@
-"""When trajectories begin: stamps are set to zero, which means on arrival, or refused (`ros2_mcp_common.policy.stamps`)."""
+"""When trajectories begin: stamps are set to zero, which means on arrival, or refused (`policy/stamps.py`)."""
 
 from __future__ import annotations
 

@@ -414,6 +414,30 @@ class Robot(Core):
         )
         return await services.call(self, asking)
 
+    async def attach(self) -> None:
+        """Connects to the robot's bridge, which is started if it is not coming up already. Returns at once."""
+        await self.bridge.attach()
+
+    async def leave(self) -> None:
+        """Ends all work on the robot: jobs first, while the bridge can still stop what they move; the bridge last.
+
+        Where nobody would be told of the end the link is closed first, so that no job waits for a robot that is away:
+        this server has nothing in motion there, or the far bridge's lease ends it.
+        """
+        if not self.graph.was_reached or (self.is_remote and not self.graph.is_connected):
+            await self.bridge.close()
+        try:
+            await self.jobs.close()
+        finally:
+            try:
+                await self.transforms.close()
+                await self.newest.close()
+            finally:
+                await self.bridge.close()
+                self.failsafes.close()
+                if self.guard.audit:
+                    self.guard.audit.close()
+
     async def fields_of(self, answer: Answer) -> dict[str, Any]:
         """The answer of a service in full, for this program and not for display."""
         return await self.values.in_full(answer.type, answer.body)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from ros2_mcp.model import names
 from ros2_mcp.model.graph import OF_EVERY_NODE, TopicEndpoints
 from ros2_mcp.model.text import listed
-from ros2_mcp_bridge.ros.participants import BRIDGE_NODE
+from ros2_mcp_common.wire.protocol import BRIDGE_NODE
 
 _MOST = 5000
 """Names that are remembered: ten times what large robots have. A system that makes new ones for ever must not fill the

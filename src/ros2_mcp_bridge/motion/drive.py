@@ -17,6 +17,7 @@ from ros2_mcp_bridge.motion.controller import Feed, Velocity
 from ros2_mcp_bridge.motion.course import Circle, Line, Place, Pose, Turn, wrapped
 from ros2_mcp_bridge.motion.nudges import Nudge, Nudges
 from ros2_mcp_common.geometry import yaw_rad
+from ros2_mcp_common.wire.limits import STEER_MOST
 
 # How fast it speeds up, m/s² and rad/s². Chosen: what small robots do without slipping.
 SPEED_UP_MPS2, SPEED_UP_RADPS2 = 0.5, 1.5
@@ -39,9 +40,8 @@ CORRECTIONS = 10
 NUDGED_FROM = 3
 # How long a robot rolls on after its stop is learnt from each; never taken for longer than this.
 MOST_ROLLED_S = 0.8
-# Steering back to the course: per second of the heading's error, and at most that in rad/s; no turn that squares a line
-# is faster, either. Chosen: within the limit of the profiles of policies.
-STEER_PER_S, STEER_MOST = 1.5, 0.4
+# Steering back to the course: rad/s for each rad of the heading's error, at most `STEER_MOST`.
+STEER_PER_S = 1.5
 # It stands if two halves of this time tell the same place within these; at most so long is waited for it.
 STILL_S, STILL_M, STILL_RAD, STANDS_WITHIN_S = 0.4, 0.002, math.radians(0.15), 2.0
 # A topic is late so long after its period, which is the longest of its last intervals. The bar is that the zero leaves

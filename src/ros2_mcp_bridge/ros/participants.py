@@ -11,6 +11,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
+from ros2_mcp_common.wire.protocol import BRIDGE_NODE
+
 if TYPE_CHECKING:
     from rclpy.node import Node
     from rclpy.topic_endpoint_info import TopicEndpointInfo
@@ -21,9 +23,7 @@ PORTS_PER_DOMAIN = 250
 FIRST_UNICAST = 10
 DISCOVERY_TOPIC = "ros_discovery_info"
 GUID_PREFIX_BYTES = 12
-# How the names of the bridges' nodes begin; the number of the process follows.
-BRIDGE_NODE = "ros2_mcp_"
-# The same of the stoppers; hidden, as the nodes of ROS's own tools are.
+# How the names of stoppers' nodes begin; hidden, as the nodes of ROS's own tools are.
 STOPPER_NODE = "_ros2_mcp_stopper_"
 
 

@@ -44,3 +44,6 @@ PIECE_BYTES = 16 * 1024
 WINDOW_BYTES = 64 * 1024
 # Of the same, where the link carries more in the time of a round trip. Chosen: 160 Mbit/s at 0.2 s, and little memory.
 MOST_WINDOW_BYTES = 4 * 1024 * 1024
+# Of `ros2_drive`'s turns that steer back to its course or square a line, in rad/s: within the limits of the profiles of
+# policies, which are asked about it before the drive begins.
+STEER_MOST = 0.4

@@ -13,6 +13,9 @@ from typing import Literal, NamedTuple, TypedDict
 # stream would misunderstand.
 PROTOCOL = 5
 
+# How the names of bridges' nodes begin; the number of the process follows.
+BRIDGE_NODE = "ros2_mcp_"
+
 # `stopped`: `ros2_stop` came after what is refused or ended with it was accepted; `lapsed`: the link lease lapsed then;
 # `latched`: the latch is set, or was set then.
 ErrorKind = Literal[

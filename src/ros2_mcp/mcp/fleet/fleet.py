@@ -14,7 +14,6 @@ from typing import Any
 import anyio
 from mcp.types import CallToolResult, TextContent, Tool
 
-from ros2_mcp.compose.robot import begin, leave
 from ros2_mcp.mcp.binding import SUMMARY, CallFailed, answer
 from ros2_mcp.mcp.fleet import about_all
 from ros2_mcp.mcp.fleet.about_all import ROBOTS, STOP, View
@@ -140,7 +139,7 @@ class Fleet:
         used. At the end all work on all robots is ended at the same time.
         """
         if not self.has_several and not self.first.store.subject:
-            await begin(self.first.robot)
+            await self.first.robot.attach()
         try:
             yield
         finally:
@@ -156,4 +155,7 @@ class Fleet:
             await viewing.close()
         if self.has_several:
             await member.robot.log.close()
-        await leave(member.robot, member.store)
+        try:
+            await member.robot.leave()
+        finally:
+            await member.store.close()

@@ -18,7 +18,7 @@ from ros2_mcp.ops.motion.held import others_on, why_it_stands
 from ros2_mcp.ops.motion.job import run_motion
 from ros2_mcp.ops.results.results import SAID, Report, silent
 from ros2_mcp.robot import Robot
-from ros2_mcp_bridge.motion.drive import STEER_MOST
+from ros2_mcp_common.wire.limits import STEER_MOST
 
 MATCH_S = 1.0
 """As of a publication (`ops/topics/publish.py`)."""

@@ -1,4 +1,4 @@
-"""Whether a client over HTTP is there: its open responses, and what the kernel has heard of it (`mcp/transports/http/connections.py`)."""
+"""Whether a client over HTTP is there: its open responses, and what the kernel has heard of it (`connections.py`)."""
 
 from __future__ import annotations
 
