@@ -17,8 +17,7 @@ from ros2_mcp.values.check import check
 from ros2_mcp.values.columns import ColumnReader
 from ros2_mcp.values.definitions import Definitions
 from ros2_mcp.values.select import measurable, parse_field
-
-from .conftest import AWKWARD, COMMON
+from support.awkward import AWKWARD, COMMON
 
 WORDS = ("", "a", "map", "base_link", "ä漢")
 
