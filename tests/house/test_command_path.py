@@ -18,8 +18,6 @@ MAKES_A_LINK = {
 }
 """What the composition imports of the stream. The last one makes a link that is never begun, for a recording in the
 place of the robot."""
-BEGINS_AND_ENDS = {"src/ros2_mcp/compose/robot.py": {"robot.bridge.attach", "robot.bridge.close"}}
-"""What the composition does with the link of a robot."""
 STREAM_MODULES = {"client", "connection", "subscription", "carrier", "carriers", "local", "heartbeat"}
 """Modules of `link/` that carry the stream; the others look for installations."""
 EXECUTORS = {"core", "facts", "failsafes", "goals", "publishing", "services", "translation"}
@@ -37,18 +35,13 @@ FAILSAFES = {"driving", "leave_cancel", "withdraw", "rest"}
 def ways_around(path: str, tree: ast.Module) -> Iterator[str]:
     """What in a module outside `robot/` reaches the stream, a fail-safe or an executor by itself."""
     own = {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)}
-    begins = {
-        id(node.value)
-        for node in ast.walk(tree)
-        if isinstance(node, ast.Attribute) and ast.unparse(node) in BEGINS_AND_ENDS.get(path, ())
-    }
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and node.module:
             yield from (f"{path}:{node.lineno} imports {name}" for name in _stream_imports(path, node))
         if not isinstance(node, ast.Attribute):
             continue
         is_own = ast.unparse(node.value) == "self" and node.attr in own
-        if node.attr in ("bridge", "_bridge") and id(node) not in begins:
+        if node.attr in ("bridge", "_bridge"):
             yield f"{path}:{node.lineno} reaches {ast.unparse(node)}"
         elif node.attr in SPEAKING and not is_own and ast.unparse(node) not in OF_MCP.get(path, ()):
             yield f"{path}:{node.lineno} asks {ast.unparse(node)}"
@@ -155,7 +148,5 @@ def test_every_exception_is_still_needed() -> None:
         }
         for path, tree in outside()
     }
-    allowed = [
-        (path, name) for table in (MAKES_A_LINK, BEGINS_AND_ENDS, OF_MCP) for path in table for name in table[path]
-    ]
+    allowed = [(path, name) for table in (MAKES_A_LINK, OF_MCP) for path in table for name in table[path]]
     assert [(path, name) for path, name in allowed if name not in used.get(path, ())] == []

@@ -89,7 +89,7 @@ def test_a_zero_is_made_by_the_bridge_and_takes_nothing_of_others() -> None:
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "publish_zero"
     ]
     assert callers == [
+        ("src/ros2_mcp_bridge/exit/velocities.py", "publisher.publish_zero(data)"),
+        ("src/ros2_mcp_bridge/exit/velocities.py", "publisher.publish_zero(data)"),
         ("src/ros2_mcp_bridge/topics/publishers.py", "self.publish_zero(rcl.serialize(self._interface()))"),
-        ("src/ros2_mcp_bridge/exit/velocities.py", "publisher.publish_zero(data)"),
-        ("src/ros2_mcp_bridge/exit/velocities.py", "publisher.publish_zero(data)"),
     ]

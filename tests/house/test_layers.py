@@ -15,7 +15,8 @@ import pytest
 from support.source import trees
 
 BEYOND_THE_STANDARD_LIBRARY = {
-    "ros2_mcp_bridge": {"rclpy", "rpyutils"},
+    "ros2_mcp_bridge": {"ros2_mcp_common", "rclpy", "rpyutils"},
+    "ros2_mcp_common": set[str](),
 }
 
 

@@ -1,4 +1,4 @@
-"""DESIGN: a tool's name leads to its file: tools of `tools/<room>.py` work in `ops/<room>/` or `ops/<room>.py`."""
+"""DESIGN: a tool's name leads to its file: tools of `tools/<room>.py` work in `ops/<room>/`."""
 
 from __future__ import annotations
 
@@ -10,15 +10,9 @@ from support.source import trees
 TOOLS = "src/ros2_mcp/tools/"
 OPS = "ros2_mcp.ops"
 SHARED = {
-    "defaults": "what was sent without being given, in words: of messages, requests and goals",
-    "description": "the URDF that the robot gives of itself: of motions, and of what the robot is",
-    "endings": "what the bridge or a stop ended or held back, in words: of repeats, relays and playbacks",
-    "flights": "orders to vehicles and what stops them: of service calls and of stops",
-    "observed": "whether the robot is seen to stand, for whatever has stopped it",
-    "results": "what all results have in common, and progress",
-    "text": "the text of every result",
+    "acting": "what acts have in common: values filled in, orders to vehicles, what the bridge or a stop ended",
+    "results": "what all results have in common, their text, and progress",
     "sources": "what is read from, live or recorded: arguments of tools in several rooms",
-    "view": "what the page shows, for `ros2-mcp view` and not for tools",
     "watch": "changes on the robot, for resources and not for tools",
 }
 """Rooms without tools of their own."""

@@ -7,13 +7,22 @@ import ast
 from support.source import trees
 
 OUTLETS = (
-    *("binding", "server", "incoming", "completions", "cli", "commands/call", "commands/doctor", "commands/serve"),
+    *(
+        "mcp/binding",
+        "mcp/server",
+        "mcp/transports/jsonrpc",
+        "mcp/completions",
+        "cli",
+        "commands/call",
+        "commands/doctor",
+        "commands/serve",
+    ),
     *("commands/operate", "commands/audit", "commands/view", "view/views"),
     *("resources/fitting", "resources/offering", "resources/push", "prompts/serving", "prompts/mistakes"),
-    "following",
-    *("ops/text", "model/cells"),  # the text of a result, which is only made to leave
+    "mcp/client_log",
+    *("ops/results/text", "model/cells"),  # the text of a result, which is only made to leave
 )
-MEASURE = ("codec/render", "ops/log")
+MEASURE = ("values/render", "ops/log/read")
 """These only measure how long a text will be when it is shown."""
 
 
@@ -34,7 +43,7 @@ def test_only_outlets_make_text_visible() -> None:
 
 
 def test_only_the_binding_takes_escapes_back() -> None:
-    assert users_of("as_sent") == {"binding"}
+    assert users_of("as_sent") == {"mcp/binding"}
 
 
 def test_a_summary_gives_its_lines_as_a_list() -> None:

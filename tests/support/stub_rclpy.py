@@ -62,9 +62,9 @@ def main() -> None:
     sys.path.insert(0, str(SOURCES))
     import ros2_mcp_bridge
 
-    found = [each.name for each in pkgutil.iter_modules(ros2_mcp_bridge.__path__)]
+    found = [each.name for each in pkgutil.walk_packages(ros2_mcp_bridge.__path__, "ros2_mcp_bridge.")]
     for name in found:
-        importlib.import_module(f"ros2_mcp_bridge.{name}")
+        importlib.import_module(name)
     print(len(found))
 
 

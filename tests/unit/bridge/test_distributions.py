@@ -20,7 +20,7 @@ from support.source import modules
 
 TESTS = Path(__file__).parents[2]
 BRIDGE = "src/ros2_mcp_bridge/"
-FAR_SIDE = ("finding", "stage1")
+FAR_SIDE = ("start.finding", "start.stage1")
 """What runs before it is known which Python ROS has: from 3.8 on."""
 PYTHONS = [f"3.{minor}" for minor in range(8, 15)]
 
@@ -79,9 +79,9 @@ def test_every_python_that_is_here_compiles_the_bridge_and_imports_what_finds_ro
     sources = TESTS.parent / "src"
     code = (
         "import pathlib, sys; sys.path[:0] = [sys.argv[1]]\n"
-        "for path in pathlib.Path(sys.argv[1], 'ros2_mcp_bridge').glob('*.py'):\n"
+        "for path in pathlib.Path(sys.argv[1]).glob('ros2_mcp_[bc]*/**/*.py'):\n"
         "    compile(path.read_bytes(), str(path), 'exec')\n"
-        f"import {', '.join(f'ros2_mcp_bridge.{name}' for name in FAR_SIDE)}\n"
+        f"import {', '.join(f'ros2_mcp_common.{name}' for name in FAR_SIDE)}\n"
         "print('%d.%d' % sys.version_info[:2])"
     )
     tried = set[str]()

@@ -26,7 +26,7 @@ PATIENCE_S = 10.0
 
 @pytest.mark.parametrize("exit_name", EXITS)
 def test_there_is_one_exit_of_messages_and_one_of_requests(exit_name: str) -> None:
-    counts = {path.name: path.read_text(encoding="utf-8").count(exit_name) for path in SOURCE.glob("*.py")}
+    counts = {path.name: path.read_text(encoding="utf-8").count(exit_name) for path in SOURCE.rglob("*.py")}
     assert {name: count for name, count in counts.items() if count} == EXITS[exit_name]
 
 

@@ -19,7 +19,7 @@ ROWS = {
     match[1]: (match[2], match[3])
     for match in re.finditer(r"^\| `(\w+)` \| (.*?) ?\| (.*) \|$", DESCRIPTION, re.MULTILINE)
 }
-SOURCE = {path.stem: path.read_text(encoding="utf-8") for path in (ROOT / "src/ros2_mcp_bridge").glob("*.py")}
+SOURCE = {path.stem: path.read_text(encoding="utf-8") for path in (ROOT / "src/ros2_mcp_bridge").rglob("*.py")}
 # As text: the table itself needs rclpy.
 OPERATIONS = dict(
     row for name in ("__main__", "operations") for row in re.findall(r'^ +"(\w+)": [\w.]*?(\w+),$', SOURCE[name], re.M)

@@ -114,7 +114,7 @@ def test_stage_1_and_the_whole_bridge_are_sent_and_nothing_else() -> None:
     assert json.loads(head)["size"] == len(archive) == len(packed_bridge())
     names = zipfile.ZipFile(io.BytesIO(zlib.decompress(archive))).namelist()
     assert "ros2_mcp_bridge/__main__.py" in names
-    assert {Path(name).parent.name for name in names} == {"ros2_mcp_bridge"}
+    assert {Path(name).parts[0] for name in names} == {"ros2_mcp_bridge", "ros2_mcp_common"}
 
 
 @pytest.mark.parametrize("joins_words", [False, True])
@@ -198,7 +198,7 @@ def test_what_is_sent_is_the_same_program_with_the_same_lines() -> None:
     def is_docstring(part: ast.stmt) -> bool:
         return isinstance(part, ast.Expr) and isinstance(part.value, ast.Constant) and isinstance(part.value.value, str)
 
-    for source in Path(ros2_mcp_bridge.__file__).parent.glob("*.py"):
+    for source in Path(ros2_mcp_bridge.__file__).parents[1].glob("ros2_mcp_[bc]*/**/*.py"):
         text = source.read_text("utf-8")
         assert statements(bare(text)) == statements(text), source.name
         assert len(bare(text).splitlines()) == len(text.splitlines()), source.name
@@ -206,7 +206,7 @@ def test_what_is_sent_is_the_same_program_with_the_same_lines() -> None:
 
 
 def test_stage_1_is_read_by_a_python_that_is_too_old_and_the_finding_by_the_oldest_that_will_do() -> None:
-    sources = Path(__file__).parents[3] / "src" / "ros2_mcp_bridge"
+    sources = Path(__file__).parents[3] / "src" / "ros2_mcp_common" / "start"
     stage1 = (sources / "stage1.py").read_text()
     ast.parse(stage1, feature_version=(3, 6))
     assert "from __future__" not in stage1

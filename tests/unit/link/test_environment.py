@@ -162,7 +162,9 @@ def test_a_package_runs_without_our_other_packages_on_its_path(tmp_path: Path) -
     )
     installation = RosInstallation("sourced", "jazzy", tmp_path, "", sys.executable, environment=BARE)
     argv = list(installation.command("some_package", ["a b"]).argv)
-    argv[3] = str(tmp_path / "src" / "some_package")
+    argv[3] = str(tmp_path / "src")
+    (tmp_path / "src" / "ros2_mcp_common").mkdir()
+    (tmp_path / "src" / "ros2_mcp_common" / "__init__.py").write_text("")
     done = subprocess.run(argv, env={"PATH": ""}, capture_output=True, text=True, timeout=10, check=False)
     assert (done.returncode, done.stdout) == (3, "part ['a b'] False\n")
 
