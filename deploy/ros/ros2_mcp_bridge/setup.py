@@ -3,13 +3,15 @@
 from pathlib import Path
 from xml.etree import ElementTree
 
-from setuptools import setup
+from setuptools import find_packages, setup
 
 NAME = "ros2_mcp_bridge"
+PACKAGES = (NAME, "ros2_mcp_common")
 # colcon takes modules from the package's own folder. They are linked there at the first build: git keeps a link as a
 # file where links are not to be had.
-if not Path(NAME).is_dir():
-    Path(NAME).symlink_to(Path("../../../src", NAME))
+for each in PACKAGES:
+    if not Path(each).is_dir():
+        Path(each).symlink_to(Path("../../../src", each))
 package = ElementTree.parse("package.xml")
 
 setup(
@@ -17,7 +19,7 @@ setup(
     version=package.findtext("version"),
     description=" ".join(package.findtext("description").split()),
     license=package.findtext("license"),
-    packages=[NAME],
+    packages=find_packages(include=[f"{each}*" for each in PACKAGES]),
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
