@@ -23,9 +23,9 @@ PATIENCE_S = 60.0
 VERSION = "2025-11-25"
 CLIENT = {"name": "posts by hand", "version": "1"}
 HEADERS = {"Accept": "application/json, text/event-stream", "Content-Type": "application/json", "Authorization": BEARER}
-SLOW = {"x": [{}] * 240_000}
-"""0.96 MB that take 0.1 to 0.3 s to read."""
-SEVERAL = 32
+SLOW = {"x": [{str(number): 0} for number in range(49_000)]}
+"""0.7 MB that take 15 to 50 ms to read, with nearly as many objects as a request may have."""
+SEVERAL = 64
 """So many of them are read for longer than a stop takes to come: what is posted after them waits."""
 PADDING = " " * 25_000
 """What is larger than 20 kB is not read at once."""
