@@ -12,9 +12,10 @@ from typing import Any
 import anyio
 
 from ros2_mcp.model.commands import Answer, CancelGoals, Principal, SendGoal
-from ros2_mcp.model.errors import BridgeLost, NotFound, Stopped, Unreachable
+from ros2_mcp.model.errors import BadValue, BridgeLost, NotFound, Stopped, Unreachable
 from ros2_mcp.model.goals import CANCEL_TYPE, STATUS, STATUS_TYPE, TERMINAL, cancel_request, goal_id_hex
 from ros2_mcp.model.qos import QoS
+from ros2_mcp.model.text import named
 from ros2_mcp.robot.core import Core
 from ros2_mcp.robot.graph import NO_END_S, was_refused
 from ros2_mcp.robot.jobs import Job
@@ -145,12 +146,19 @@ class CancelWhen:
 async def send(core: Core, command: SendGoal) -> Answer:
     """Sends a goal that is a job before it leaves: `ros2_stop` cancels it, and the bridge does if this process dies.
 
-    It ends at once if its server does not take it. Raises as a `ServiceBorne`.
+    It ends at once if its server does not take it.
+
+    Raises:
+        BadValue: if the id is that of a goal of another action: a stop, or a fail-safe, would find only one of the two.
+        RobotError: as a `ServiceBorne` raises it.
     """
     await core.values.learn(command.type, CANCEL_TYPE)
     await core.values.encode(f"{command.type}_Goal", command.value)  # a goal that does not fit becomes no job
     core.check_stop()
     former = core.jobs.get(Goal, command.goal_id)
+    if former and former.action != command.name:
+        problem = f"{command.goal_id} is the id of a goal of {named(former.action)} already; nothing was sent."
+        raise BadValue("goal_id.uuid", problem, "Give 16 random bytes.")
     if former and former.is_running:  # its server refuses a second one of that id, and goes on with the first
         return await call(core, command)
     cancel = CancelGoals(principal=command.principal, name=command.name, goal_id=command.goal_id, timeout_s=CANCELLED_S)
@@ -160,7 +168,7 @@ async def send(core: Core, command: SendGoal) -> Answer:
         response = await core.values.in_full(answer.type, answer.body)
         code = response["return_code"]
         if code == TERMINATED_GOAL or (code == UNKNOWN_GOAL and goal.is_accepted):
-            ended(core, goal.id)
+            ended(core, goal.action, goal.id)
         return response
 
     goal = Goal(
@@ -181,12 +189,12 @@ async def send(core: Core, command: SendGoal) -> Answer:
     except (NotFound, Stopped) as error:
         if was_refused(error):  # any other was sent, and may run: its server was out of sight for a while
             goal.was_sent = False
-            ended(core, command.goal_id)
+            ended(core, command.name, command.goal_id)
         raise
     response: Any = core.values.codec.decode(answer.type, answer.body)
     goal.is_accepted = response.accepted
     if not goal.is_accepted:
-        ended(core, command.goal_id)
+        ended(core, command.name, command.goal_id)
     return answer
 
 
@@ -222,9 +230,8 @@ async def _take_states(core: Core, action: str) -> None:
             messages: list[Any] = await core.values.decode_all(STATUS_TYPE, samples)
             for state in (state for message in messages for state in message.status_list):
                 goal_id = goal_id_hex(state.goal_info.goal_id.uuid)
-                ours = core.jobs.get(Goal, goal_id)
-                if state.status in TERMINAL and ours and ours.action == action:
-                    ended(core, goal_id, STATUS.get(state.status, ""))
+                if state.status in TERMINAL:
+                    ended(core, action, goal_id, STATUS.get(state.status, ""))
     finally:
         with anyio.move_on_after(_CLOSE_S, shield=True):  # a scope that is cancelled cancels every await again
             await subscription.close()
@@ -274,8 +281,11 @@ async def cancel_when(core: Core, asked: CancelWhen, name: str) -> WhenMet:
             return WhenMet(reply.ok["report"], bool(response["goals_canceling"]))
 
 
-def ended(core: Core, goal_id: str, how: str = "") -> None:
-    """Notes that a goal has ended, and how, or was not accepted, if it is one of ours."""
-    if goal := core.jobs.get(Goal, goal_id):
+def ended(core: Core, action: str, goal_id: str, how: str = "") -> None:
+    """Notes that a goal of an action has ended, and how, or was not accepted, if it is one of ours."""
+    goal = core.jobs.get(Goal, goal_id)
+    if goal and goal.action != action:
+        return  # another client's goal, with the id of one of ours
+    if goal:
         goal.has_been_seen_to_end(how)
     core.failsafes.withdraw(goal_id)

@@ -103,6 +103,17 @@ def _check_room(core: Core, command: Command[Any]) -> None:
             )
 
 
+def _check_action_topic(command: Command[Any]) -> None:
+    """Raises `Refused` for what only an action's server publishes. A stop believes the status of goals: a forged one
+    would make it forget a goal that still moves the robot.
+    """
+    if isinstance(command, (commands.Publish, commands.Repeat, commands.Relay)) and "/_action/" in command.name:
+        raise Refused(
+            f"{named(command.name)} is published by the server of an action: nothing was sent.",
+            "ros2_send_action_goal and ros2_cancel_action_goal speak to that server.",
+        )
+
+
 class Robot(Core):
     """One robot: its graph, its definitions, its topics, services and actions.
 
@@ -176,6 +187,7 @@ class Robot(Core):
             if not isinstance(command, _NEVER_STOPPED):
                 view.check_stop()
             _check_room(self, command)
+            _check_action_topic(command)
             result = await _EXECUTORS[type(command)](view, command)
             act.ended_by = getattr(result, "ended_by", "")
             if isinstance(command, commands.SendGoal):
@@ -283,9 +295,9 @@ class Robot(Core):
         """
         return await goals.cancel_when(self, asked, name)
 
-    def goal_ended(self, goal_id: str, how: str = "") -> None:
-        """Notes that a goal has ended, and how, or was not accepted, if it is one of ours."""
-        goals.ended(self, goal_id, how)
+    def goal_ended(self, action: str, goal_id: str, how: str = "") -> None:
+        """Notes that a goal of an action has ended, and how, or was not accepted, if it is one of ours."""
+        goals.ended(self, action, goal_id, how)
 
     # ── reading ────────────────────────────────────────────────────────────────────────────────────────────────
 

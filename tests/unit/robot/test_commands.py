@@ -72,7 +72,7 @@ async def test_a_goal_is_known_as_long_as_its_server_has_it(robot: Robot, bridge
     await robot.do(goal())
     [known] = robot.jobs.all(Goal)
     assert (known.id, known.is_running, known.is_accepted) == (GOAL_ID, accepted, accepted)
-    robot.goal_ended(GOAL_ID)
+    robot.goal_ended("/go", GOAL_ID)
 
 
 async def test_a_goal_that_nobody_awaits_ends_with_what_its_action_tells(robot: Robot, bridge: Noting) -> None:
@@ -109,7 +109,33 @@ async def test_a_second_goal_of_the_same_id_that_is_refused_leaves_the_first_kno
         bridge.answer = robot.values.encode_known("made/action/Go_SendGoal_Response", {"accepted": accepted})
         await robot.do(goal())
     assert [known.id for known in robot.jobs.running(Goal)] == [GOAL_ID]
-    robot.goal_ended(GOAL_ID)
+    robot.goal_ended("/go", GOAL_ID)
+    await robot.jobs.close()
+
+
+async def test_what_only_the_server_of_an_action_publishes_is_refused(robot: Robot, bridge: Noting) -> None:
+    for command in EVERY[:3]:
+        with pytest.raises(Refused, match="published by the server of an action"):
+            await robot.do(replace(command, name="/go/_action/status"))
+    assert bridge.sent == []
+
+
+async def test_a_goal_with_the_id_of_one_of_another_action_is_refused_and_ends_nothing(
+    robot: Robot, bridge: Noting
+) -> None:
+    """A stop finds goals by their ids: of two it would cancel one, and call the other somebody else's."""
+    await robot.values.learn("made/action/Go")
+    bridge.answer = robot.values.encode_known("made/action/Go_SendGoal_Response", {"accepted": True})
+    await robot.do(goal())
+    sent = len(bridge.sent)
+    with pytest.raises(BadValue, match="the id of a goal of /go already"):
+        await robot.do(replace(goal(), name="/other"))
+    robot.goal_ended("/other", GOAL_ID)  # as the status of that action may say of another client's goal
+    assert [(known.id, known.action) for known in robot.jobs.running(Goal)] == [(GOAL_ID, "/go")]
+    assert len(bridge.sent) == sent
+    robot.goal_ended("/go", GOAL_ID)
+    with pytest.raises(BadValue, match="Give 16 random bytes"):
+        await robot.do(replace(goal(), name="/other"))
     await robot.jobs.close()
 
 

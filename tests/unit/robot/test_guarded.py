@@ -221,7 +221,7 @@ async def test_cancelling_a_goal_of_ones_own_is_never_held(bridge: Noting) -> No
     stamp = {"sec": 2_000_000_000, "nanosec": 0}  # cancels everybody's goals of before that time besides
     with pytest.raises(Refused, match="no rule allows it"):
         await robot.do(CancelGoals(principal=LOCAL, name="/go", goal_id=GOAL_ID, stamp=stamp, timeout_s=1.0))
-    robot.goal_ended(GOAL_ID)
+    robot.goal_ended("/go", GOAL_ID)
     await robot.jobs.close()
 
 

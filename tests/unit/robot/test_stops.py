@@ -120,7 +120,7 @@ async def test_a_goal_that_was_sent_is_known_although_its_server_went_out_of_sig
     robot.failsafes.leave_cancel(known.id, "/go")
     await asyncio.sleep(0.01)
     assert bridge.sent == []  # it is still in force
-    robot.goal_ended(known.id)
+    robot.goal_ended(known.action, known.id)
 
 
 async def test_each_quality_of_service_that_drove_a_topic_has_a_fail_safe(robot: Robot, bridge: Noting) -> None:

@@ -113,7 +113,7 @@ async def result_of(
     response = (await robot.values.render(answer.type, answer.body)).value
     code = int(response["status"])
     if code in TERMINAL or code == 0:
-        robot.goal_ended(goal_id, STATUS.get(code, ""))
+        robot.goal_ended(action, goal_id, STATUS.get(code, ""))
     note = (
         "The server does not know this goal: the id is wrong, or the server has dropped the goal." if code == 0 else ""
     )

@@ -145,9 +145,10 @@ async def all_goals(robot: Robot) -> KnownGoals:
     states_by_action = await asyncio.gather(*(states_now(robot, action) for action in actions))
     for action, states in zip(actions, states_by_action, strict=True):
         for state in states:
-            is_ours = robot.jobs.get(Goal, state.goal_id) is not None
+            goal = robot.jobs.get(Goal, state.goal_id)
+            is_ours = goal is not None and goal.action == action
             if state.status_code in TERMINAL:
-                robot.goal_ended(state.goal_id, state.status)
+                robot.goal_ended(action, state.goal_id, state.status)
             age_s = robot.now_ns() / 1e9 - stamp_seconds(state.accept_stamp)
             shown_age = round(age_s, 3) if abs(age_s) < _OTHER_CLOCK_S else None
             goals.append(KnownGoal(action, state.goal_id, state.status_code, state.status, shown_age, is_ours))

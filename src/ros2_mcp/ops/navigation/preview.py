@@ -181,7 +181,7 @@ async def _result(robot: Robot, action: str, goal_id: str) -> Mapping[str, Any]:
         await asyncio.shield(_give_up(robot, goal_id))
         raise
     fields = await robot.fields_of(answer)
-    robot.goal_ended(goal_id, STATUS.get(int(fields["status"]), ""))
+    robot.goal_ended(action, goal_id, STATUS.get(int(fields["status"]), ""))
     return fields["result"]
 
 
