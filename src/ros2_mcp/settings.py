@@ -19,7 +19,7 @@ from ros2_mcp.model.address import LOCAL, MAX_DOMAIN_ID, RobotAddress, of_comman
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.model.shell import words_of
 
-Transport = Literal["stdio", "sse", "streamable-http"]
+Transport = Literal["stdio", "streamable-http"]
 
 # Fewer bytes leave no room for a message and the account of what was cut. One desktop client refuses results beyond
 # 1 MiB; the upper bound is for those that do not, and guards our memory.
@@ -183,7 +183,8 @@ class Option:
 
     `name` is the field's, `flag` the command line's, `variable` the environment's. `alone` is the text that the flag
     stands for when nothing follows it; None: a value must follow. `takes_value` False: nothing may follow. `unset` says
-    what happens by default, where the default value does not.
+    what happens by default, where the default value does not. `removed` has the values that earlier releases accepted,
+    and what to write instead.
     """
 
     name: str = ""
@@ -196,6 +197,7 @@ class Option:
     unset: str = ""
     alone: str | None = None
     takes_value: bool = True
+    removed: Mapping[str, str] = field(default_factory=dict[str, str])
 
     @property
     def title(self) -> str:
@@ -226,7 +228,7 @@ class Option:
         return value
 
     def _refusal(self, shown: str) -> BadInput:
-        return BadInput(f"{self.title} is {shown}.", f"It must be {self.kind.values}.")
+        return BadInput(f"{self.title} is {shown}.", self.removed.get(shown, f"It must be {self.kind.values}."))
 
 
 def _option(default: Any, flag: str, variable: str, group: str, kind: Kind, help: str, **more: Any) -> Any:  # noqa: A002
@@ -297,8 +299,12 @@ class Settings:
     )
 
     transport: Transport = _option(
-        "stdio", "--transport", "ROS2_MCP_TRANSPORT", _SERVING, _one_of("stdio", "sse", "streamable-http"),
+        "stdio", "--transport", "ROS2_MCP_TRANSPORT", _SERVING, _one_of("stdio", "streamable-http"),
         "how clients reach this server",
+        removed={
+            "sse": "The SSE transport was removed. Write --transport streamable-http instead; clients connect to a URL "
+            "that ends in /mcp, such as http://127.0.0.1:8123/mcp."
+        },
     )
     host: str = _option("127.0.0.1", "--host", "ROS2_MCP_HOST", _SERVING, Kind("ADDRESS"), "address for HTTP")
     port: int = _option(8123, "--port", "ROS2_MCP_PORT", _SERVING, _number(1, 65535), "port for HTTP")

@@ -19,7 +19,6 @@ OUTLETS = (
     ),
     *("commands/operate", "commands/audit", "commands/view", "view/views"),
     *("resources/fitting", "resources/offering", "resources/push", "prompts/serving", "prompts/mistakes"),
-    "mcp/client_log",
     *("ops/results/text", "model/cells"),  # the text of a result, which is only made to leave
 )
 MEASURE = ("values/render", "ops/log/read")

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from mcp import Client
-from mcp.client.sse import sse_client
 from mcp.client.streamable_http import streamable_http_client
 from mcp.shared._httpx_utils import create_mcp_http_client
 
@@ -27,12 +26,7 @@ def leave_token(state_home: Path) -> None:
 
 @asynccontextmanager
 async def client_at(url: str, token: str = TOKEN, **options: Any) -> AsyncGenerator[Client, None]:
-    """A client of the SDK's that has the token; at `/sse` of the older transport."""
-    headers = {"Authorization": f"Bearer {token}"}
-    if url.endswith("/sse"):
-        async with Client(sse_client(url, headers=headers), **options) as client:
-            yield client
-        return
-    http: Any = create_mcp_http_client(headers)
+    """A client of the SDK's that has the token."""
+    http: Any = create_mcp_http_client({"Authorization": f"Bearer {token}"})
     async with http, Client(streamable_http_client(url, http_client=http), **options) as client:
         yield client

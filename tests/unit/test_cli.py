@@ -40,7 +40,7 @@ def test_options_become_settings() -> None:
 
 
 def test_every_setting_has_an_option_that_sets_it() -> None:
-    texts = {"transport": "sse", "log_level": "info", "result_bytes": "1000", "black_box_bytes": "1000000"}
+    texts = {"transport": "streamable-http", "log_level": "info", "result_bytes": "1000", "black_box_bytes": "1000000"}
     texts |= {"bag": "/", "tls_cert": "/", "tls_key": "/", "public_url": "https://robot.example"}
     texts |= {"robots": "ssh://me@robot", "robot_env": "A=b"}
     for name, option in OPTIONS.items():

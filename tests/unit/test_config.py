@@ -222,7 +222,7 @@ def test_only_variables_that_decide_which_robot_is_seen_and_how_are_passed_on() 
 
 def test_every_variable_of_this_server_is_passed_on_but_those_of_http() -> None:
     shell = {option.variable: "/1" for option in CARRIED.values()}
-    assert environment({**shell, "ROS2_MCP_TRANSPORT": "sse", "ROS2_MCP_PORT": "1"}) == shell
+    assert environment({**shell, "ROS2_MCP_TRANSPORT": "streamable-http", "ROS2_MCP_PORT": "1"}) == shell
 
 
 def test_what_was_set_for_http_is_left_out_and_said_so(

@@ -75,7 +75,7 @@ def test_of_a_file_of_tokens_none_is_printed(tmp_path: Path, capsys: pytest.Capt
     ("words", "said"),
     [
         (["--host", "0.0.0.0", "config", "cursor", "--http"], "cross the network in the open"),
-        (["--transport", "sse", "config", "cursor", "--http"], "streamable HTTP"),
+        (["--transport", "sse", "config", "cursor", "--http"], "Write --transport streamable-http instead"),
         (["token", "cell"], "A file of tokens is needed"),
         (["--token-file", "/nowhere/tokens", "token", "cell"], "cannot be written"),
         (["--token-file", "/nowhere/tokens", "token", "cell", "--scopes", "atc"], "Did you mean act"),

@@ -9,7 +9,7 @@ import json
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from ros2_mcp.guard.entrance import entrance_of
@@ -17,7 +17,6 @@ from ros2_mcp.guard.state import state_home
 from ros2_mcp.guard.tokens import own_token
 from ros2_mcp.link.environment import wheel_distro
 from ros2_mcp.link.provenance import launch_command, own_provenance
-from ros2_mcp.model.errors import BadInput
 from ros2_mcp.model.shell import typed
 from ros2_mcp.settings import OPTIONS, Option, Settings
 from ros2_mcp_common.start.finding import path_entries
@@ -157,9 +156,6 @@ def _print_http(client: str, settings: Settings) -> int:
     Raises:
         BadInput: for settings with which no server would start.
     """
-    settings = replace(settings, transport="streamable-http") if not settings.is_http else settings
-    if settings.transport == "sse":
-        raise BadInput("--http is for streamable HTTP, which nearly all clients speak.", "Leave --transport sse out.")
     entrance = entrance_of(settings)
     if not entrance.tokens:
         headers: dict[str, str] = {}

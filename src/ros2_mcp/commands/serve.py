@@ -101,7 +101,6 @@ def show_log(settings: Settings) -> None:
     # One line for each message, without time and place: it is read in a client's log, which adds its own.
     shown = logging.StreamHandler()
     shown.setFormatter(LogFormatter("%(message)s"))
-    shown.setLevel(settings.log_level.upper())  # a client that follows the log may want more (`mcp/client_log.py`)
     logging.basicConfig(level=settings.log_level.upper(), handlers=[shown])
 
 

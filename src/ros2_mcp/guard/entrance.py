@@ -91,13 +91,12 @@ def warnings_of(settings: Settings) -> list[str]:
 
 def url_of(settings: Settings) -> str:
     """Where clients find this server."""
-    path = "/sse" if settings.transport == "sse" else "/mcp"
     if settings.public_url:
         url = settings.public_url.rstrip("/")
-        return url if urlsplit(url).path else url + path
+        return url if urlsplit(url).path else f"{url}/mcp"
     host = settings.host.strip("[]")
     written = f"[{host}]" if ":" in host else host
-    return f"{_scheme(settings)}://{written}:{settings.port}{path}"
+    return f"{_scheme(settings)}://{written}:{settings.port}/mcp"
 
 
 def is_loopback(host: str) -> bool:

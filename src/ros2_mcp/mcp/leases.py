@@ -15,7 +15,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from time import monotonic
 from typing import TYPE_CHECKING, Any, Protocol
-from uuid import UUID
 
 import anyio
 from anyio.abc import TaskGroup
@@ -52,8 +51,6 @@ _LATE_S = 0.5
 _CLOSED = "The client closed the response before its result was sent."
 _GONE = "the end of its client, which closed its last open response"
 _UNHEARD = f"the client lease: nothing was received from its client for {CLIENT_LEASE_S:g} s"
-MESSAGES = "/messages/"
-"""Where the clients of SSE post to."""
 RESPONSE = "ros2_mcp.response"
 """The key of a request's scope under which its `OpenResponse` is found."""
 _ACCEPTED = "ros2_mcp.accepted"
@@ -431,15 +428,10 @@ def accepted_at(context: Context, robot: Robot) -> Accepted | None:
 
 
 def session_of(request: Request[Any]) -> str:
-    """The id of the session that a request names where its transport looks for it; empty where it names none."""
-    if not request.scope["path"].startswith(MESSAGES):
-        version = request.headers.get("mcp-protocol-version")
-        is_modern = version is not None and version not in HANDSHAKE_PROTOCOL_VERSIONS  # which knows no sessions
-        return "" if is_modern else request.headers.get("mcp-session-id", "")
-    try:
-        return UUID(hex=request.query_params.get("session_id", "")).hex  # several ways to write it, as there
-    except ValueError:
-        return ""
+    """The id of the session that a request names; empty where it names none."""
+    version = request.headers.get("mcp-protocol-version")
+    is_modern = version is not None and version not in HANDSHAKE_PROTOCOL_VERSIONS  # which knows no sessions
+    return "" if is_modern else request.headers.get("mcp-session-id", "")
 
 
 def principal_of_session(session: str, login: Login | None = None) -> Principal:

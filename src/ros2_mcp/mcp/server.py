@@ -17,7 +17,6 @@ from mcp.types import (
     INVALID_PARAMS,
     CallToolRequestParams,
     CallToolResult,
-    DiscoverResult,
     InputRequiredResult,
     ListResourcesResult,
     ListResourceTemplatesResult,
@@ -27,14 +26,11 @@ from mcp.types import (
     ReadResourceRequestParams,
     ReadResourceResult,
     RequestParams,
-    SetLevelRequestParams,
     TextContent,
 )
-from mcp_types.version import MODERN_PROTOCOL_VERSIONS
 
 from ros2_mcp.mcp import apps
 from ros2_mcp.mcp.binding import CallFailed
-from ros2_mcp.mcp.client_log import Following
 from ros2_mcp.mcp.completions import CompletionRequest, Completions
 from ros2_mcp.mcp.elicitation import Elicitation
 from ros2_mcp.mcp.fleet import Fleet, Member
@@ -156,23 +152,9 @@ def build_server(
     server.middleware.append(scopes.check)
     server.middleware.append(leases.note)
     server.middleware.append(prompts.tell_news)
-    following = Following()
-    server.middleware.append(following.attend)
-    server.add_request_handler("logging/setLevel", SetLevelRequestParams, following.set_level)
-    server.add_request_handler("server/discover", RequestParams, partial(_discover, server))
     if live:
         server.add_notification_handler("notifications/initialized", NotificationParams, resources.push.initialized)
     return server
-
-
-async def _discover(server: Server[Any], context: Context, _: RequestParams) -> DiscoverResult:
-    """As the SDK's own, but that logging is offered in the handshake era alone."""
-    offered = server.get_capabilities(protocol_version=context.protocol_version)
-    return DiscoverResult(
-        supported_versions=list(MODERN_PROTOCOL_VERSIONS),
-        capabilities=offered.model_copy(update={"logging": None}),
-        instructions=server.instructions,
-    )
 
 
 class Tools:

@@ -1,8 +1,7 @@
-"""The same server over HTTP: both eras, the older transport, and what a client leaves behind."""
+"""The same server over HTTP: both eras, and what a client leaves behind."""
 
 from __future__ import annotations
 
-import http.client
 from collections.abc import Iterator
 from contextlib import suppress
 from typing import Any
@@ -15,7 +14,7 @@ from mcp import Client
 from support.observer import TWIST, Observer
 from support.ports import listening
 from support.structured import META
-from support.tokens import HEADERS, client_at
+from support.tokens import client_at
 
 PATIENCE_S = 30.0
 WATCHED = "ros2://topic/parameter_events"
@@ -25,13 +24,6 @@ WATCHED = "ros2://topic/parameter_events"
 def port(ros_environment: dict[str, str]) -> Iterator[int]:
     """Of a server that all tests share."""
     with listening(ros_environment, "streamable-http", "--tools", "all") as (port, _):
-        yield port
-
-
-@pytest.fixture(scope="module")
-def sse_port(ros_environment: dict[str, str]) -> Iterator[int]:
-    """Of one of the older transport."""
-    with listening(ros_environment, "sse", "--tools", "all") as (port, _):
         yield port
 
 
@@ -50,19 +42,6 @@ async def test_clients_of_both_eras_list_call_and_read(port: int, mode: str) -> 
         assert refused.is_error and "Did you mean pattern?" in refused.content[0].text
         assert "ros2://topics" in {str(resource.uri) for resource in (await client.list_resources()).resources}
         assert "/rosout" in (await client.read_resource("ros2://topics")).contents[0].text
-
-
-async def test_clients_of_the_older_transport_list_and_call(sse_port: int) -> None:
-    async with client_at(f"http://127.0.0.1:{sse_port}/sse", mode="legacy") as client:
-        assert "ros2_topic_list" in {tool.name for tool in (await client.list_tools()).tools}
-        assert (await status(client))["bridge_node"]
-
-
-def test_the_older_transport_refuses_a_post_so_that_clients_fall_back_to_it(sse_port: int) -> None:
-    connection = http.client.HTTPConnection("127.0.0.1", sse_port, timeout=PATIENCE_S)
-    connection.request("POST", "/sse", body="{}", headers={"Content-Type": "application/json", **HEADERS})
-    assert connection.getresponse().status == 405
-    connection.close()
 
 
 @pytest.mark.filterwarnings("ignore:resources.subscribe is removed")

@@ -35,11 +35,11 @@ from support.tokens import client_at
 
 ROUNDS = 200
 TOGETHER = 5
-"""In the long tests so many clients of each transport vanish, or are stopped, at the same time: a round each."""
+"""In the long tests so many clients of each era vanish, or are stopped, at the same time: a round each."""
 PATIENCE_S = 30.0
-TRANSPORTS = ("handshake", "modern", "sse")
+ERAS = ("handshake", "modern")
 MOTIONS = ("repeat", "relay", "goal", "playback", "publish")
-WAYS = [*itertools.product(TRANSPORTS, ("close", "reset")), ("handshake", "DELETE")]
+WAYS = [*itertools.product(ERAS, ("close", "reset")), ("handshake", "DELETE")]
 LEASE_S = 2.0
 CLOSED_S, SILENT_S, STOPPED_S = 0.3, LEASE_S + 0.3, 10.0 + 0.3
 """What is promised: after a close, after the last packet, and for a repeat whose client answers nothing any more."""
@@ -56,10 +56,10 @@ _numbers = itertools.count(1)
 
 @dataclass(frozen=True)
 class Field:
-    """What the tests of this file share. `ports` are those of the servers, by transport."""
+    """What the tests of this file share; `port` is the server's."""
 
     observer: Observer
-    ports: dict[str, int]
+    port: int
     host: str
     network: Network | None
     environment: dict[str, str]
@@ -86,7 +86,7 @@ def bags(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def field(ros_environment: dict[str, str], bags: Path) -> Iterator[Field]:
-    """Two servers, which serve three transports, and the observer."""
+    """The server and the observer."""
     try:
         with network() as two:
             yield from _field(ros_environment, bags, two.host, two)
@@ -99,7 +99,6 @@ def _field(environment: dict[str, str], bags: Path, host: str, two: Network | No
         observer = stack.enter_context(observing(environment))
         observer.talk(topic=TALK, kind=TWIST, hz=20)
         observer.join(by=TALK, topic=TALK, kind=TWIST)
-        ports: dict[str, int] = {}
         options = (
             "--tools",
             "all",
@@ -107,10 +106,8 @@ def _field(environment: dict[str, str], bags: Path, host: str, two: Network | No
             str(bags),
             "--behind-proxy",
         )  # no TLS, on an address that others reach
-        for transport, served in (("streamable-http", ("handshake", "modern")), ("sse", ("sse",))):
-            port, _ = stack.enter_context(listening(environment, transport, *options, host=host))
-            ports |= dict.fromkeys(served, port)
-        yield Field(observer, ports, host, two, environment)
+        port, _ = stack.enter_context(listening(environment, "streamable-http", *options, host=host))
+        yield Field(observer, port, host, two, environment)
 
 
 @pytest.fixture
@@ -127,7 +124,7 @@ class Driver:
 
     field: Field
     clients: CommandedProcess
-    transport: str
+    era: str
     motion: str
 
     def __post_init__(self) -> None:
@@ -138,8 +135,8 @@ class Driver:
 
     def begin(self, *, keeps_stream: bool = True) -> None:
         """Connects."""
-        at = {"host": self.field.host, "port": self.field.ports[self.transport]}
-        self.clients.join(name=self.name, transport=self.transport, keeps_stream=keeps_stream, **at)
+        at = {"host": self.field.host, "port": self.field.port}
+        self.clients.join(name=self.name, era=self.era, keeps_stream=keeps_stream, **at)
 
     def drive(self, *, keeps_stream: bool = True) -> None:
         """Begins, and waits until the observer has seen it move."""
@@ -244,12 +241,12 @@ def told(what: str, seconds: list[float]) -> None:
 
 @pytest.mark.promise("README", "Over HTTP, what a client keeps moving stops when that client goes")
 @pytest.mark.parametrize(
-    ("transport", "way", "motion"), [(*way, MOTIONS[number % len(MOTIONS)]) for number, way in enumerate(WAYS)]
+    ("era", "way", "motion"), [(*way, MOTIONS[number % len(MOTIONS)]) for number, way in enumerate(WAYS)]
 )
 def test_a_client_that_closes_leaves_nothing_moving(
-    field: Field, clients: CommandedProcess, transport: str, way: str, motion: str
+    field: Field, clients: CommandedProcess, era: str, way: str, motion: str
 ) -> None:
-    driver = Driver(field, clients, transport, motion)
+    driver = Driver(field, clients, era, motion)
     driver.drive()
     goes(driver, way)
     rest(field, [driver])
@@ -259,12 +256,12 @@ def test_a_client_that_closes_leaves_nothing_moving(
 @pytest.mark.promise("README", "within 0.3 s of its closing or resetting its last open response or ending its session")
 @pytest.mark.promise("stopping", "a client over HTTP closes or resets its last open response, or ends its session")
 @pytest.mark.timeout(3600)
-@pytest.mark.parametrize(("transport", "way"), WAYS)
+@pytest.mark.parametrize(("era", "way"), WAYS)
 def test_what_a_client_moves_stands_within_a_third_of_a_second_of_its_closing(
-    field: Field, clients: CommandedProcess, transport: str, way: str
+    field: Field, clients: CommandedProcess, era: str, way: str
 ) -> None:
     def seconds(motion: str) -> float:
-        driver = Driver(field, clients, transport, motion)
+        driver = Driver(field, clients, era, motion)
         driver.drive()
         went = goes(driver, way)
         return (rest(field, [driver])[0] - went) / 1e9
@@ -274,7 +271,7 @@ def test_what_a_client_moves_stands_within_a_third_of_a_second_of_its_closing(
         motion = MOTIONS[number % len(MOTIONS)]
         taken.append(undisturbed(lambda motion=motion: seconds(motion)))
         assert taken[-1] <= CLOSED_S + ARRIVES_S, motion
-    told(f"{transport} {way}", taken)
+    told(f"{era} {way}", taken)
 
 
 @pytest.mark.promise("stopping", "The client lease holds while something moves")
@@ -285,14 +282,13 @@ def test_what_a_client_moves_stands_within_a_third_of_a_second_of_its_closing(
     "README", "A client that keeps no response open has to ask for something every 2 s while something moves"
 )
 @pytest.mark.promise("README", "relays, playbacks and goals of a program that hangs with its connection open go on")
-@pytest.mark.parametrize("transports", [("handshake", "sse"), ("modern",)], ids="-".join)
+@pytest.mark.parametrize("era", ERAS)
 def test_who_closes_stops_at_once_who_has_no_stream_with_its_lease_and_who_waits_at_one_not_at_all(
-    field: Field, clients: CommandedProcess, transports: tuple[str, ...]
+    field: Field, clients: CommandedProcess, era: str
 ) -> None:
-    """The calls that began the relays were answered long ago. The first transport has clients without a stream."""
-    waits = [Driver(field, clients, transport, "relay") for transport in transports]
-    closes, silent = (Driver(field, clients, transports[0], "relay") for _ in range(2))
-    for driver in (*waits, closes):
+    """The calls that began the relays were answered long ago."""
+    waits, closes, silent = (Driver(field, clients, era, "relay") for _ in range(3))
+    for driver in (waits, closes):
         driver.drive()
     silent.drive(keeps_stream=False)
     silent.ask()
@@ -301,19 +297,18 @@ def test_who_closes_stops_at_once_who_has_no_stream_with_its_lease_and_who_waits
     assert closed_at < lapsed_at, "it closed later than the other one asked, and yet its motion ends first"
     if FULL:
         time.sleep(2 * SILENT_S)
-    for driver in waits:
-        assert all(any(one["moves"] for one in driver.after(by, lapsed_at)) for by in driver.zeros)
-        if FULL:
-            assert field.observer.moved(sent_after=time.monotonic_ns() - 200_000_000, topic=driver.topic)
-        goes(driver, "close")
-        rest(field, [driver])
-        asks = Driver(field, clients, driver.transport, "relay")
-        asks.begin()
-        relays = asks.called("ros2_relay_list", {})["structuredContent"]["relays"]
-        [ended] = [relay for relay in relays if relay["destination_topic"] == driver.topic]
-        assert ended["state"] == "stopped" and ended["passed"] > 10 and ended["elapsed_sec"] > SILENT_S
-        assert ended["note"].count("end of its client") == 1
-        goes(asks, "close")
+    assert all(any(one["moves"] for one in waits.after(by, lapsed_at)) for by in waits.zeros)
+    if FULL:
+        assert field.observer.moved(sent_after=time.monotonic_ns() - 200_000_000, topic=waits.topic)
+    goes(waits, "close")
+    rest(field, [waits])
+    asks = Driver(field, clients, era, "relay")
+    asks.begin()
+    relays = asks.called("ros2_relay_list", {})["structuredContent"]["relays"]
+    [ended] = [relay for relay in relays if relay["destination_topic"] == waits.topic]
+    assert ended["state"] == "stopped" and ended["passed"] > 10 and ended["elapsed_sec"] > SILENT_S
+    assert ended["note"].count("end of its client") == 1
+    goes(asks, "close")
 
 
 @pytest.mark.full
@@ -321,12 +316,12 @@ def test_who_closes_stops_at_once_who_has_no_stream_with_its_lease_and_who_waits
     "README", "A client that keeps no response open has to ask for something every 2 s while something moves"
 )
 @pytest.mark.promise("stopping", "A client that keeps no response open has to ask for something every 2 s")
-@pytest.mark.parametrize("transport", ["handshake", "modern"])
+@pytest.mark.parametrize("era", ERAS)
 def test_a_client_without_an_open_stream_that_asks_for_nothing_keeps_its_relay_for_two_seconds(
-    field: Field, clients: CommandedProcess, transport: str
+    field: Field, clients: CommandedProcess, era: str
 ) -> None:
     def seconds() -> float:
-        driver = Driver(field, clients, transport, "relay")
+        driver = Driver(field, clients, era, "relay")
         driver.drive(keeps_stream=False)
         asked = time.monotonic_ns()
         driver.ask()
@@ -339,20 +334,17 @@ def test_a_client_without_an_open_stream_that_asks_for_nothing_keeps_its_relay_f
 def driving(
     field: Field, clients: CommandedProcess, motions: Callable[[int], str], many: int = TOGETHER
 ) -> list[Driver]:
-    """So many clients of every transport that move something."""
-    drivers = [Driver(field, clients, transport, motions(number)) for transport in TRANSPORTS for number in range(many)]
+    """So many clients of each era that move something."""
+    drivers = [Driver(field, clients, era, motions(number)) for era in ERAS for number in range(many)]
     for driver in drivers:
         driver.drive()
     return drivers
 
 
 def worst(field: Field, drivers: list[Driver], went: int) -> dict[str, float]:
-    """For each transport the latest rest of all its clients, in s."""
+    """For each era the latest rest of all its clients, in s."""
     stood_at = list(zip(drivers, rest(field, drivers), strict=True))
-    return {
-        transport: max((at - went) / 1e9 for driver, at in stood_at if driver.transport == transport)
-        for transport in TRANSPORTS
-    }
+    return {era: max((at - went) / 1e9 for driver, at in stood_at if driver.era == era) for era in ERAS}
 
 
 @pytest.mark.promise("stopping", "the network of a client over HTTP is gone: its client lease (2 s) lapses")
@@ -393,14 +385,14 @@ def test_what_a_client_moves_stands_soon_after_its_network_is_gone(field: Field,
 
 
 def within(what: str, seconds: Callable[[], dict[str, float]], limit_s: float) -> None:
-    """In every round each transport keeps the limit."""
-    taken: dict[str, list[float]] = {transport: [] for transport in TRANSPORTS}
+    """In every round each era keeps the limit."""
+    taken: dict[str, list[float]] = {era: [] for era in ERAS}
     for _ in range(ROUNDS // TOGETHER):
-        for transport, rested_s in undisturbed(seconds).items():
-            taken[transport].append(rested_s)
-            assert rested_s <= limit_s, transport
-    for transport, each in taken.items():
-        told(f"{transport} {what} (x {TOGETHER} clients)", each)
+        for era, rested_s in undisturbed(seconds).items():
+            taken[era].append(rested_s)
+            assert rested_s <= limit_s, era
+    for era, each in taken.items():
+        told(f"{era} {what} (x {TOGETHER} clients)", each)
 
 
 @contextmanager
@@ -439,7 +431,7 @@ async def test_a_repeat_outlasts_ten_seconds_only_where_its_client_answers_pings
     """Nobody is asked anything in the modern era, and of a stopped client the kernel acknowledges: it seems to wait."""
 
     async def repeated(mode: str) -> None:
-        url = f"http://{field.host}:{field.ports['handshake']}/mcp"
+        url = f"http://{field.host}:{field.port}/mcp"
         repeat = {"message_type": TWIST, "data": MOVING, "frequency": 20, "duration": 12}
         async with client_at(url, mode=mode) as client:
             answers[mode] = await client.call_tool(
@@ -486,11 +478,11 @@ def test_a_departure_is_ended_once_though_nobody_acknowledges_its_zero(field: Fi
     field.observer.leave(by="listener")
 
 
-@pytest.mark.parametrize("transport", ["handshake", "modern", pytest.param("sse", marks=pytest.mark.full)])
+@pytest.mark.parametrize("era", ERAS)
 def test_the_departure_of_one_client_leaves_what_another_moves_on_the_same_topic(
-    field: Field, clients: CommandedProcess, transport: str
+    field: Field, clients: CommandedProcess, era: str
 ) -> None:
-    stays, leaves = Driver(field, clients, transport, "repeat"), Driver(field, clients, transport, "relay")
+    stays, leaves = Driver(field, clients, era, "repeat"), Driver(field, clients, era, "relay")
     for driver in (stays, leaves):
         driver.drive()
     leaves.called("ros2_topic_publish", {"topic_name": stays.topic, "message_type": TWIST, "data": MOVING})

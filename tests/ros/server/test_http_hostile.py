@@ -112,7 +112,7 @@ ATTACKS: dict[str, Attack] = {
     "another version": lambda port: [piece.replace(b"HTTP/1.1", b"HTTP/9.9") for piece in request(port)],
     "an upgrade": lambda port: request(port, "Connection: Upgrade", "Upgrade: websocket", target="/mcp"),
     "nested": lambda port: request(port, GOOD, body="[" * 100_000),
-    "the way of the older transport": lambda port: request(port, target="/messages/?session_id=" + "0" * 32),
+    "a path of the SSE transport": lambda port: request(port, target="/messages/?session_id=" + "0" * 32),
 }
 
 

@@ -29,10 +29,7 @@ HANDSHAKE, MODERN = "2025-11-25", "2026-07-28"
 CLIENT = {"name": "logs in by hand", "version": "1"}
 PREFIX = "io.modelcontextprotocol/"
 META = {f"{PREFIX}protocolVersion": MODERN, f"{PREFIX}clientInfo": CLIENT, f"{PREFIX}clientCapabilities": {}}
-PATHS = {
-    "streamable-http": [("POST", "/mcp"), ("GET", "/mcp"), ("DELETE", "/mcp"), ("OPTIONS", "/mcp"), ("GET", "/x")],
-    "sse": [("GET", "/sse"), ("POST", "/messages/"), ("GET", "/x")],
-}
+PATHS = (("POST", "/mcp"), ("GET", "/mcp"), ("DELETE", "/mcp"), ("OPTIONS", "/mcp"), ("GET", "/x"))
 READ, ACT, STOP = "ros2_topic_list", "ros2_topic_publish", "ros2_stop"
 TWIST = "geometry_msgs/msg/Twist"
 _ids = itertools.count(100)
@@ -41,14 +38,14 @@ MOVE = {"topic_name": "/never/cmd_vel", "message_type": TWIST, "data": {"linear"
 
 @dataclass(frozen=True)
 class Served:
-    """The servers of these tests: a port for each transport, and tokens by the scopes that they are named by."""
+    """The server of these tests: its port, and tokens by the scopes that they are named by."""
 
-    ports: dict[str, int]
+    port: int
     tokens: dict[str, str]
 
-    def open(self, transport: str = "streamable-http") -> closing[HTTPConnection]:
+    def open(self) -> closing[HTTPConnection]:
         """A connection."""
-        return closing(HTTPConnection("127.0.0.1", self.ports[transport], timeout=PATIENCE_S))
+        return closing(HTTPConnection("127.0.0.1", self.port, timeout=PATIENCE_S))
 
 
 @pytest.fixture(scope="module")
@@ -56,11 +53,8 @@ def served(ros_environment: dict[str, str], tmp_path_factory: pytest.TempPathFac
     path = tmp_path_factory.mktemp("login") / "tokens"
     kinds = ("observe,act,stop", "observe", "act", "stop", "observe,stop")
     tokens = {kind: add_token(path, kind.replace(",", "-"), kind.split(",")) for kind in kinds}
-    with (
-        listening(ros_environment, "streamable-http", "--token-file", str(path)) as (streamable, _),
-        listening(ros_environment, "sse", "--token-file", str(path)) as (sse, _),
-    ):
-        yield Served({"streamable-http": streamable, "sse": sse}, tokens)
+    with listening(ros_environment, "streamable-http", "--token-file", str(path)) as (port, _):
+        yield Served(port, tokens)
 
 
 def headers(token: str, **more: str) -> dict[str, str]:
@@ -115,12 +109,8 @@ def call(
 
 
 @pytest.mark.promise("README", "every request without a token that the server knows, on loopback, too")
-@pytest.mark.parametrize(
-    ("transport", "method", "path"), [(transport, *where) for transport, paths in PATHS.items() for where in paths]
-)
-def test_without_a_known_token_nothing_is_answered_on_any_path(
-    served: Served, transport: str, method: str, path: str
-) -> None:
+@pytest.mark.parametrize(("method", "path"), PATHS)
+def test_without_a_known_token_nothing_is_answered_on_any_path(served: Served, method: str, path: str) -> None:
     good = served.tokens["observe,act,stop"]
     wrong = (
         None,
@@ -136,7 +126,7 @@ def test_without_a_known_token_nothing_is_answered_on_any_path(
         "Bearer \xff\xfe",
     )
     for value in wrong:
-        with served.open(transport) as connection:
+        with served.open() as connection:
             connection.putrequest(method, path)
             if value is not None:
                 connection.putheader("Authorization", value.encode("latin-1"))
@@ -309,7 +299,7 @@ async def test_a_client_that_gets_no_session_stops_as_it_would_in_one(served: Se
             listens = streams.enter_context(served.open())
             listens.request("GET", "/mcp", headers=headers(token, Mcp_Session_Id=begun(connection, token)))
             assert listens.getresponse().status == 200
-        url = f"http://127.0.0.1:{served.ports['streamable-http']}/mcp"
+        url = f"http://127.0.0.1:{served.port}/mcp"
         async with client_at(url, mode="legacy", token=token) as client:
             assert not (await client.call_tool(STOP, {})).is_error
 
@@ -369,7 +359,7 @@ def seconds_until_given_up(served: Served) -> float:
     """Of the head of a request, of its body, of one that was refused already; of connections that say nothing; and of
     a second request.
     """
-    port, good = served.ports["streamable-http"], f"Authorization: Bearer {served.tokens['observe']}\r\n"
+    port, good = served.port, f"Authorization: Bearer {served.tokens['observe']}\r\n"
     head = f"POST /mcp HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n"
     kind = "Content-Type: application/json\r\nContent-Length: 500\r\n\r\n{"
     refused = f"{head}Content-Length: 0\r\n\r\n"
@@ -398,7 +388,7 @@ def seconds_until_given_up(served: Served) -> float:
 
 
 def test_connections_without_a_login_keep_no_client_out(served: Served) -> None:
-    port, token = served.ports["streamable-http"], served.tokens["observe"]
+    port, token = served.port, served.tokens["observe"]
     with served.open() as known:
         assert call(known, token, READ).status == 200
         idle = [socket.create_connection(("127.0.0.1", port)) for _ in range(400)]
@@ -448,11 +438,12 @@ def test_with_tls_it_is_reached_under_its_public_name_and_no_other(
     [
         (("--host", "0.0.0.0"), "the token would cross the network in the open"),
         (("--host", "0.0.0.0", "--no-login"), "--no-login would let everybody in"),
+        (("--transport", "sse"), "Write --transport streamable-http instead"),
         (("--tls-cert", __file__), "belong together"),
         (("--tls-cert", __file__, "--tls-key", __file__), f"TLS cannot be spoken with {__file__}"),
     ],
 )
-def test_a_server_that_would_let_in_strangers_does_not_start(
+def test_a_server_with_such_options_does_not_start_and_says_why(
     ros_environment: dict[str, str], options: tuple[str, ...], said: str
 ) -> None:
     command = [sys.executable, "-m", "ros2_mcp", "--transport", "streamable-http", *options]
@@ -461,7 +452,7 @@ def test_a_server_that_would_let_in_strangers_does_not_start(
 
 
 def test_a_server_that_cannot_listen_says_so_and_fails(ros_environment: dict[str, str], served: Served) -> None:
-    port = str(served.ports["sse"])
+    port = str(served.port)
     command = [sys.executable, "-m", "ros2_mcp", "--transport", "streamable-http", "--port", port]
     ended = subprocess.run(command, env=ros_environment, capture_output=True, text=True, timeout=60, check=False)
     assert ended.returncode == 1 and "Traceback" not in ended.stderr

@@ -21,21 +21,15 @@ CLIENT = {"name": "requests by hand", "version": "1"}
 INITIALIZE = {"protocolVersion": HANDSHAKE, "capabilities": {}, "clientInfo": CLIENT}
 PREFIX = "io.modelcontextprotocol/"
 META = {f"{PREFIX}protocolVersion": MODERN, f"{PREFIX}clientInfo": CLIENT, f"{PREFIX}clientCapabilities": {}}
-PATHS = {
-    "streamable-http": [("POST", "/mcp"), ("GET", "/mcp"), ("DELETE", "/mcp"), ("GET", "/"), ("GET", "/nothing")],
-    "sse": [("GET", "/sse"), ("POST", "/messages/"), ("POST", "/messages"), ("GET", "/nothing")],
-}
+PATHS = (("POST", "/mcp"), ("GET", "/mcp"), ("DELETE", "/mcp"), ("GET", "/"), ("GET", "/nothing"))
 TOO_LARGE = 1_000_001
 
 
 @pytest.fixture(scope="module")
-def ports(ros_environment: dict[str, str]) -> Iterator[dict[str, int]]:
-    """Of a server for each transport."""
-    with (
-        listening(ros_environment, "streamable-http") as (streamable, _),
-        listening(ros_environment, "sse") as (sse, _),
-    ):
-        yield {"streamable-http": streamable, "sse": sse}
+def port(ros_environment: dict[str, str]) -> Iterator[int]:
+    """The server's."""
+    with listening(ros_environment, "streamable-http") as (port, _):
+        yield port
 
 
 def answer(port: int, method: str, path: str, headers: list[tuple[str, str]], body: bytes = b"") -> tuple[int, bytes]:
@@ -96,14 +90,9 @@ def is_well(port: int) -> bool:
     return status == 200 and b"ros2_topic_list" in text
 
 
-def everywhere() -> list[tuple[str, str, str]]:
-    return [(transport, method, path) for transport, paths in PATHS.items() for method, path in paths]
-
-
 @pytest.mark.promise("README", "requests with a foreign or doubled Host or Origin header are refused on every path")
-@pytest.mark.parametrize(("transport", "method", "path"), everywhere())
-def test_a_foreign_host_is_refused_on_every_path(ports: dict[str, int], transport: str, method: str, path: str) -> None:
-    port = ports[transport]
+@pytest.mark.parametrize(("method", "path"), PATHS)
+def test_a_foreign_host_is_refused_on_every_path(port: int, method: str, path: str) -> None:
     foreign = (
         f"robot.example:{port}",
         f"127.0.0.1.robot.example:{port}",
@@ -123,11 +112,8 @@ def test_a_foreign_host_is_refused_on_every_path(ports: dict[str, int], transpor
 
 
 @pytest.mark.promise("README", "requests with a foreign or doubled Host or Origin header are refused on every path")
-@pytest.mark.parametrize(("transport", "method", "path"), everywhere())
-def test_a_foreign_origin_is_refused_on_every_path(
-    ports: dict[str, int], transport: str, method: str, path: str
-) -> None:
-    port = ports[transport]
+@pytest.mark.parametrize(("method", "path"), PATHS)
+def test_a_foreign_origin_is_refused_on_every_path(port: int, method: str, path: str) -> None:
     foreign = (
         "null",
         "http://robot.example",
@@ -146,12 +132,9 @@ def test_a_foreign_origin_is_refused_on_every_path(
 
 
 @pytest.mark.promise("README", "requests with a foreign or doubled Host or Origin header are refused on every path")
-@pytest.mark.parametrize(("transport", "method", "path"), everywhere())
-def test_a_doubled_host_or_origin_is_refused_on_every_path(
-    ports: dict[str, int], transport: str, method: str, path: str
-) -> None:
+@pytest.mark.parametrize(("method", "path"), PATHS)
+def test_a_doubled_host_or_origin_is_refused_on_every_path(port: int, method: str, path: str) -> None:
     """Also if one of them, or the first, is ours."""
-    port = ports[transport]
     own, foreign = f"127.0.0.1:{port}", f"robot.example:{port}"
     for first, second in ((own, foreign), (foreign, own), (own, own)):
         assert answer(port, method, path, sized(with_host(usual(port, method), first, second), b""))[0] == 400
@@ -159,15 +142,12 @@ def test_a_doubled_host_or_origin_is_refused_on_every_path(
         assert answer(port, method, path, sized([*usual(port, method), *origins], b""))[0] == 400
 
 
-def test_own_names_and_a_missing_origin_are_accepted(ports: dict[str, int]) -> None:
-    port, body = ports["streamable-http"], request("initialize", INITIALIZE)
+def test_own_names_and_a_missing_origin_are_accepted(port: int) -> None:
+    body = request("initialize", INITIALIZE)
     for name in ("127.0.0.1", "localhost", "[::1]"):
         own = with_host(usual(port), f"{name}:{port}")
         assert answer(port, "POST", "/mcp", sized(own, body), body)[0] == 200
         assert answer(port, "POST", "/mcp", sized([*own, ("Origin", f"http://{name}:{port}")], body), body)[0] == 200
-    for name in ("127.0.0.1", "localhost"):
-        own = with_host(usual(ports["sse"], "GET"), f"{name}:{ports['sse']}")
-        assert answer(ports["sse"], "GET", "/sse", own)[0] == 200
 
 
 DEEP = b"[" * 100_000
@@ -186,24 +166,12 @@ BAD_BODIES = {
 
 
 @pytest.mark.parametrize("what", BAD_BODIES)
-def test_a_body_that_is_no_request_is_refused(ports: dict[str, int], what: str) -> None:
+def test_a_body_that_is_no_request_is_refused(port: int, what: str) -> None:
     """In both eras; and the server goes on."""
-    port, body = ports["streamable-http"], BAD_BODIES[what]
+    body = BAD_BODIES[what]
     for era in ({}, {"Mcp_Protocol_Version": HANDSHAKE}, {"Mcp_Protocol_Version": MODERN, "Mcp_Method": "ping"}):
         assert answer(port, "POST", "/mcp", sized(usual(port, **era), body), body)[0] == 400
     assert is_well(port)
-
-
-def test_a_body_that_is_no_request_is_refused_over_sse_and_the_stream_goes_on(ports: dict[str, int]) -> None:
-    port = ports["sse"]
-    with socket.create_connection(("127.0.0.1", port), PATIENCE_S) as stream, stream.makefile("rb") as lines:
-        stream.sendall(f"GET /sse HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nAuthorization: {BEARER}\r\n\r\n".encode())
-        path = next(line for line in lines if line.startswith(b"data: ")).split()[1].decode()
-        for what, body in BAD_BODIES.items():
-            assert answer(port, "POST", path, sized(usual(port), body), body)[0] == 400, what
-        body = request("initialize", INITIALIZE)
-        assert answer(port, "POST", path, sized(usual(port), body), body)[0] == 202
-        assert b"ros2-mcp" in next(line for line in lines if line.startswith(b"data: ") and b'"id":1' in line)
 
 
 REFUSED = {
@@ -218,8 +186,8 @@ REFUSED = {
 @pytest.mark.parametrize("path", ["/mcp", "/mcp%0A"])
 @pytest.mark.parametrize("padding", [b"", b" " * 25_000], ids=["small", "large"])
 @pytest.mark.parametrize("body", REFUSED)
-def test_a_refusal_has_the_id_of_its_request(ports: dict[str, int], body: bytes, padding: bytes, path: str) -> None:
-    port, padded = ports["streamable-http"], padding + body
+def test_a_refusal_has_the_id_of_its_request(port: int, body: bytes, padding: bytes, path: str) -> None:
+    padded = padding + body
     for era in ({}, {"Mcp_Protocol_Version": HANDSHAKE}, {"Mcp_Protocol_Version": MODERN, "Mcp_Method": "ping"}):
         status, text = answer(port, "POST", path, sized(usual(port, **era), padded), padded)
         said = json.loads(text)
@@ -234,8 +202,8 @@ def post(connection: HTTPConnection, session: str, message: dict[str, Any]) -> H
     return connection.getresponse()
 
 
-def test_of_two_requests_with_one_id_in_a_session_the_second_is_refused(ports: dict[str, int]) -> None:
-    slow, other = (HTTPConnection("127.0.0.1", ports["streamable-http"], timeout=PATIENCE_S) for _ in range(2))
+def test_of_two_requests_with_one_id_in_a_session_the_second_is_refused(port: int) -> None:
+    slow, other = (HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S) for _ in range(2))
     with closing(slow), closing(other):
         begun = post(other, "", {"id": 1, "method": "initialize", "params": INITIALIZE})
         session = begun.headers["Mcp-Session-Id"]
@@ -251,29 +219,24 @@ def test_of_two_requests_with_one_id_in_a_session_the_second_is_refused(ports: d
         assert b'"result":{}' in post(other, session, {"id": 8, "method": "ping"}).read()
 
 
-@pytest.mark.parametrize(
-    ("transport", "path"),
-    [("streamable-http", "/mcp"), ("streamable-http", "/mcp%0A"), ("sse", "/messages/"), ("sse", "/messages/more")],
-)
-def test_a_body_that_is_too_large_is_refused(ports: dict[str, int], transport: str, path: str) -> None:
+@pytest.mark.parametrize("path", ["/mcp", "/mcp%0A"])
+def test_a_body_that_is_too_large_is_refused(port: int, path: str) -> None:
     """Whether its size is declared or not, long before all of it has come, and however its path is written."""
-    port = ports[transport]
     for era in ({}, {"Mcp_Protocol_Version": MODERN}):
         declared = [*usual(port, **era), ("Content-Length", str(10**12))]
         assert answer(port, "POST", path, declared, b"[")[0] == 413
         chunk = b"10000\r\n" + b" " * 0x10000 + b"\r\n"
         chunked = [*usual(port, **era), ("Transfer-Encoding", "chunked")]
         assert answer(port, "POST", path, chunked, chunk * (TOO_LARGE // 0x10000 + 1))[0] == 413
-    assert is_well(ports["streamable-http"])
+    assert is_well(port)
 
 
 @pytest.mark.parametrize("length", [0, 5, 10**6])
-@pytest.mark.parametrize(("transport", "path"), [("streamable-http", "/mcp"), ("sse", "/messages/"), ("sse", "/x")])
+@pytest.mark.parametrize("path", ["/mcp", "/x"])
 def test_a_request_with_a_length_and_chunks_is_refused_and_its_connection_ends(
-    ports: dict[str, int], transport: str, path: str, length: int
+    port: int, path: str, length: int
 ) -> None:
     """What stands behind the chunks would else be a second request, which a proxy before us took for a body."""
-    port = ports[transport]
     lengths = [("Content-Length", str(length)), ("Transfer-Encoding", "chunked")]
     for more in (lengths, lengths[::-1]):
         hidden = f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nAuthorization: {BEARER}\r\n\r\n"
@@ -286,7 +249,7 @@ def test_a_request_with_a_length_and_chunks_is_refused_and_its_connection_ends(
         head = received.partition(b"\r\n\r\n")[0].lower()
         assert head.startswith(b"http/1.1 400 ") and b"connection: close" in head
         assert received.count(b"HTTP/1.1 ") == 1
-    assert is_well(ports["streamable-http"])
+    assert is_well(port)
 
 
 def calling(arguments: bytes) -> bytes:
@@ -309,23 +272,21 @@ def nested(of: bytes) -> bytes:
 
 
 @pytest.mark.parametrize("what", NESTED)
-def test_a_body_of_too_many_lists_and_objects_is_refused_unread(ports: dict[str, int], what: str) -> None:
+def test_a_body_of_too_many_lists_and_objects_is_refused_unread(port: int, what: str) -> None:
     body = nested(NESTED[what])
-    for transport, path in (("streamable-http", "/mcp"), ("sse", "/messages/")):
-        for era in ({}, {"Mcp_Protocol_Version": MODERN, "Mcp_Method": "tools/call"}):
-            port = ports[transport]
-            with closing(HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)) as connection:
-                connection.request("POST", path, body, dict(usual(port, **era)))
-                refused = connection.getresponse()
-                assert refused.status == 400 and b"at most 50,000 objects and lists" in refused.read()
-    assert is_well(ports["streamable-http"])
+    for era in ({}, {"Mcp_Protocol_Version": MODERN, "Mcp_Method": "tools/call"}):
+        with closing(HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)) as connection:
+            connection.request("POST", "/mcp", body, dict(usual(port, **era)))
+            refused = connection.getresponse()
+            assert refused.status == 400 and b"at most 50,000 objects and lists" in refused.read()
+    assert is_well(port)
 
 
 @pytest.mark.parametrize(
     "part", [b'{"x":0.12,"y":-1.5,"z":0.0}', b"0", b'"\xe2\x9c\x93 text"'], ids=["points", "numbers", "texts"]
 )
-def test_a_large_body_of_an_honest_client_is_read(ports: dict[str, int], part: bytes) -> None:
-    port, body = ports["streamable-http"], nested(part)
+def test_a_large_body_of_an_honest_client_is_read(port: int, part: bytes) -> None:
+    body = nested(part)
     headers = usual(port, Mcp_Protocol_Version=MODERN, Mcp_Method="tools/call", Mcp_Name="ros2_topic_publish")
     with closing(HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)) as connection:
         connection.request("POST", "/mcp", body, dict(headers))
@@ -339,8 +300,8 @@ STOPS_S = 0.25
 
 @pytest.mark.full
 @pytest.mark.parametrize("what", [*NESTED, "points"])
-def test_a_stop_does_not_wait_behind_large_bodies_of_others(ports: dict[str, int], what: str) -> None:
-    port, body = ports["streamable-http"], nested(NESTED.get(what, b'{"x":0.12,"y":-1.5,"z":0.0}'))
+def test_a_stop_does_not_wait_behind_large_bodies_of_others(port: int, what: str) -> None:
+    body = nested(NESTED.get(what, b'{"x":0.12,"y":-1.5,"z":0.0}'))
     headers = {name: value for name, value in usual(port) if name != "Host"} | {"Mcp-Protocol-Version": MODERN}
     large = {**headers, "Mcp-Method": "tools/call", "Mcp-Name": "ros2_topic_publish"}
     stop = request("tools/call", {"name": "ros2_stop", "arguments": {}, "_meta": META})
@@ -365,18 +326,17 @@ def test_a_stop_does_not_wait_behind_large_bodies_of_others(ports: dict[str, int
     assert taken[-1] < STOPS_S
 
 
-def test_a_page_cannot_post_without_asking_first(ports: dict[str, int]) -> None:
+def test_a_page_cannot_post_without_asking_first(port: int) -> None:
     """What browsers send to foreign servers unasked has one of these types, and nothing allows them more."""
-    for transport, path in (("streamable-http", "/mcp"), ("sse", "/messages/")):
-        port, body = ports[transport], request("initialize", INITIALIZE)
-        for kind in (
-            "text/plain",
-            "application/x-www-form-urlencoded",
-            "multipart/form-data",
-            "text/plain;application/json",
-        ):
-            headers = [line for line in usual(port) if line[0] != "Content-Type"]
-            refused, _ = answer(port, "POST", path, sized([*headers, ("Content-Type", kind)], body), body)
-            assert refused == 400, kind
-        asked = [("Access-Control-Request-Method", "POST"), ("Origin", "http://robot.example")]
-        assert answer(port, "OPTIONS", path, [*usual(port, "OPTIONS"), *asked])[0] == 403
+    body = request("initialize", INITIALIZE)
+    for kind in (
+        "text/plain",
+        "application/x-www-form-urlencoded",
+        "multipart/form-data",
+        "text/plain;application/json",
+    ):
+        headers = [line for line in usual(port) if line[0] != "Content-Type"]
+        refused, _ = answer(port, "POST", "/mcp", sized([*headers, ("Content-Type", kind)], body), body)
+        assert refused == 400, kind
+    asked = [("Access-Control-Request-Method", "POST"), ("Origin", "http://robot.example")]
+    assert answer(port, "OPTIONS", "/mcp", [*usual(port, "OPTIONS"), *asked])[0] == 403

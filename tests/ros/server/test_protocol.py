@@ -39,6 +39,7 @@ def server(request, start_raw, peer, path: Path) -> RawServer:
         assert request.param in introduction["supportedVersions"]
     else:
         assert introduction["protocolVersion"] == request.param
+    assert introduction["capabilities"]["tools"] is not None and "logging" not in introduction["capabilities"]
     return raw
 
 
@@ -46,6 +47,7 @@ def test_a_session_lists_calls_refuses_cancels_and_ends(server: RawServer) -> No
     assert_tools_are_listed(server)
     assert_a_call_is_answered(server)
     assert_a_misspelt_argument_is_explained(server)
+    assert_the_servers_log_is_not_offered(server)
     assert_a_cancelled_read_ends_its_work(server)
     server.close()
 
@@ -82,6 +84,13 @@ def assert_a_misspelt_argument_is_explained(server: RawServer) -> None:
     result = server.call("ros2_topic_list", patern="/x")
     assert result["isError"]
     assert "ros2_topic_list has no argument 'patern'. Did you mean pattern?" in result["content"][0]["text"]
+
+
+def assert_the_servers_log_is_not_offered(server: RawServer) -> None:
+    refused = server.ask("logging/setLevel", level="debug")
+    assert (refused["error"]["code"], refused["error"]["message"]) == (-32601, "Method not found")
+    assert server.call("ros2_topic_list", patern="/x")["isError"]  # which the server logs
+    assert not [line for line in server.lines() if line.get("method") == "notifications/message"]
 
 
 def assert_a_cancelled_read_ends_its_work(server: RawServer) -> None:

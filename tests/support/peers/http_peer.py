@@ -27,19 +27,15 @@ AT_ONCE = struct.pack("ii", 1, 0)
 
 
 class Client:
-    """One client, by `transport`: `handshake` or `modern` of streamable HTTP, or `sse`."""
+    """One client, by `era`: `handshake` or `modern`."""
 
-    def __init__(self, transport: str, host: str, port: int, name: str) -> None:
-        self.transport, self.address, self.name = transport, (host, port), name
+    def __init__(self, era: str, host: str, port: int, name: str) -> None:
+        self.era, self.address, self.name = era, (host, port), name
         self.sockets: list[socket.socket] = []
-        self.session, self.endpoint, self.last_id = "", "/mcp", 0
-        self.events: http.client.HTTPResponse | None = None
+        self.session, self.last_id = "", 0
 
     def begin(self, keeps_stream: bool) -> None:
-        if self.transport == "sse":
-            self.events = self.answered(self.request("GET", "/sse", None, Accept="text/event-stream"))
-            self.endpoint = self.event()
-        if self.transport == "modern":
+        if self.era == "modern":
             if keeps_stream:
                 self.answered(self.send("subscriptions/listen", notifications={}))
             return
@@ -48,12 +44,12 @@ class Client:
         self.session = response.getheader("mcp-session-id", "")
         self.result(response)
         self.answered(self.post({"jsonrpc": "2.0", "method": "notifications/initialized"}))
-        if keeps_stream and self.transport == "handshake":
+        if keeps_stream:
             self.answered(self.request("GET", "/mcp", None, Accept="text/event-stream"))
 
     def send(self, method: str, **params: Any) -> http.client.HTTPConnection:
         self.last_id += 1
-        if self.transport == "modern":
+        if self.era == "modern":
             stamp = {"protocolVersion": MODERN, "clientInfo": {**CLIENT, "name": self.name}, "clientCapabilities": {}}
             params["_meta"] = {f"io.modelcontextprotocol/{name}": value for name, value in stamp.items()}
         if method == "tools/call":
@@ -62,18 +58,17 @@ class Client:
 
     def post(self, message: dict[str, Any]) -> http.client.HTTPConnection:
         headers = {"Accept": "application/json, text/event-stream", "Content-Type": "application/json"}
-        if self.transport == "modern":
+        if self.era == "modern":
             headers["Mcp-Method"] = message["method"]
             if name := message["params"].get("name"):
                 headers["Mcp-Name"] = name
-        return self.request("POST", self.endpoint, json.dumps(message), **headers)
+        return self.request("POST", "/mcp", json.dumps(message), **headers)
 
     def request(self, method: str, path: str, body: str | None, **headers: str) -> http.client.HTTPConnection:
         headers["Authorization"] = f"Bearer {TOKEN}"
         if self.session:
             headers["Mcp-Session-Id"] = self.session
-        if self.transport != "sse":
-            headers["Mcp-Protocol-Version"] = MODERN if self.transport == "modern" else HANDSHAKE
+        headers["Mcp-Protocol-Version"] = MODERN if self.era == "modern" else HANDSHAKE
         connection = http.client.HTTPConnection(*self.address, timeout=PATIENCE_S)
         connection.connect()
         self.sockets.append(connection.sock)
@@ -85,17 +80,12 @@ class Client:
         assert response.status < 300, (response.status, response.read())
         return response
 
-    def event(self) -> str:
-        """The data of the next event of the SSE stream."""
-        assert self.events
-        return _data(self.events)
-
     def result(self, response: http.client.HTTPResponse) -> dict[str, Any]:
-        """The answer to the last request: in the response, as JSON or as an event, or on the SSE stream."""
+        """The answer to the last request: in the response, as JSON or as an event."""
         if response.getheader("content-type", "").startswith("application/json"):
             return json.loads(response.read())
         while True:
-            answer = json.loads(self.event() if self.transport == "sse" else _data(response))
+            answer = json.loads(_data(response))
             if answer.get("id") == self.last_id and "method" not in answer:
                 return answer
 
@@ -106,9 +96,9 @@ class Clients:
     def __init__(self) -> None:
         self.clients: dict[str, Client] = {}
 
-    def join(self, name: str, transport: str, host: str, port: int, keeps_stream: bool = True) -> None:
+    def join(self, name: str, era: str, host: str, port: int, keeps_stream: bool = True) -> None:
         """A client connects and introduces itself; it keeps a stream open for what the server may tell."""
-        self.clients[name] = Client(transport, host, port, name)
+        self.clients[name] = Client(era, host, port, name)
         self.clients[name].begin(keeps_stream)
 
     def call(self, name: str, tool: str, arguments: dict[str, Any]) -> dict[str, Any]:

@@ -8,7 +8,6 @@ import textwrap
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
-from uuid import UUID
 
 import pytest
 from mcp import Client
@@ -26,8 +25,6 @@ from ros2_mcp.model.samples import Sample
 from ros2_mcp.settings import Settings
 from support.made_windows import encoded
 from support.structured import META
-
-SESSION = UUID(int=0xC0FFEE)
 
 
 @pytest.fixture
@@ -86,16 +83,9 @@ def test_what_the_library_offers_is_there(name: str) -> None:
     "stopping", "In the modern era of MCP, clients of the same name and version at one address count as one"
 )
 def test_who_asks_is_one_over_stdio_and_one_for_each_session_or_program_over_http() -> None:
-    def principal(headers: dict[str, str], query: str = "", program: str = "a", address: str = "10.0.0.1") -> str:
+    def principal(headers: dict[str, str], program: str = "a", address: str = "10.0.0.1") -> str:
         raw = [(name.encode(), value.encode()) for name, value in headers.items()]
-        path = "/messages/" if query else "/mcp"
-        scope = {
-            "type": "http",
-            "path": path,
-            "headers": raw,
-            "query_string": query.encode(),
-            "client": (address, 4711),
-        }
+        scope = {"type": "http", "path": "/mcp", "headers": raw, "query_string": b"", "client": (address, 4711)}
         params = SimpleNamespace(client_info=SimpleNamespace(name=program, version="1"))
         asked: Any = SimpleNamespace(request=Request(scope), session=SimpleNamespace(client_params=params))
         return principal_of(asked).name
@@ -103,14 +93,11 @@ def test_who_asks_is_one_over_stdio_and_one_for_each_session_or_program_over_htt
     asked: Any = SimpleNamespace(request=None)
     assert principal_of(asked) == LOCAL
     mine, yours = principal({"mcp-session-id": "a"}), principal({"mcp-session-id": "b"})
-    older = principal({}, f"session_id={SESSION.hex}")
     programs = principal({}), principal({}, program="b"), principal({}, address="10.0.0.2")
-    assert len({mine, yours, older, *programs}) == 6
-    assert principal({"mcp-session-id": "a"}) == mine
-    assert principal({"mcp-session-id": "a"}, f"session_id={SESSION.hex}") == older
+    assert len({mine, yours, *programs}) == 5
+    assert principal({"mcp-session-id": "a"}) == mine == principal_of_session("a").name
     assert principal({"mcp-session-id": "a", "mcp-protocol-version": "2025-11-25"}) == mine
     assert principal({"mcp-session-id": "a", "mcp-protocol-version": "2026-07-28"}) == programs[0]  # has no sessions
-    assert principal({}, f"session_id={str(SESSION).upper()}") == older == principal_of_session(SESSION.hex).name
 
 
 @pytest.mark.parametrize("group", ["memory", "relay", "actions", "services", "parameters", "lifecycle"])

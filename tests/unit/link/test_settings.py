@@ -38,7 +38,7 @@ def test_an_option_wins_over_its_variable_even_if_that_is_wrong() -> None:
         ("ROS_DOMAIN_ID", "233", "0 to 232"),
         ("ROS_DOMAIN_ID", "many", "whole number"),
         ("ROS2_MCP_READONLY", "maybe", "1 .on. or 0 .off."),
-        ("ROS2_MCP_TRANSPORT", "carrier-pigeon", "stdio, sse or streamable-http"),
+        ("ROS2_MCP_TRANSPORT", "carrier-pigeon", "stdio or streamable-http"),
         ("ROS2_MCP_PORT", "70000", "1 to 65535"),
         ("ROS2_MCP_LOG_LEVEL", "loud", "debug, info, warning or error"),
     ],
@@ -46,6 +46,17 @@ def test_an_option_wins_over_its_variable_even_if_that_is_wrong() -> None:
 def test_a_bad_value_names_its_variable_and_what_would_be_right(variable: str, value: str, right: str) -> None:
     with pytest.raises(BadInput, match=f"{variable}.*{value}.*{right}"):
         Settings.from_environment({variable: value})
+
+
+@pytest.mark.parametrize("given", ["variable", "option", "keyword"])
+def test_the_sse_transport_that_was_removed_is_refused_with_what_to_write_instead(given: str) -> None:
+    with pytest.raises(BadInput, match=r"is sse\..*--transport streamable-http.*/mcp"):
+        if given == "variable":
+            Settings.from_environment({"ROS2_MCP_TRANSPORT": "sse"})
+        elif given == "option":
+            OPTIONS["transport"].parse("sse")
+        else:
+            Settings.from_environment({}, transport="sse")
 
 
 def test_every_setting_has_a_flag_and_a_variable_of_its_own() -> None:

@@ -12,20 +12,17 @@ from typing import TYPE_CHECKING, Any
 import anyio
 import uvicorn
 import uvicorn.config
-from mcp.server.sse import SseServerTransport
 from mcp.server.streamable_http_manager import StreamableHTTPSessionManager
 from mcp.server.transport_security import (
     TransportSecurityMiddleware,
     TransportSecuritySettings,
 )
 from mcp.types import INVALID_REQUEST, JSONRPCNotification, JSONRPCRequest
-from starlette.applications import Starlette
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, PlainTextResponse, Response
-from starlette.routing import Mount, Route
 
-from ros2_mcp.mcp.leases import MESSAGES, session_of
-from ros2_mcp.mcp.scopes import login_name, login_of
+from ros2_mcp.mcp.leases import session_of
+from ros2_mcp.mcp.scopes import login_of
 from ros2_mcp.mcp.transports.http.connections import Connections
 from ros2_mcp.mcp.transports.http.login import LoginLayer, challenge
 from ros2_mcp.mcp.transports.http.presence import Presence
@@ -46,11 +43,11 @@ if TYPE_CHECKING:
     from ros2_mcp.settings import Settings
 
 
-_MESSAGE_PATHS = ("/mcp", MESSAGES.rstrip("/"))
-"""How the paths begin that messages are posted to: with a line feed behind it, the first one leads there as well."""
+_MESSAGE_PATH = "/mcp"
+"""How the path begins that messages are posted to: with a line feed behind it, it leads there as well."""
 _MOST_BYTES = 1_000_000
-"""Of a body: the SDK parses it once more on the event loop, which takes 0.01 to 0.13 s for so much, and 0.25 s at most
-over SSE. The link lease is 1 s."""
+"""Of a body: the SDK parses it once more on the event loop, which takes 0.01 to 0.13 s for so much. The link
+lease is 1 s."""
 _TOO_LARGE = f"A request over HTTP has at most {_MOST_BYTES:,} bytes: send smaller requests, or use stdio."
 _MOST_NESTED = 50_000
 """Lists and objects in a body, those that only stand in a text counted too. Each is an object that the garbage
@@ -81,7 +78,7 @@ async def serve_http(
     entrance: Entrance,
     announce: Callable[[str], None],
 ) -> None:
-    """Serves `/mcp` (streamable HTTP) or `/sse`, until cancelled; `announce` is told its address once it listens.
+    """Serves `/mcp` (streamable HTTP), until cancelled; `announce` is told its address once it listens.
 
     Raises:
         BadInput: if it cannot listen there.
@@ -117,9 +114,6 @@ async def _transport(
     server: Server[Any], guard: TransportSecuritySettings, settings: Settings, entrance: Entrance
 ) -> AsyncGenerator[ASGIApp]:
     """What answers the messages, while it is used."""
-    if settings.transport == "sse":
-        yield _sse_app(server, guard)
-        return
     in_session = server.streamable_http_app(
         host=settings.host,
         transport_security=guard,
@@ -208,7 +202,7 @@ class _Readable:
         self._stops: set[anyio.Event] = set()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] != "http" or scope["method"] != "POST" or not scope["path"].startswith(_MESSAGE_PATHS):
+        if scope["type"] != "http" or scope["method"] != "POST" or not scope["path"].startswith(_MESSAGE_PATH):
             await self._app(scope, receive, send)
             return
         request = Request(scope, receive)
@@ -342,35 +336,3 @@ def _declared_bytes(request: Request) -> int:
     """How large a body is said to be; more than may be, where nothing is said."""
     declared = request.headers.get("content-length", "")
     return int(declared[:20]) if declared.isdecimal() else _MOST_BYTES + 1
-
-
-def _sse_app(server: Server[Any], guard: TransportSecuritySettings) -> Starlette:
-    """The application of the older HTTP transport: a stream of events, and a place for messages to it."""
-    sse = SseServerTransport(MESSAGES, security_settings=guard)
-    routes = [
-        # A client that tries the newer transport first must be refused its POST, to fall back to this one.
-        Route("/sse", endpoint=_Stream(server, sse), methods=["GET"]),
-        Mount(MESSAGES, app=sse.handle_post_message),
-    ]
-    return Starlette(routes=routes)
-
-
-class _Stream:
-    """One client's stream of events, as an ASGI application: a function would get a request instead of the streams."""
-
-    def __init__(self, server: Server[Any], sse: SseServerTransport) -> None:
-        self._server = server
-        self._sse = sse
-        self._open: Counter[str] = Counter()
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        login = login_name(scope)
-        if self._open[login] >= MOST_SESSIONS:
-            await PlainTextResponse("Too many open sessions", 503, {"Retry-After": "1"})(scope, receive, send)
-            return
-        self._open[login] += 1
-        try:
-            async with self._sse.connect_sse(scope, receive, send) as (incoming, outgoing):
-                await self._server.run(incoming, outgoing, self._server.create_initialization_options())
-        finally:
-            self._open[login] -= 1

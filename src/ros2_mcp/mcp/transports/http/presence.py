@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import re
 from typing import TYPE_CHECKING
 
 from starlette.requests import Request
@@ -19,10 +18,6 @@ if TYPE_CHECKING:
 _ALIVE = b": alive\r\n\r\n"
 """A comment of an event stream, which every reader of one skips."""
 _EVENTS = b"text/event-stream"
-_SSE_SESSION = re.compile(rb"^data: \S*[?&]session_id=([0-9a-f]{32})\s*$", re.MULTILINE)
-"""In the event `endpoint`, the first one of an SSE stream: where its client posts to."""
-_ENDPOINT_BYTES = 1000
-"""How far into an answer that event is looked for: it is shorter, and what follows may be megabytes."""
 
 
 class Presence:
@@ -65,7 +60,6 @@ class _Response:
         self.is_open = True
         self.was_closed = False
         self.listens = scope["method"] == "GET"
-        self._may_name_session = self.listens
 
     def heard_at(self) -> float:
         """When its client last acknowledged or sent anything (monotonic, s)."""
@@ -88,10 +82,6 @@ class _Response:
                     return  # `show_alive` has begun an event stream already
             elif self._is_ours and not self._is_stream:
                 message = self._as_event(message)
-            elif self._may_name_session and (body := message.get("body")):
-                self._may_name_session = False
-                if found := _SSE_SESSION.search(body, 0, _ENDPOINT_BYTES):
-                    self._leases.asked(principal_of_session(found[1].decode(), login_of(self._request)), self)
             is_last = message["type"] == "http.response.body" and not message.get("more_body")
             if is_last:
                 self.end()
