@@ -21,7 +21,7 @@ place of the robot."""
 STREAM_MODULES = {"client", "connection", "subscription", "carrier", "carriers", "local", "heartbeat"}
 """Modules of `link/` that carry the stream; the others look for installations."""
 EXECUTORS = {"core", "facts", "failsafes", "goals", "publishing", "services", "translation"}
-SPEAKING = {"ask", "query", "request", "subscribe"}
+SPEAKING = {"ask", "post", "query", "request", "subscribe"}
 OF_MCP = {
     "src/ros2_mcp/resources/push.py": {"self._bus.subscribe"},
     "src/ros2_mcp/mcp/server.py": {"resources.push.subscribe"},
@@ -76,6 +76,7 @@ def test_nobody_outside_robot_sends_publishes_calls_or_asks_the_bridge() -> None
     [
         "async def op(robot):\n    await robot.graph.ask('publish', b'', topic='/cmd_vel')",
         "async def op(robot):\n    await robot.graph.query('topics')",
+        "def op(robot):\n    robot.graph.post('failsafe_call')",
         "async def op(robot):\n    graph = robot.graph\n    await graph.ask('stop')",
         "async def op(robot):\n    await robot.bridge.request('call', b'', timeout_s=1.0)",
         "async def op(self):\n    send = self._robot.bridge\n    await send.request('call', b'', timeout_s=1.0)",
