@@ -100,6 +100,18 @@ def test_what_a_module_calls_its_own_is_no_way_around() -> None:
     assert list(ways_around("src/ros2_mcp/ops/planted.py", ast.parse(own))) == []
 
 
+def test_no_order_on_the_stream_relies_on_the_order_of_tasks() -> None:
+    """What has to precede something is posted before it: a task that sleeps for 0 s waits for luck."""
+    yielding = [
+        f"{path}:{node.lineno}"
+        for path, tree in trees().items()
+        if path.startswith(INSIDE)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call) and ast.unparse(node) in ("asyncio.sleep(0)", "anyio.sleep(0)")
+    ]
+    assert [place for place in yielding if not place.startswith("src/ros2_mcp/link/child.py:")] == []  # no order there
+
+
 DECIDING = {("guard", "acting"), ("policy", "decide")}
 
 
