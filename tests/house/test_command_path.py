@@ -21,7 +21,7 @@ place of the robot."""
 STREAM_MODULES = {"client", "connection", "subscription", "carrier", "carriers", "local", "heartbeat"}
 """Modules of `link/` that carry the stream; the others look for installations."""
 EXECUTORS = {"core", "facts", "failsafes", "goals", "publishing", "services", "translation"}
-SPEAKING = {"ask", "query", "request", "subscribe"}
+SPEAKING = {"ask", "post", "query", "request", "subscribe"}
 OF_MCP = {
     "src/ros2_mcp/resources/push.py": {"self._bus.subscribe"},
     "src/ros2_mcp/mcp/server.py": {"resources.push.subscribe"},
@@ -76,6 +76,7 @@ def test_nobody_outside_robot_sends_publishes_calls_or_asks_the_bridge() -> None
     [
         "async def op(robot):\n    await robot.graph.ask('publish', b'', topic='/cmd_vel')",
         "async def op(robot):\n    await robot.graph.query('topics')",
+        "def op(robot):\n    robot.graph.post('failsafe_call')",
         "async def op(robot):\n    graph = robot.graph\n    await graph.ask('stop')",
         "async def op(robot):\n    await robot.bridge.request('call', b'', timeout_s=1.0)",
         "async def op(self):\n    send = self._robot.bridge\n    await send.request('call', b'', timeout_s=1.0)",
@@ -97,6 +98,18 @@ def test_a_way_around_the_command_path_is_found(planted: str) -> None:
 def test_what_a_module_calls_its_own_is_no_way_around() -> None:
     own = "class Box:\n    async def ask(self):\n        return await self.ask()\n"
     assert list(ways_around("src/ros2_mcp/ops/planted.py", ast.parse(own))) == []
+
+
+def test_no_order_on_the_stream_relies_on_the_order_of_tasks() -> None:
+    """What has to precede something is posted before it: a task that sleeps for 0 s waits for luck."""
+    yielding = [
+        f"{path}:{node.lineno}"
+        for path, tree in trees().items()
+        if path.startswith(INSIDE)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call) and ast.unparse(node) in ("asyncio.sleep(0)", "anyio.sleep(0)")
+    ]
+    assert [place for place in yielding if not place.startswith("src/ros2_mcp/link/child.py:")] == []  # no order there
 
 
 DECIDING = {("guard", "acting"), ("policy", "decide")}

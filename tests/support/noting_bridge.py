@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Mapping
 from typing import Any
 
-from ros2_mcp.link.client import Reply, Subscription
+from ros2_mcp.link.client import Posted, Reply, Subscription
 from ros2_mcp.link.clock import RobotClock
 from ros2_mcp.model.commands import (
     LOCAL,
@@ -95,6 +95,12 @@ class Noting:
         self.listening[topic] = Subscription("all", 10, 1000, unsubscribe)
         return self.listening[topic]
 
+    def post(self, op: str, body: bytes = b"", **arguments: Any) -> Posted:
+        self.sent.append(op)
+        self.arguments[op] = arguments
+        self.failsafes.append(arguments)
+        return Posted(op, body, arguments)
+
     async def request(self, op: str, _body: bytes = b"", *, timeout_s: float, **arguments: Any) -> Reply:
         del timeout_s
         if op == "definitions":
@@ -103,9 +109,6 @@ class Noting:
             return Reply({"missing": [], "definitions": texts}, b"")
         self.sent.append(op)
         self.arguments[op] = arguments
-        if op.startswith("failsafe"):
-            self.failsafes.append(arguments)
-            await asyncio.Event().wait()
         await self.may_answer.wait()
         if op in self.refuse:
             raise BridgeRefused(self.refuse[op], "It is refused.")

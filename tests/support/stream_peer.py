@@ -32,6 +32,7 @@ class Peer:
 
     def __init__(self, vitality: Vitality = "unknown", *, is_remote: bool = False) -> None:
         self.is_remote = is_remote
+        self.is_open = False
         self.log: list[str] = []
         self.heard: list[Packet] = []
         self.pings: list[dict[str, Any]] = []
@@ -45,6 +46,7 @@ class Peer:
 
     async def open(self, received: Callable[[bytes], None], ended: Callable[[], None]) -> None:
         self._received, self._ended = received, ended
+        self.is_open = True
 
     def write(self, data: bytes) -> None:
         for packet in self._reader.feed(data):

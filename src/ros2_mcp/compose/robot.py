@@ -85,7 +85,7 @@ def robot_for(settings: Settings, store: BagStore, bridge: Bridge | None = None)
 def _tell_spent(bridge: Bridge, spent: Spent) -> None:
     """Until this server got the lock another one may have acted, after this one's bridge was told what was used."""
     spent.read()
-    bridge.post("spent", json.dumps(spent.ages()).encode())
+    bridge.tell("spent", json.dumps(spent.ages()).encode())
 
 
 def _told_latch(guard: Guard) -> dict[str, Any]:

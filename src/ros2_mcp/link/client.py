@@ -13,7 +13,7 @@ from typing import Any
 
 from ros2_mcp.link.carrier import Carrier
 from ros2_mcp.link.clock import RobotClock
-from ros2_mcp.link.connection import Connection, Hello, Reply
+from ros2_mcp.link.connection import Connection, Hello, Posted, Reply
 from ros2_mcp.link.sharing import Sharing
 from ros2_mcp.link.subscription import Subscription
 from ros2_mcp.model.errors import BridgeLost, LinkError, RobotError, Unreachable
@@ -21,7 +21,7 @@ from ros2_mcp.model.text import named, quoted
 from ros2_mcp.model.times import Outage
 from ros2_mcp_common.wire.protocol import Keep, Told
 
-__all__ = ["Bridge", "Hello", "Reply", "Subscription"]
+__all__ = ["Bridge", "Hello", "Posted", "Reply", "Subscription"]
 
 # Between lives that do not begin: together 8.5 s, in which one of the successors is to stop what the lost bridge kept
 # moving (decision 12). After that a life begins only when a request comes, 10 s after the last one at the earliest. A
@@ -91,6 +91,7 @@ class Bridge:
         self._sharing: Sharing | None = None
         self._supervisor: asyncio.Task[None] | None = None
         self._outcome: asyncio.Future[Connection | RobotError] | None = None
+        self._unwritten: list[Posted] = []
         self._heard_at = 0.0
         self._begun_at = math.inf
         self._retry = asyncio.Event()
@@ -106,6 +107,9 @@ class Bridge:
 
     async def attach(self) -> None:
         """Connects to it in the running event loop and watches over it from now on. Returns at once."""
+        self._attach()
+
+    def _attach(self) -> None:
         if self._supervisor is None and not self._closed:
             self.launch()
             self._outcome = asyncio.get_running_loop().create_future()
@@ -183,12 +187,30 @@ class Bridge:
         bounds |= {"newest_of_old": True} if newest_of_old else {}
         return await self._sharing.subscribe({"topic": topic, "type": type_name, "qos": qos, **bounds})
 
-    def post(self, op: str, body: bytes) -> None:
+    def post(self, op: str, body: bytes = b"", **arguments: Any) -> Posted:
+        """Writes a request now, so that the bridge reads it before all that is sent later; its answer is awaited later.
+
+        Where there is no bridge yet, it is written as soon as one is there, before whatever else waits for that bridge.
+        Never raises a `LinkError`: awaiting the request does, as `request`.
+        """
+        posted = Posted(op, body, arguments)
+        try:
+            outcome = self._wanted()
+        except LinkError as error:
+            posted.fail(error)
+            return posted
+        if outcome.done():
+            self._write(posted, outcome.result())
+        else:
+            self._unwritten.append(posted)
+        return posted
+
+    def tell(self, op: str, body: bytes) -> None:
         """Sends a request before all later ones and does not wait for its answer. Without effect on a bridge that has
         not been told its rules yet.
         """
         if self._connection:
-            self._connection.post(op, body)
+            self._connection.tell(op, body)
 
     async def ready(self) -> Hello:
         """The bridge's hello, as soon as it is there; raises as `request`."""
@@ -248,24 +270,31 @@ class Bridge:
 
     async def _connected(self) -> Connection:
         """The running bridge; waits for one that starts, and starts one again that failed a while ago."""
-        await self.attach()
+        wanted = self._wanted()
+        if not wanted.done():
+            # A start that has just been asked for has a carrier, which knows how long it may take, only after this.
+            await asyncio.wait({wanted}, timeout=_SETTLED_S)
+            start_s = self._carrier.start_s if self._carrier else 0.0  # without one, the reason is about to come
+            wanted = self._outcome or wanted  # the bridge that came may be lost already
+            await asyncio.wait({wanted}, timeout=start_s)
+            wanted = self._outcome or wanted
+            if not wanted.done():
+                raise LinkError(f"The bridge was not ready after {start_s:.0f} s.", "Run: ros2-mcp doctor")
+        outcome = wanted.result()
+        if isinstance(outcome, RobotError):
+            raise outcome.again()
+        return outcome
+
+    def _wanted(self) -> asyncio.Future[Connection | RobotError]:
+        """The running bridge or the one that starts, begun again if it failed a while ago; or why there is none."""
+        self._attach()
         if self._closed or self._outcome is None:
             raise LinkError("The link to the robot is closed.")
         failed = self._outcome.done() and isinstance(self._outcome.result(), RobotError)
         if failed and time.monotonic() >= self._retry_at:
             self._outcome = asyncio.get_running_loop().create_future()
             self._retry.set()
-        if not self._outcome.done():
-            # A start that has just been asked for has a carrier, which knows how long it may take, only after this.
-            await asyncio.wait({self._outcome}, timeout=_SETTLED_S)
-            start_s = self._carrier.start_s if self._carrier else 0.0  # without one, the reason is about to come
-            await asyncio.wait({self._outcome}, timeout=start_s)
-            if not self._outcome.done():
-                raise LinkError(f"The bridge was not ready after {start_s:.0f} s.", "Run: ros2-mcp doctor")
-        outcome = self._outcome.result()
-        if isinstance(outcome, RobotError):
-            raise outcome.again()
-        return outcome
+        return self._outcome
 
     async def _supervise(self) -> None:
         """Life after life: at once after one that had begun well, on demand and after a pause when none begins.
@@ -376,5 +405,17 @@ class Bridge:
 
     def _settle(self, outcome: Connection | RobotError) -> None:
         self.failure = str(outcome) if isinstance(outcome, RobotError) else ""
+        unwritten, self._unwritten = self._unwritten, []
+        for posted in unwritten:  # before those who wait for this bridge are told that it is there
+            self._write(posted, outcome)
         if self._outcome and not self._outcome.done():
             self._outcome.set_result(outcome)
+
+    @staticmethod
+    def _write(posted: Posted, outcome: Connection | RobotError) -> None:
+        if not posted.is_open:  # it was withdrawn meanwhile
+            return
+        if isinstance(outcome, Connection):
+            outcome.post(posted)
+        else:
+            posted.fail(outcome.again())

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol, cast
 from weakref import WeakSet
 
@@ -13,7 +14,7 @@ from ros2_mcp.link.carrier import Carrier
 from ros2_mcp.link.clock import RobotClock
 from ros2_mcp.link.heartbeat import PING_S, Heartbeat
 from ros2_mcp.link.outflow import Outflow
-from ros2_mcp.model.errors import BadInput, BridgeLost, BridgeRefused, LinkError, TimedOut
+from ros2_mcp.model.errors import BadInput, BridgeLost, BridgeRefused, LinkError, RobotError, TimedOut
 from ros2_mcp_common.wire.limits import NO_HURRY_S, WINDOW_BYTES
 from ros2_mcp_common.wire.packets import Packet, PacketError, PacketReader, pack
 from ros2_mcp_common.wire.pieces import Lanes
@@ -39,6 +40,44 @@ class Reply:
     body: bytes
 
 
+class Posted:
+    """A request that was written at its post, or will be before all that is sent later. Awaiting it gives its reply.
+
+    It has no time limit, and stays open when whoever awaits it is cancelled: `cancel` withdraws it. Awaiting it raises
+    `BridgeRefused` with what the bridge answered, and `LinkError` where no bridge answered.
+    """
+
+    def __init__(self, op: str, body: bytes, arguments: Mapping[str, object]) -> None:
+        self.op = op
+        self.body = body
+        self.arguments = arguments
+        self.answer: asyncio.Future[Reply] = asyncio.get_running_loop().create_future()
+        self.answer.add_done_callback(_retrieve)
+        self.send_cancel: Callable[[], None] = lambda: None
+
+    def __await__(self) -> Generator[Any, None, Reply]:
+        return asyncio.shield(self.answer).__await__()
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it has not been answered, withdrawn or lost."""
+        return not self.answer.done()
+
+    @property
+    def error(self) -> BaseException | None:
+        """What it was answered with if that was an error, or how it was lost; None otherwise."""
+        return self.answer.exception() if self.answer.done() and not self.answer.cancelled() else None
+
+    def fail(self, error: RobotError) -> None:
+        """It is not written: there is no bridge."""
+        self.answer.set_exception(error)
+
+    def cancel(self) -> None:
+        """Withdraws it before anything that is sent later; without effect once it is answered."""
+        if self.answer.cancel():
+            self.send_cancel()
+
+
 class Receiver(Protocol):
     """What is told of the samples of one subscription in the bridge, which has this number there."""
 
@@ -61,7 +100,7 @@ class Receiver(Protocol):
 class _Open:
     """A request that is not answered yet. It stays here when its caller gives up: a late answer may need an undoing."""
 
-    answer: asyncio.Future[Packet]
+    answer: asyncio.Future[Reply]
     subscription: Receiver | None = None
     relay: str = ""
     has_left: bool = False
@@ -227,6 +266,7 @@ class Connection:
         limit_s = timeout_s + MARGIN_S + (wait_s if op == "call" and isinstance(wait_s, (int, float)) else 0.0)
         relay = str(arguments["name"]) if op == "relay" else ""
         request = _Open(asyncio.get_running_loop().create_future(), subscription, relay, at_answer=at_answer)
+        request.answer.add_done_callback(_retrieve)
         self._open[number] = request
         self._heartbeat.end_rest()
         try:
@@ -238,20 +278,24 @@ class Connection:
             await asyncio.wait({request.answer}, timeout=limit_s)
             if not request.answer.done():
                 raise TimedOut(f"The bridge gave no answer to {op} within {limit_s:.1f} s.")
-            answer = request.answer.result()
-            error: Failure | None = answer.header.get("error")
-            if error is not None:
-                raise BridgeRefused(error["kind"], error["message"], error["hint"])
-            return Reply(answer.header["ok"], answer.body)
+            return request.answer.result()
         finally:
             if not request.answer.done():
                 request.answer.cancel()
                 if not request.has_left:
                     self._open.pop(number, None)
                 elif op not in _NEVER_CANCELLED:
-                    self._send({"id": next(self._numbers), "op": "cancel", "request": number})
+                    self._send_cancel(number)
 
-    def post(self, op: str, body: bytes) -> None:
+    def post(self, posted: Posted) -> None:
+        """Writes a request now, so that the bridge reads it before all that is sent later."""
+        number = next(self._numbers)
+        self._open[number] = _Open(posted.answer, has_left=True)
+        self._heartbeat.end_rest()
+        posted.send_cancel = partial(self._send_cancel, number)
+        self._send({**posted.arguments, "id": number, "op": posted.op}, posted.body)
+
+    def tell(self, op: str, body: bytes) -> None:
         """Sends a request whose answer nobody waits for; nothing is sent before the rules."""
         if self._has_rules:
             self._send({"id": next(self._numbers), "op": op}, body)
@@ -274,6 +318,9 @@ class Connection:
             await asyncio.wait({sent, request.answer}, return_when=asyncio.FIRST_COMPLETED)
         finally:
             request.has_left = not sent.cancel()
+
+    def _send_cancel(self, number: int) -> None:
+        self._send({"id": next(self._numbers), "op": "cancel", "request": number})
 
     def _send(self, header: Mapping[str, object], body: bytes = b"") -> None:
         if not self._ended.done():
@@ -382,11 +429,21 @@ class Connection:
             if request.answer.done():
                 self.dismiss(request.subscription)
         if not request.answer.done():
-            if request.at_answer and "ok" in packet.header:
+            error: Failure | None = packet.header.get("error")
+            if error is not None:
+                request.answer.set_exception(BridgeRefused(error["kind"], error["message"], error["hint"]))
+                return
+            if request.at_answer:
                 request.at_answer(packet.header["ok"])
-            request.answer.set_result(packet)
+            request.answer.set_result(Reply(packet.header["ok"], packet.body))
         elif request.relay and "ok" in packet.header:
             self._relay_ended(request.relay, packet.header["ok"])
+
+
+def _retrieve(answer: asyncio.Future[Reply]) -> None:
+    """An error that nobody awaits any more is no mistake, which asyncio would log."""
+    if not answer.cancelled():
+        answer.exception()
 
 
 def _packed(header: Mapping[str, object], body: bytes) -> bytes:

@@ -1,7 +1,8 @@
 """Fail-safes: what the bridge does for us when this process dies, however it dies.
 
-A fail-safe is a request that stays open. The bridge carries it out when the stream ends or its link lease lapses;
-withdrawing it cancels the request. Here too is what we have driven, so that it can be stopped.
+A fail-safe is a request that stays open, and that is written before the command it is for. The bridge carries it out
+when the stream ends or its link lease lapses; withdrawing it cancels the request. Here too is what we have driven, so
+that it can be stopped.
 """
 
 from __future__ import annotations
@@ -11,9 +12,10 @@ import itertools
 import logging
 import math
 from collections import Counter
-from collections.abc import AsyncGenerator, Collection, Mapping, Sequence
+from collections.abc import AsyncGenerator, Callable, Collection, Mapping, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import anyio
@@ -29,6 +31,7 @@ from ros2_mcp_common.wire.limits import MAX_FAILSAFES
 from ros2_mcp_common.wire.protocol import StoppedTopic, ZeroReply
 
 if TYPE_CHECKING:
+    from ros2_mcp.link.client import Posted
     from ros2_mcp.robot.graph import Graph
     from ros2_mcp.robot.values import Values
 
@@ -47,13 +50,58 @@ _AGAIN_S = 1.0
 _logger = logging.getLogger(__name__)
 
 
-@dataclass(eq=False, slots=True)
-class _Held:
-    """What keeps one fail-safe in force; `is_needed` is set by each command."""
+class _Kept:
+    """One fail-safe, kept in force in one bridge after the other until it is closed. `what` is its name in the log.
 
-    qos: QoS
-    is_needed: asyncio.Event = field(default_factory=asyncio.Event)
-    task: asyncio.Task[None] | None = None
+    `post` writes its request; it is told whether a bridge was lost that may have left something moving.
+    """
+
+    def __init__(self, graph: Graph, what: str, post: Callable[[bool], Posted]) -> None:
+        self._graph = graph
+        self._what = what
+        self._post = post
+        self._was_lost = False
+        self._was_posted_again = asyncio.Event()
+        self._posted = post(False)
+        self._task = asyncio.create_task(self._keep())
+
+    def renew(self) -> None:
+        """Before a command: writes the request again where no bridge has it, so that it precedes the command."""
+        if not self._posted.is_open:
+            self._post_again()
+            self._was_posted_again.set()
+
+    def close(self) -> None:
+        """Withdraws it, before anything that is sent later."""
+        self._task.cancel()
+        self._posted.cancel()
+
+    def _post_again(self) -> None:
+        error = self._posted.error
+        self._was_lost = self._was_lost or (isinstance(error, RobotError) and not was_refused(error))
+        self._posted = self._post(self._was_lost)
+
+    async def _keep(self) -> None:
+        is_told = False
+        while True:
+            posted, wait_s = self._posted, math.inf  # what was refused is asked for again by the next command only
+            self._was_posted_again.clear()
+            try:
+                await self._graph.reply_to(posted)
+            except BridgeLost:
+                is_told, wait_s = False, 0.0
+            except RobotError as error:
+                if self._graph.is_closed:
+                    return
+                if not is_told:  # of an outage once
+                    _logger.warning("the fail-safe of %s is not in force: %s", self._what, error)
+                if not was_refused(error):  # nobody was reached: the next bridge is to have it
+                    is_told, wait_s = True, _AGAIN_S
+            if wait_s:
+                with anyio.move_on_after(wait_s):
+                    await self._was_posted_again.wait()
+            if self._posted is posted:
+                self._post_again()
 
 
 @dataclass(eq=False, slots=True, kw_only=True)
@@ -79,13 +127,12 @@ class Driven:
     joints: Sequence[str] = ()
     takers: set[str] = field(default_factory=set[str])
     was_taken: bool = False
-    held: dict[tuple[str, str], _Held] = field(default_factory=dict[tuple[str, str], _Held])
+    held: dict[tuple[str, str], _Kept] = field(default_factory=dict[tuple[str, str], _Kept])
 
     def close(self) -> None:
-        """Ends all that keeps its fail-safes in force."""
+        """Withdraws its fail-safes."""
         for held in self.held.values():
-            if held.task:
-                held.task.cancel()
+            held.close()
 
 
 class Failsafes:
@@ -99,15 +146,15 @@ class Failsafes:
         self._graph = graph
         self._values = values
         self._driven: dict[tuple[str, str], Driven] = {}
-        self._goals: dict[str, asyncio.Task[None]] = {}
-        self._flights: dict[str, list[asyncio.Task[None]]] = {}
+        self._goals: dict[str, _Kept] = {}
+        self._flights: dict[str, list[_Kept]] = {}
 
     def close(self) -> None:
         """Ends all that keeps them in force; safe to call twice. The bridge has carried them out, or is to."""
         for driven in self.driven:
             driven.close()
-        for task in itertools.chain(self._goals.values(), *self._flights.values()):
-            task.cancel()
+        for kept in itertools.chain(self._goals.values(), *self._flights.values()):
+            kept.close()
         self._driven.clear()
         self._goals.clear()
         self._flights.clear()
@@ -151,8 +198,8 @@ class Failsafes:
     async def driving(
         self, topic: str, type_name: str, qos: QoS, owner: Principal, joints: Collection[str] = ()
     ) -> AsyncGenerator[Driven | None, None]:
-        """Around a command that publishes: leaves the fail-safe of a velocity topic before it, or of one that moves
-        `joints`; no other type needs one.
+        """Around a command that publishes: writes the fail-safe of a velocity topic, or of one that moves `joints`,
+        before it; no other type needs one.
 
         Raises:
             Refused: if it would be one topic more than there can be fail-safes, and none of them is at rest.
@@ -166,17 +213,16 @@ class Failsafes:
         driven = self._driven.get(key)
         if driven is None:
             driven = self._driven[key] = Driven(topic=topic, type=type_name, owner=owner)
-        if (qos.reliability, qos.durability) not in driven.held:
-            held = driven.held[qos.reliability, qos.durability] = _Held(qos)
-            held.task = asyncio.create_task(self._keep_driven(driven, held))
         driven.owner, driven.is_at_rest, driven.has_ended = owner, False, False
         driven.joints = tuple(dict.fromkeys((*driven.joints, *joints)))
         driven.takers |= {*self._graph.seen.subscribers(topic)}
         driven.commands += 1
         driven.users[owner] += 1
         for held in driven.held.values():
-            held.is_needed.set()
-        await asyncio.sleep(0)  # the fail-safe's task writes first: the stream keeps the order
+            held.renew()
+        if (qos.reliability, qos.durability) not in driven.held:
+            post = partial(self._post_zero, driven, qos)
+            driven.held[qos.reliability, qos.durability] = _Kept(self._graph, topic, post)
         try:
             yield driven
         finally:
@@ -276,97 +322,59 @@ class Failsafes:
                     "Call ros2_stop: topics whose zero was acknowledged, or has no receiver, make room.",
                 )
 
-    async def _keep_driven(self, driven: Driven, held: _Held) -> None:
-        """Keeps a fail-safe in force, in one bridge after the other. What a lost bridge left moving, its successor
-        stops at once.
-        """
-        after_a_loss = is_told = False
-        while True:
-            held.is_needed.clear()
-            try:
-                await self._graph.ask(
-                    "failsafe_publish",
-                    topic=driven.topic,
-                    type=driven.type,
-                    qos=held.qos.request(),
-                    frame=self._graph.frame_id_of(driven.topic),
-                    joints=list(driven.joints),
-                    now=after_a_loss and not driven.is_at_rest,
-                    timeout_s=NO_END_S,
-                )
-            except BridgeLost:
-                after_a_loss, is_told = True, False
-            except RobotError as error:
-                if self._graph.is_closed:
-                    return
-                if not is_told:  # of an outage once
-                    _logger.warning("the fail-safe of %s is not in force: %s", driven.topic, error)
-                is_told = not was_refused(error)
-                after_a_loss = after_a_loss or not was_refused(error)
-                with anyio.move_on_after(math.inf if was_refused(error) else _AGAIN_S):
-                    await held.is_needed.wait()  # until the topic is commanded once more
-            else:
-                await held.is_needed.wait()
+    def _post_zero(self, driven: Driven, qos: QoS, was_lost: bool) -> Posted:
+        """What a lost bridge left moving, its successor stops at once."""
+        return self._graph.post(
+            "failsafe_publish",
+            topic=driven.topic,
+            type=driven.type,
+            qos=qos.request(),
+            frame=self._graph.frame_id_of(driven.topic),
+            joints=list(driven.joints),
+            now=was_lost and not driven.is_at_rest,
+        )
 
     # ── goals ──────────────────────────────────────────────────────────────────────────────────────────────────
 
     def leave_cancel(self, goal_id: str, action: str) -> None:
-        """Before a goal is sent: leaves the request that cancels it. `CANCEL_TYPE` must have been learnt."""
+        """Before a goal is sent: writes the request that cancels it. `CANCEL_TYPE` must have been learnt."""
         if goal_id in self._goals:
+            self._goals[goal_id].renew()
             return
         body = self._values.encode_known(f"{CANCEL_TYPE}_Request", cancel_request(goal_id))
         service = {"service": f"{action}/_action/cancel_goal", "type": CANCEL_TYPE}
         if len(self._goals) >= MAX_FAILSAFES:
             self.withdraw(next(iter(self._goals)))
-        self._goals[goal_id] = asyncio.create_task(self._keep_cancel(goal_id, body, service))
+        self._goals[goal_id] = self._kept_call(f"goal {goal_id}", body, service)
 
     def withdraw(self, goal_id: str) -> None:
         """Takes the fail-safe of a goal back; without effect where there is none."""
         if goal_id in self._goals:
-            self._goals.pop(goal_id).cancel()
-
-    async def _keep_cancel(self, goal_id: str, body: bytes, service: Mapping[str, Any]) -> None:
-        await self._keep_call(f"goal {goal_id}", body, service)
-        self._goals.pop(goal_id, None)
+            self._goals.pop(goal_id).close()
 
     # ── flights ────────────────────────────────────────────────────────────────────────────────────────────────
 
     def leave_brake(self, vehicle: str) -> None:
-        """Before an order to a vehicle: leaves the requests that make it stand. `SET_MODE` must have been learnt.
+        """Before an order to a vehicle: writes the requests that make it stand. `SET_MODE` must have been learnt.
 
         All modes are sent, the best one last: an autopilot does not take those that it does not have.
         """
         if vehicle in self._flights:
+            for kept in self._flights[vehicle]:
+                kept.renew()
             return
         service = {"service": f"{vehicle}/set_mode", "type": SET_MODE}
         self._flights[vehicle] = [
-            asyncio.create_task(self._keep_call(f"flight {vehicle}", self._brake_body(mode), service))
-            for mode in reversed(BRAKE_MODES)
+            self._kept_call(f"flight {vehicle}", self._brake_body(mode), service) for mode in reversed(BRAKE_MODES)
         ]
 
     def withdraw_brake(self, vehicle: str) -> None:
         """Takes the fail-safe of a vehicle back; without effect where there is none."""
-        for task in self._flights.pop(vehicle, ()):
-            task.cancel()
+        for kept in self._flights.pop(vehicle, ()):
+            kept.close()
 
     def _brake_body(self, mode: str) -> bytes:
         return self._values.encode_known(f"{SET_MODE}_Request", {"base_mode": 0, "custom_mode": mode})
 
-    async def _keep_call(self, what: str, body: bytes, service: Mapping[str, Any]) -> None:
-        """Keeps a request in force, in one bridge after the other."""
-        is_told = False
-        while True:
-            try:
-                await self._graph.ask("failsafe_call", body, timeout_s=NO_END_S, **service)
-            except BridgeLost:
-                is_told = False
-                continue
-            except RobotError as error:
-                if not self._graph.is_closed:
-                    if not is_told:  # of an outage once
-                        _logger.warning("the fail-safe of %s is not in force: %s", what, error)
-                    if not was_refused(error):  # nobody was reached: the next bridge is to have it
-                        is_told = True
-                        await anyio.sleep(_AGAIN_S)
-                        continue
-            return
+    def _kept_call(self, what: str, body: bytes, service: Mapping[str, Any]) -> _Kept:
+        return _Kept(self._graph, what, lambda _: self._graph.post("failsafe_call", body, **service))

@@ -16,7 +16,7 @@ import anyio
 
 from ros2_mcp.model import qos
 from ros2_mcp.model.commands import Answer, Principal, ServiceCall
-from ros2_mcp.model.errors import NotFound, RobotError, Stopped, UnknownInterface
+from ros2_mcp.model.errors import RobotError, UnknownInterface
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.robot import services
 from ros2_mcp.robot.core import Core
@@ -194,7 +194,7 @@ class Flight(Job):
     def _hear(self, state: Any, said_ns: int) -> None:
         self.mode, self.armed = str(state.mode), bool(state.armed)
         self._news.set()
-        if self.comes_down:
+        if self.comes_down and not self._under_way:  # an order under way may end its descent, and needs the fail-safe
             self._core.failsafes.withdraw_brake(self.vehicle)
         elif self.is_running:
             self._core.failsafes.leave_brake(self.vehicle)
@@ -235,9 +235,8 @@ async def call(core: Core, command: ServiceCall) -> Answer:
     was_sent = True
     flight.ordered()
     try:
-        await asyncio.sleep(0)  # the fail-safe's tasks write first: the stream keeps the order
         return await services.call(core, command)
-    except (NotFound, Stopped) as error:
+    except RobotError as error:
         was_sent = not was_refused(error)
         raise
     finally:

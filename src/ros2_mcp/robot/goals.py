@@ -12,7 +12,7 @@ from typing import Any
 import anyio
 
 from ros2_mcp.model.commands import Answer, CancelGoals, Principal, SendGoal
-from ros2_mcp.model.errors import BadValue, BridgeLost, NotFound, Stopped, Unreachable
+from ros2_mcp.model.errors import BadValue, BridgeLost, RobotError, Unreachable
 from ros2_mcp.model.goals import CANCEL_TYPE, STATUS, STATUS_TYPE, TERMINAL, cancel_request, goal_id_hex
 from ros2_mcp.model.qos import QoS
 from ros2_mcp.model.text import named
@@ -160,6 +160,7 @@ async def send(core: Core, command: SendGoal) -> Answer:
         problem = f"{command.goal_id} is the id of a goal of {named(former.action)} already; nothing was sent."
         raise BadValue("goal_id.uuid", problem, "Give 16 random bytes.")
     if former and former.is_running:  # its server refuses a second one of that id, and goes on with the first
+        core.failsafes.leave_cancel(command.goal_id, command.name)
         return await call(core, command)
     cancel = CancelGoals(principal=command.principal, name=command.name, goal_id=command.goal_id, timeout_s=CANCELLED_S)
 
@@ -184,9 +185,8 @@ async def send(core: Core, command: SendGoal) -> Answer:
     await core.jobs.start(goal)
     core.failsafes.leave_cancel(command.goal_id, command.name)
     try:
-        await asyncio.sleep(0)  # the fail-safe's task writes first: the stream keeps the order
         answer = await call(core, command)
-    except (NotFound, Stopped) as error:
+    except RobotError as error:
         if was_refused(error):  # any other was sent, and may run: its server was out of sight for a while
             goal.was_sent = False
             ended(core, command.name, command.goal_id)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Awaitable, Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from ros2_mcp.model import names
@@ -37,7 +37,7 @@ from ros2_mcp.robot.seen import Seen, is_of_robot
 from ros2_mcp_common.wire import protocol
 
 if TYPE_CHECKING:
-    from ros2_mcp.link.client import Bridge, Reply
+    from ros2_mcp.link.client import Bridge, Posted, Reply
 
 SETTLE_S = 4.0
 """A little longer than the 3.5 s after which the bridge is sure that nobody else is there (its `graph.py`)."""
@@ -82,8 +82,16 @@ class Graph:
 
     async def ask(self, op: str, body: bytes = b"", *, timeout_s: float = REQUEST_S, **arguments: Any) -> Reply:
         """One request to the bridge, with its refusals mapped to this package's errors."""
+        return await self.reply_to(self._bridge.request(op, body, timeout_s=timeout_s, **arguments))
+
+    def post(self, op: str, body: bytes = b"", **arguments: Any) -> Posted:
+        """One request that is written now, before all that is sent later. `reply_to` awaits its reply."""
+        return self._bridge.post(op, body, **arguments)
+
+    async def reply_to(self, request: Awaitable[Reply]) -> Reply:
+        """The reply to a request, with the bridge's refusals mapped to this package's errors."""
         try:
-            return await self._bridge.request(op, body, timeout_s=timeout_s, **arguments)
+            return await request
         except BridgeRefused as refused:
             if refused.kind == "latched":  # the bridge has told by whom before it answered
                 raise Latched(refused.message, refused.hint, by=self.latched_by) from refused
@@ -396,5 +404,5 @@ def was_refused(error: RobotError) -> bool:
     """Whether nothing was sent of a request that raised this: it was stopped before, or the bridge refused it."""
     if isinstance(error, Stopped):
         return not error.may_have_left
-    refused = error.__cause__
+    refused = error if isinstance(error, BridgeRefused) else error.__cause__
     return isinstance(refused, BridgeRefused) and refused.kind in _NOTHING_SENT

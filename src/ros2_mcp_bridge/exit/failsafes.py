@@ -5,9 +5,11 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
-from typing import Protocol
+from typing import Any, NamedTuple, Protocol
 
-from ros2_mcp_bridge.request import Cancelled, Request, Steps
+from ros2_mcp_bridge.request import Cancelled, OperationError, Request, Steps
+from ros2_mcp_common.policy.flight import brakes, only_asks, vehicle_of
+from ros2_mcp_common.policy.rules import meaning
 from ros2_mcp_common.wire import protocol
 
 # A request that only keeps a fail-safe has nothing to wake up for: cancelling ends this sleep. Any long time would do.
@@ -26,25 +28,66 @@ Action = Callable[[], "Arrival | None"]
 """Sends something at the end; returns what is to be waited for, if anything."""
 
 
+class Motion(NamedTuple):
+    """What a call sets in motion, and a fail-safe ends: a goal of an action by its id, or a vehicle (`goal_id` "")."""
+
+    name: str
+    goal_id: str = ""
+
+    def __str__(self) -> str:
+        return f"goal {self.goal_id} of {self.name}" if self.goal_id else f"the vehicle {self.name}"
+
+
+def begun_by(service: str, type_name: str, message: Any) -> Motion | None:
+    """What a call with this decoded request sets in motion that a fail-safe has to end; None where there is nothing."""
+    meant = meaning(service, type_name)
+    if meant.verb == "goal":
+        return Motion(meant.name, bytes(message.goal_id.uuid).hex())
+    vehicle = vehicle_of(service, type_name)
+    if vehicle and not only_asks(type_name, message) and not brakes(service, type_name, message):
+        return Motion(vehicle)
+    return None
+
+
+def ended_by(service: str, type_name: str, message: Any) -> Motion | None:
+    """What a call with this decoded request ends; None where it cancels no goal and makes no vehicle stand."""
+    meant = meaning(service, type_name)
+    if meant.verb == "cancel":
+        return Motion(meant.name, bytes(message.goal_info.goal_id.uuid).hex())
+    return Motion(vehicle_of(service, type_name)) if brakes(service, type_name, message) else None
+
+
 class FailSafes:
     """The zeros of the topics that are driven, which `send_zeros` sends, and what requests have left to be done."""
 
     def __init__(self, send_zeros: Callable[[], None]) -> None:
         self._send_zeros = send_zeros
         self._actions: dict[Request, Action] = {}
+        self._ends: dict[Request, Motion] = {}
 
     @contextmanager
-    def in_force(self, request: Request, action: Action) -> Generator[None, None, None]:
-        """The action is in force inside of this context."""
+    def in_force(self, request: Request, action: Action, ends: Motion | None = None) -> Generator[None, None, None]:
+        """The action, which `ends` this motion, is in force inside of this context."""
         self._actions[request] = action
+        if ends:
+            self._ends[request] = ends
         try:
             yield
         finally:
             self._actions.pop(request, None)
+            self._ends.pop(request, None)
 
-    def until_cancelled(self, request: Request, action: Action) -> Steps[protocol.Cancelled]:
+    def check_held(self, motion: Motion) -> None:
+        """Raise `OperationError` of kind `bad_request` where no fail-safe that ends this motion is in force."""
+        if motion not in self._ends.values():
+            problem = f"No fail-safe is in force that ends {motion}: nothing was sent."
+            raise OperationError("bad_request", problem)
+
+    def until_cancelled(
+        self, request: Request, action: Action, ends: Motion | None = None
+    ) -> Steps[protocol.Cancelled]:
         """Steps that keep the action in force until the request is cancelled."""
-        with self.in_force(request, action):
+        with self.in_force(request, action, ends):
             try:
                 while True:
                     yield HOLD_S

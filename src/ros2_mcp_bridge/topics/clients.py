@@ -11,16 +11,16 @@ from weakref import WeakKeyDictionary
 
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 
-from ros2_mcp_bridge.exit.failsafes import FailSafes
+from ros2_mcp_bridge.exit.failsafes import FailSafes, Motion, begun_by, ended_by
 from ros2_mcp_bridge.exit.lifeline import Lifeline
 from ros2_mcp_bridge.exit.limiter import Limiter
 from ros2_mcp_bridge.request import OperationError, Request, Steps
-from ros2_mcp_bridge.ros import rcl
+from ros2_mcp_bridge.ros import interfaces, rcl
 from ros2_mcp_bridge.topics.pace import Pace
 from ros2_mcp_bridge.topics.pool import Pool
 from ros2_mcp_common.policy import stamps
-from ros2_mcp_common.policy.flight import brakes
-from ros2_mcp_common.policy.rules import READING_TYPES, meaning
+from ros2_mcp_common.policy.flight import SET_MODE, brakes
+from ros2_mcp_common.policy.rules import READING_TYPES
 from ros2_mcp_common.wire import protocol
 from ros2_mcp_common.wire.protocol import CallReply
 
@@ -120,7 +120,8 @@ class Clients:
         """
         with self._use(request) as (client, message):
             service, type_name = request.text("service"), request.text("type")
-            if meaning(service, type_name).verb != "cancel" and not brakes(service, type_name, message):
+            ends = ended_by(service, type_name, message)
+            if ends is None:
                 problem = f"{service} cancels no goals, nor does it make a vehicle stand: it cannot be left."
                 raise OperationError("bad_request", problem)
 
@@ -128,10 +129,15 @@ class Clients:
                 return self._send(client, request, message) if client.service_is_ready() else None
 
             with self._lifeline.leaving(service, type_name, request.body):
-                return (yield from self._failsafes.until_cancelled(request, call_if_ready))
+                return (yield from self._failsafes.until_cancelled(request, call_if_ready, ends))
 
     def _send(self, client: Client, request: Request, message: Any) -> Future:
-        """The exit of requests; raises `OperationError` for what the policy does not let out."""
+        """The exit of requests; raises `OperationError` for what the policy does not let out, and for what would move
+        without a fail-safe that ends it.
+        """
+        motion = begun_by(request.text("service"), request.text("type"), message)
+        if motion and _can_be_ended(motion):
+            self._failsafes.check_held(motion)
         self._limiter.check_call(request, message, leaves=True)
         return client.call_async(message)
 
@@ -151,6 +157,17 @@ class Clients:
         create = partial(rcl.client, self._node, request.interface, service, MANY_AT_ONCE)
         with self.pool.use((service, type_name), create) as (client, _):
             yield client, message
+
+
+def _can_be_ended(motion: Motion) -> bool:
+    """Whether a fail-safe can be left: where SetMode is not installed, no request makes a vehicle stand."""
+    if motion.goal_id:
+        return True
+    try:
+        interfaces.load(SET_MODE)
+    except OperationError:
+        return False
+    return True
 
 
 def _wait_server(client: Client, service: str, wait_s: float, latest: float) -> Steps[None]:

@@ -51,10 +51,12 @@ def vehicle_of(service: str, service_type: str) -> str:
 
 
 def only_asks(service_type: str, request: Any) -> bool:
-    """Whether an order, as JSON, only asks the autopilot for something."""
-    if service_type != COMMAND_LONG or not isinstance(request, Mapping):
+    """Whether an order, as JSON or decoded, only asks the autopilot for something."""
+    if service_type != COMMAND_LONG:
         return False
-    return cast("Mapping[str, Any]", request).get("command") in _READING
+    if isinstance(request, Mapping):
+        return cast("Mapping[str, Any]", request).get("command") in _READING
+    return getattr(request, "command", None) in _READING
 
 
 def brakes(service: str, service_type: str, request: Any) -> bool:

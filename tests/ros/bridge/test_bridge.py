@@ -330,6 +330,7 @@ def test_an_action_is_called_through_its_hidden_services(bridge: Client, peer) -
     arguments = {"wait_s": PATIENCE_S, "timeout_s": PATIENCE_S}
     request = b"\0\1\0\0" + goal_id + b"\5\0\0\0"
     action = {"service": "/count/_action/send_goal", "type": "test_msgs/action/Fibonacci_SendGoal"}
+    kept = leave_cancel(bridge, "/count", goal_id)
     assert bridge.answer(bridge.send("call", request, **action, **arguments))[1][4] == 1
     action = {"service": "/count/_action/get_result", "type": "test_msgs/action/Fibonacci_GetResult"}
     result = bridge.answer(bridge.send("call", b"\0\1\0\0" + goal_id, **action, **arguments))[1]
@@ -337,6 +338,38 @@ def test_an_action_is_called_through_its_hidden_services(bridge: Client, peer) -
     while not sampled(bridge):
         bridge.ok("ping")
     assert sampled(bridge)[0][1][4:20] == goal_id
+    bridge.ok("cancel", request=kept)
+
+
+def leave_cancel(bridge: Client, action: str, goal_id: bytes) -> int:
+    """The fail-safe of a goal; returns the id of its request."""
+    service = {"service": f"{action}/_action/cancel_goal", "type": "action_msgs/srv/CancelGoal"}
+    return bridge.send("failsafe_call", b"\0\1\0\0" + goal_id + bytes(8), **service)
+
+
+def test_a_goal_without_its_fail_safe_is_refused_and_cancelling_one_is_not(bridge: Client, peer) -> None:
+    peer("act", "/count")
+    goal_id, other = bytes(range(1, 17)), bytes(range(2, 18))
+    arguments = {"wait_s": PATIENCE_S, "timeout_s": PATIENCE_S}
+    action = {"service": "/count/_action/send_goal", "type": "test_msgs/action/Fibonacci_SendGoal"}
+
+    def send_goal() -> tuple[dict[str, Any], bytes]:
+        return bridge.answer(bridge.send("call", b"\0\1\0\0" + goal_id + b"\5\0\0\0", **action, **arguments))
+
+    kept = [leave_cancel(bridge, "/count", other), leave_cancel(bridge, "/sum", goal_id)]
+    for withdrawn in (False, True):
+        if withdrawn:
+            bridge.ok("cancel", request=leave_cancel(bridge, "/count", goal_id))
+        error = send_goal()[0]["error"]
+        refused = f"No fail-safe is in force that ends goal {goal_id.hex()} of /count: nothing was sent."
+        assert (error["kind"], error["message"]) == ("bad_request", refused)
+    service = {"service": "/count/_action/cancel_goal", "type": "action_msgs/srv/CancelGoal"}
+    _, response = bridge.answer(bridge.send("call", b"\0\1\0\0" + goal_id + bytes(8), **service, **arguments))
+    assert response[4] == 2  # its server never heard of it
+    kept.append(leave_cancel(bridge, "/count", goal_id))
+    assert send_goal()[1][4] == 1
+    for request in kept:
+        bridge.ok("cancel", request=request)
 
 
 def test_many_subscriptions_leave_nothing_behind(bridge: Client, name: str) -> None:

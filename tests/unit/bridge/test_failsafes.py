@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import pytest
 
-from ros2_mcp_bridge.exit.failsafes import FailSafes
-from ros2_mcp_bridge.request import Cancelled, Request
+from ros2_mcp_bridge.exit.failsafes import FailSafes, Motion, begun_by, ended_by
+from ros2_mcp_bridge.request import Cancelled, OperationError, Request
+from ros2_mcp_common.policy.flight import COMMAND_LONG, SET_MODE
 
 
 class Arrived:
     def done(self) -> bool:
         return True
+
+
+GOAL = "test_msgs/action/Fibonacci_SendGoal"
+CANCEL = "action_msgs/srv/CancelGoal"
+ARMING = "mavros_msgs/srv/CommandBool"
+UUID = SimpleNamespace(uuid=bytes(range(16)))
 
 
 def request_of(op: str) -> Request:
@@ -58,3 +68,35 @@ def test_one_is_held_until_its_request_is_cancelled() -> None:
     assert ended.value.value == {"cancelled": True}
     failsafes.carry_out()
     assert done == ["sent"]
+
+
+@pytest.mark.parametrize(
+    ("service", "kind", "fields", "begun", "ended"),
+    [
+        ("/go/_action/send_goal", GOAL, {"goal_id": UUID}, Motion("/go", UUID.uuid.hex()), None),
+        ("/go/_action/cancel_goal", CANCEL, {"goal_info": SimpleNamespace(goal_id=UUID)}, None,
+         Motion("/go", UUID.uuid.hex())),
+        ("/uav/mavros/cmd/arming", ARMING, {"value": True}, Motion("/uav/mavros"), None),
+        ("/uav/mavros/set_mode", SET_MODE, {"base_mode": 0, "custom_mode": "AUTO"}, Motion("/uav/mavros"), None),
+        ("/uav/mavros/set_mode", SET_MODE, {"base_mode": 0, "custom_mode": "BRAKE"}, None, Motion("/uav/mavros")),
+        ("/uav/mavros/cmd/command", COMMAND_LONG, {"command": 400}, Motion("/uav/mavros"), None),
+        ("/uav/mavros/cmd/command", COMMAND_LONG, {"command": 512}, None, None),
+        ("/switch", "std_srvs/srv/SetBool", {"data": True}, None, None),
+    ],
+)  # fmt: skip
+def test_what_a_call_begins_is_what_its_fail_safe_ends(
+    service: str, kind: str, fields: dict[str, Any], begun: Motion | None, ended: Motion | None
+) -> None:
+    message = SimpleNamespace(**fields)
+    assert (begun_by(service, kind, message), ended_by(service, kind, message)) == (begun, ended)
+
+
+def test_what_no_fail_safe_in_force_ends_is_refused() -> None:
+    failsafes, goal = FailSafes(lambda: None), Motion("/go", "aa")
+    with failsafes.in_force(request_of("failsafe_call"), lambda: None, goal):
+        failsafes.check_held(goal)
+        for other in (Motion("/go", "bb"), Motion("/come", "aa"), Motion("/go")):
+            with pytest.raises(OperationError, match="nothing was sent"):
+                failsafes.check_held(other)
+    with pytest.raises(OperationError, match="No fail-safe is in force that ends goal aa of /go"):
+        failsafes.check_held(goal)
