@@ -15,7 +15,7 @@ from ros2_mcp.model.costs import OCCUPIED, TOUCHING, UNKNOWN
 from ros2_mcp.model.errors import BadData
 from ros2_mcp.model.pictures import Bounds, Place
 from ros2_mcp.pictures.palette import cost_colours, hexadecimal, map_colours
-from ros2_mcp.pictures.plot import Span, labels, letters
+from ros2_mcp.pictures.plot import Span, labels, letters, round_step
 from ros2_mcp.pictures.raster import Pixels, Raster
 from ros2_mcp.world.limbs import LimbSeen
 from ros2_mcp.world.occupancy import OccupancyGrid, largest_of
@@ -30,7 +30,6 @@ _BETWEEN_PX = 36
 """Pixels between two lines at least: closer ones would hide what is below them, and of these a fifth can be told."""
 _LABEL_PX = 58
 """Pixels between two labels at least; else only every second line has one."""
-_STEPS = (1.0, 2.0, 5.0, 10.0)
 _FARTHEST_M = 1e6
 """Numbers beyond it are broken: no robot is a thousand kilometres away."""
 _BEYOND_PX = 20_000
@@ -148,7 +147,7 @@ def scene_drawing(scene: Scene, bounds: Bounds) -> SceneDrawing:
     )
     width, height = max(1, round(scene.x.length / metres)), max(1, round(scene.y.length / metres))
     ground = Image.fromarray(_ground(scene, metres, width, height))
-    line_m = _line_m(metres)
+    line_m = round_step(_BETWEEN_PX * metres)
     x_lines, y_lines = _lines(scene.x, line_m), _lines(scene.y, line_m)
     sheet = _Sheet(scene, metres, ground)
     sheet.draw_lines(x_lines, y_lines, line_m)
@@ -363,13 +362,6 @@ class _Sheet:
 
 
 # ── axes ─────────────────────────────────────────────────────────────────────────────────────────────────────────
-
-
-def _line_m(metres: float) -> float:
-    """The least round distance at which lines are far enough apart."""
-    least = _BETWEEN_PX * metres
-    digit = 10.0 ** math.floor(math.log10(least))
-    return next(step * digit for step in _STEPS if step * digit >= least * (1 - 1e-9))
 
 
 def _lines(span: Span, line_m: float) -> list[float]:
