@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar, Union, cast
 
-from ros2_mcp_common.wire.limits import MAX_RATE_HZ
+from ros2_mcp_common.wire.limits import MAX_RATE_HZ, MIN_RATE_HZ
 
 if TYPE_CHECKING:
     from ros2_mcp_bridge.epoch import Acceptance
@@ -137,8 +137,10 @@ class Request:
 
     def rate(self) -> float:
         """The required `rate_hz`."""
-        expected = f"a number above 0, up to {MAX_RATE_HZ:g}"
-        return self._required("rate_hz", expected, lambda value: _is_number(value) and 0 < value <= MAX_RATE_HZ)
+        expected = f"a number from {MIN_RATE_HZ:g} to {MAX_RATE_HZ:g}"
+        return self._required(
+            "rate_hz", expected, lambda value: _is_number(value) and MIN_RATE_HZ <= value <= MAX_RATE_HZ
+        )
 
     def sizes(self, name: str) -> list[int]:
         """The required sizes of the parts that the body is made of."""

@@ -5,7 +5,7 @@ import { Frame, Notes, Sheet, ageText, bytesOf, colour } from "./dom.ts";
 import type { Picks } from "./picks.ts";
 
 type Mark = { name: string; x: number; y: number; yaw: number | null };
-type Grid = { key: string; name: string; width: number; height: number; resolution: number; costs: boolean; x: number; y: number; yaw: number };
+type Grid = { key: string; name: string; width: number; height: number; resolution: number; costs: boolean; colours?: string; x: number; y: number; yaw: number };
 type Around = {
   why?: string; frame?: string; grids?: string[];
   robot?: { x: number; y: number; z: number; yaw: number; at_s: number | null; reckoned: { x: number; y: number; z: number; yaw: number; at_s: number } | null } | null;
@@ -481,31 +481,26 @@ function painted(grid: Grid, cells: Uint8Array, isDark: boolean): HTMLCanvasElem
   canvas.height = grid.height;
   const pen = canvas.getContext("2d");
   if (!pen) return canvas;
-  const image = pen.createImageData(grid.width, grid.height), table = tints(grid.costs, isDark);
+  const image = pen.createImageData(grid.width, grid.height), table = tints(grid.colours ?? "", isDark);
   const pixels = new Uint32Array(image.data.buffer);
   for (let at = 0; at < cells.length; at++) pixels[at] = table[cells[at] ?? 255] ?? 0;
   pen.putImageData(image, 0, 0);
   return canvas;
 }
 
-function tints(costs: boolean, isDark: boolean): Uint32Array {
-  const table = new Uint32Array(256);
+/** The colour of each byte of a cell: 255 is unknown. Costs have those of pictures, which come with the grid (unknown, 0 to 100); in the dark theme unknown and free are dark. */
+function tints(colours: string, isDark: boolean): Uint32Array {
+  const table = new Uint32Array(256), costs = colours ? bytesOf(colours) : null;
   const free: Tint = isDark ? [35, 45, 42] : [255, 255, 255];
   const full: Tint = isDark ? [148, 162, 156] : [28, 36, 33]; // less bright than the robot and its scan
   const unknown: Tint = isDark ? [22, 29, 27] : [229, 233, 230];
   const mix = (one: Tint, two: Tint, share: number): Tint => [0, 1, 2].map((at) => Math.round((one[at] ?? 0) + ((two[at] ?? 0) - (one[at] ?? 0)) * share)) as Tint;
   const pack = ([red, green, blue]: Tint): number => ((255 << 24) | (blue << 16) | (green << 8) | red) >>> 0;
   for (let value = 0; value < 256; value++) {
-    let tint = unknown;
-    if (value <= 100) tint = costs ? cost(value, free, mix) : mix(free, full, value / 100);
+    const known = value <= 100, row = known ? 3 * (value + 1) : 0;
+    let tint = known ? mix(free, full, value / 100) : unknown;
+    if (costs && !(isDark && row <= 3)) tint = [costs[row] ?? 0, costs[row + 1] ?? 0, costs[row + 2] ?? 0];
     table[value] = pack(tint);
   }
   return table;
-}
-
-/** Inscribed cyan and lethal magenta as RViz has them; what costs less in violet, which both eyes and themes bear. */
-function cost(value: number, free: Tint, mix: (one: Tint, two: Tint, share: number) => Tint): Tint {
-  if (value === 100) return [214, 0, 200];
-  if (value === 99) return [0, 176, 190];
-  return value === 0 ? free : mix(free, [112, 84, 214], 0.12 + 0.6 * (value / 98));
 }

@@ -24,6 +24,7 @@ from ros2_mcp_common.policy.checks import Checks, Pace, Zone
 from ros2_mcp_common.policy.feedback import PARTS
 from ros2_mcp_common.policy.rules import Allowance, Forbidden, Limit, Ramp, Rules, RuleSet
 from ros2_mcp_common.policy.trajectory_limits import CurveLimits, JointBounds
+from ros2_mcp_common.wire.limits import MAX_RATE_HZ, MIN_RATE_HZ
 
 SYSTEM_POLICY = (
     Path(os.environ.get("PROGRAMDATA", "C:/ProgramData"), "ros2-mcp", "policy.yaml")
@@ -37,7 +38,6 @@ _TYPED = ("publish", "relay", "play", "call", "goal")
 """Verbs whose rules have to say the type: a name alone says little about what a message does."""
 _MAX_BYTES = 1_000_000
 """Of a policy file: more than 10,000 rules. What is larger is another file."""
-_MAX_RATE_HZ = 1000.0
 _KINDS = ("msg", "srv", "action", "*")
 _BY_PATH = ("norm", "range", "one_of", "count", "zone", "pace", "curve")
 """Kinds of checks, as `Checks` has them."""
@@ -210,7 +210,7 @@ def _allowance(section: Section, policy: str, zones: dict[str, Zone]) -> Allowan
         names=names,
         types=types,
         checks=_checks_by_path(fields, zones) if fields else Checks(),
-        rate_hz=section.number("rate_hz", low=0.01, high=_MAX_RATE_HZ)
+        rate_hz=section.number("rate_hz", low=MIN_RATE_HZ, high=MAX_RATE_HZ)
         if verb in ("publish", "relay", "play")
         else None,
         for_s=section.number("for_s", low=0.0) if verb in ("publish", "relay", "play") else None,

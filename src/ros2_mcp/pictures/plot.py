@@ -200,9 +200,9 @@ def _bounds(values: NDArray[np.float64]) -> tuple[float, float]:
 
 def ticks(span: Span, most: int) -> list[float]:
     """Round numbers inside the span, evenly spaced (1, 2 or 5 times a power of ten): about `most`, at least two."""
-    step = _step(span.length / max(most, 3))
+    step = round_step(span.length / max(most, 3))
     if len(_multiples(span, step)) < 2:
-        step = _step(span.length / max(2 * most, 6))
+        step = round_step(span.length / max(2 * most, 6))
     return [index * step for index in _multiples(span, step)]
 
 
@@ -210,7 +210,8 @@ def _multiples(span: Span, step: float) -> range:
     return range(math.ceil(span.low / step), math.floor(span.high / step) + 1)
 
 
-def _step(least: float) -> float:
+def round_step(least: float) -> float:
+    """The least 1, 2 or 5 times a power of ten that is not below `least`: between ticks, and between lines."""
     power = 10.0 ** math.floor(math.log10(least))
     return next(factor * power for factor in (1, 2, 5, 10) if factor * power >= least * (1 - 1e-9))
 

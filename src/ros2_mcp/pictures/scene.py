@@ -6,17 +6,19 @@ import math
 import zlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
+from ros2_mcp.model.costs import OCCUPIED, TOUCHING, UNKNOWN
 from ros2_mcp.model.errors import BadData
 from ros2_mcp.model.pictures import Bounds, Place
-from ros2_mcp.pictures.plot import Span, labels, letters
+from ros2_mcp.pictures.palette import cost_colours, hexadecimal, map_colours
+from ros2_mcp.pictures.plot import Span, labels, letters, round_step
 from ros2_mcp.pictures.raster import Pixels, Raster
 from ros2_mcp.world.limbs import LimbSeen
+from ros2_mcp.world.occupancy import OccupancyGrid, largest_of
 
 _MOST_PIXELS = 1_050_000
 """Vision models scale down larger pictures, and the letters with them."""
@@ -28,7 +30,6 @@ _BETWEEN_PX = 36
 """Pixels between two lines at least: closer ones would hide what is below them, and of these a fifth can be told."""
 _LABEL_PX = 58
 """Pixels between two labels at least; else only every second line has one."""
-_STEPS = (1.0, 2.0, 5.0, 10.0)
 _FARTHEST_M = 1e6
 """Numbers beyond it are broken: no robot is a thousand kilometres away."""
 _BEYOND_PX = 20_000
@@ -49,15 +50,16 @@ ROBOT, SCAN, PATH, GOAL, PLACE = "#ff8c00", "#e6003c", "#00a03c", "#c800c8", "#0
 _HEADING = "#8a3c00"
 LIMB, _LIMB_FILL = "#5a3296", (150, 110, 220)
 _PATHS = (PATH, "#00949e", "#7a9a00", "#3c6e50")
-_FREE, _OCCUPIED, _UNKNOWN = (255, 255, 255), (0, 0, 0), (200, 200, 200)
+_MIDDLE_COST = 50
+"""What the legend shows of the costs between free and inscribed."""
 
 
 @dataclass(frozen=True, slots=True)
 class GridLayer:
-    """An occupancy grid: the message, and where its corner (of cell 0, 0) is in the frame of the scene; `costs` says
-    that it is a costmap."""
+    """An occupancy grid, and where its corner (of cell 0, 0) is in the frame of the scene; `costs` says that it is a
+    costmap."""
 
-    message: Any
+    grid: OccupancyGrid
     corner: Place
     costs: bool = False
 
@@ -135,17 +137,8 @@ def extent(
     return x, y
 
 
-def check_grid(message: Any) -> None:
-    """Raises `BadData` if the grid cannot be drawn."""
-    _cells(message)
-
-
 def scene_drawing(scene: Scene, bounds: Bounds) -> SceneDrawing:
-    """The scene with labelled lines, x to the right and y up.
-
-    Raises:
-        BadData: if the grid's data does not fit its size.
-    """
+    """The scene with labelled lines, x to the right and y up."""
     side = min(_LONGEST_SIDE, bounds.max_side - 160)
     metres = max(
         math.sqrt(scene.x.length * scene.y.length / _MOST_PIXELS),
@@ -154,7 +147,7 @@ def scene_drawing(scene: Scene, bounds: Bounds) -> SceneDrawing:
     )
     width, height = max(1, round(scene.x.length / metres)), max(1, round(scene.y.length / metres))
     ground = Image.fromarray(_ground(scene, metres, width, height))
-    line_m = _line_m(metres)
+    line_m = round_step(_BETWEEN_PX * metres)
     x_lines, y_lines = _lines(scene.x, line_m), _lines(scene.y, line_m)
     sheet = _Sheet(scene, metres, ground)
     sheet.draw_lines(x_lines, y_lines, line_m)
@@ -187,31 +180,13 @@ def _ground(scene: Scene, metres: float, width: int, height: int) -> Pixels:
     inside = (columns >= 0) & (rows >= 0) & (columns < cells.shape[1]) & (rows < cells.shape[0])
     values = np.full((height, width), -1, np.int16)
     values[inside] = cells[rows[inside].astype(np.int64), columns[inside].astype(np.int64)]
-    return (_cost_colours() if scene.grid.costs else _map_colours())[values + 1]
+    return (cost_colours() if scene.grid.costs else map_colours())[values + 1]
 
 
-def _cells(message: Any) -> NDArray[np.int16]:
-    """Its cells, rows upwards; what is no probability is unknown (-1)."""
-    width, height = message.info.width, message.info.height
-    if not width or not height:
-        raise BadData(f"The grid is empty: {width} × {height} cells.")
-    if len(message.data) != width * height:
-        raise BadData(f"The grid has {len(message.data)} cells, but is {width} × {height}.")
-    resolution = float(message.info.resolution)
-    if not (math.isfinite(resolution) and resolution > 0):
-        raise BadData(f"A cell of the grid is {resolution} m wide.")
-    cells: NDArray[np.int16] = np.reshape(np.asarray(message.data, np.int16), (height, width))
-    return np.where((cells < 0) | (cells > 100), np.int16(-1), cells)
-
-
-def _pooled(grid: GridLayer, metres: float) -> tuple[NDArray[np.int16], float]:
+def _pooled(layer: GridLayer, metres: float) -> tuple[NDArray[np.int8], float]:
     """The cells, of which several are taken together where they are smaller than pixels: what is in the way wins."""
-    cells, resolution = _cells(grid.message), float(grid.message.info.resolution)
-    together = max(1, math.floor(metres / resolution))
-    if together > 1:
-        for axis, length in enumerate(cells.shape):
-            cells = np.maximum.reduceat(cells, range(0, length, together), axis=axis)
-    return cells, resolution * together
+    together = max(1, math.floor(metres / layer.grid.resolution_m))
+    return largest_of(layer.grid.percentages(), together), layer.grid.resolution_m * together
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,44 +199,24 @@ class PackedGrid:
     data: bytes
 
 
-def packed(grid: GridLayer, most_cells: int) -> PackedGrid:
-    """The grid for who draws it elsewhere; with more cells than that, several are taken together as in `_pooled`.
-
-    Raises:
-        BadData: if it does not fit its size.
-    """
-    cells, resolution = _cells(grid.message), float(grid.message.info.resolution)
-    if cells.size > most_cells:
-        cells, resolution = _pooled(grid, resolution * math.ceil(math.sqrt(cells.size / most_cells)) * (1 + 1e-9))
+def packed(layer: GridLayer, most_cells: int) -> PackedGrid:
+    """The grid for who draws it elsewhere; with more cells than that, several are taken together as in `_pooled`."""
+    more = layer.grid.cells.size / most_cells
+    side_m = layer.grid.resolution_m * (math.ceil(math.sqrt(more)) * (1 + 1e-9) if more > 1 else 1)
+    cells, resolution_m = _pooled(layer, side_m)
     height, width = cells.shape
-    return PackedGrid(width, height, resolution, zlib.compress(cells.astype(np.int8).tobytes(), 1))
+    return PackedGrid(width, height, resolution_m, zlib.compress(cells.tobytes(), 1))
 
 
-def _known_corners(grid: GridLayer) -> NDArray[np.float64]:
+def _known_corners(layer: GridLayer) -> NDArray[np.float64]:
     """The corners of the part of the grid that is known, in the frame of the scene."""
-    cells, resolution = _cells(grid.message), float(grid.message.info.resolution)
+    cells, resolution, corner = layer.grid.percentages(), layer.grid.resolution_m, layer.corner
     known = np.argwhere(cells >= 0)
     low, high = (known.min(axis=0), known.max(axis=0) + 1) if len(known) else (np.zeros(2), np.array(cells.shape))
     rows, columns = np.array([low[0], low[0], high[0], high[0]]), np.array([low[1], high[1], high[1], low[1]])
     x, y = columns * resolution, rows * resolution
-    cos, sin = math.cos(grid.corner.yaw_rad), math.sin(grid.corner.yaw_rad)
-    return np.stack((grid.corner.x_m + cos * x - sin * y, grid.corner.y_m + sin * x + cos * y), axis=1)
-
-
-def _map_colours() -> Pixels:
-    """The colour of unknown, and of 0 to 100."""
-    grey = np.rint(np.linspace(_FREE[0], _OCCUPIED[0], 101)).astype(np.uint8)
-    return np.vstack(([_UNKNOWN], np.stack([grey] * 3, axis=1))).astype(np.uint8)
-
-
-def _cost_colours() -> Pixels:
-    """As RViz shows costmaps: from blue (1) to red (98), inscribed (99) cyan, lethal (100) magenta; free is white."""
-    share = np.arange(101) / 100
-    colours = np.stack((255 * share, np.zeros(101), 255 - 255 * share), axis=1)
-    colours[0], colours[99], colours[100] = (255, 255, 255), (0, 255, 255), (255, 0, 255)
-    # Half as strong, so that lines, scans and letters are seen on it; the two that count stay as they are.
-    colours[1:99] = 255 - (255 - colours[1:99]) * 0.6
-    return np.vstack(([(150, 165, 160)], colours)).astype(np.uint8)
+    cos, sin = math.cos(corner.yaw_rad), math.sin(corner.yaw_rad)
+    return np.stack((corner.x_m + cos * x - sin * y, corner.y_m + sin * x + cos * y), axis=1)
 
 
 # ── what is on it ────────────────────────────────────────────────────────────────────────────────────────────────
@@ -395,20 +350,18 @@ class _Sheet:
         outside = [mark for mark in scene.goals if not self._shows(mark)]
         found += [(GOAL, f"goal outside, at ({mark.x_m:.4g}, {mark.y_m:.4g})") for mark in outside[:_MOST_OUTSIDE]]
         if scene.grid and scene.grid.costs:
-            found += [("#ff00ff", "lethal"), ("#00ffff", "inscribed"), ("#9a66cc", "blue to red: cost")]
+            colours = cost_colours()
+            known = ((OCCUPIED, "lethal"), (TOUCHING, "inscribed"), (_MIDDLE_COST, "blue to red: cost"))
+            found += [(hexadecimal(colours, value), meaning) for value, meaning in known]
         elif scene.grid:
-            found += [("#000000", "occupied"), ("#c8c8c8", "unknown")]
+            found += [
+                (hexadecimal(map_colours(), value), words)
+                for value, words in ((OCCUPIED, "occupied"), (UNKNOWN, "unknown"))
+            ]
         return found
 
 
 # ── axes ─────────────────────────────────────────────────────────────────────────────────────────────────────────
-
-
-def _line_m(metres: float) -> float:
-    """The least round distance at which lines are far enough apart."""
-    least = _BETWEEN_PX * metres
-    digit = 10.0 ** math.floor(math.log10(least))
-    return next(step * digit for step in _STEPS if step * digit >= least * (1 - 1e-9))
 
 
 def _lines(span: Span, line_m: float) -> list[float]:

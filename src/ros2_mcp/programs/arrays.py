@@ -8,17 +8,18 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast
 
 from ros2_mcp.model.aside import aside, load
 from ros2_mcp.model.errors import BadData, BadInput
+from ros2_mcp.model.occupancy import OCCUPIED_FROM, MapFacts
 from ros2_mcp.model.text import counted
 from ros2_mcp.programs.declare import Use, function
 
 if TYPE_CHECKING:
-    from ros2_mcp.world.costmap import CostGrid
+    from ros2_mcp.world.occupancy import OccupancyGrid
 
 T = TypeVar("T")
 Message = Mapping[str, Any]
@@ -38,8 +39,12 @@ _MOST_FORMAT = 100
 _MOST_FIELDS = 20
 _CODE = re.compile(r"(\d*)([xcbB?hHiIlLqQnNefdspP])")
 
-KINDS: Mapping[str, tuple[int, int]] = {"occupied": (50, 100), "free": (0, 49), "unknown": (-128, -1)}
-"""The values of cells, from and to: of a map, occupied is what is so with 50 % or more."""
+KINDS: Mapping[str, tuple[int, int]] = {
+    "occupied": (OCCUPIED_FROM, 100),
+    "free": (0, OCCUPIED_FROM - 1),
+    "unknown": (-128, -1),
+}
+"""The values of cells, from and to."""
 
 
 @function()
@@ -74,22 +79,12 @@ async def points(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class GridFacts:
+class GridFacts(MapFacts):
     """An occupancy grid: m per cell, size in cells, the pose of the corner of cell (0, 0), and shares of all cells.
 
     `held` is the number by which the other functions of grids find its cells.
     """
 
-    frame_id: str
-    resolution_m: float
-    width: int
-    height: int
-    origin_x_m: float
-    origin_y_m: float
-    origin_yaw_rad: float
-    free: float
-    occupied: float
-    unknown: float
     held: int
 
 
@@ -107,29 +102,17 @@ class NearestCell:
 async def grid(use: Use, message: Message) -> GridFacts:
     """Takes a map or a costmap (OccupancyGrid) for grid_value, grid_nearest and grid_rows, and says where it is."""
     found = await _grid_of(use, "grid", message)
-    from ros2_mcp.pictures.maps import map_facts
-
-    facts = await _computed("grid", found.cells.size, map_facts, found.message)
-    return GridFacts(
-        frame_id=found.frame_id,
-        resolution_m=float(f"{facts.resolution_m:.7g}"),
-        width=facts.width,
-        height=facts.height,
-        origin_x_m=facts.origin_x_m,
-        origin_y_m=facts.origin_y_m,
-        origin_yaw_rad=facts.origin_yaw_rad,
-        free=round(facts.free, 6),
-        occupied=round(facts.occupied, 6),
-        unknown=round(facts.unknown, 6),
-        held=use.held.hold(found, int(found.cells.nbytes)),
-    )
+    facts = await _computed("grid", found.cells.size, found.facts)
+    rounded = {name: round(getattr(facts, name), 6) for name in ("free", "occupied", "unknown")}
+    numbers: dict[str, Any] = {**asdict(facts), **rounded, "resolution_m": float(f"{facts.resolution_m:.7g}")}
+    return GridFacts(**numbers, held=use.held.hold(found, int(found.cells.nbytes)))
 
 
 @function()
 async def grid_value(use: Use, grid: Message, x: float, y: float) -> int | None:
     """The value of the cell at a place in m: -1 unknown, 0 free to 100 occupied; None outside."""
     found = await _grid_of(use, "grid_value", grid)
-    return await _computed("grid_value", 0, found.cost, x, y)
+    return await _computed("grid_value", 0, found.value, x, y)
 
 
 @function()
@@ -234,18 +217,18 @@ def _values_of(format_text: str) -> int:
     return sum(0 if code == "x" else 1 if code in "sp" else int(times or 1) for times, code in codes)
 
 
-async def _grid_of(use: Use, name: str, value: Message) -> CostGrid:
+async def _grid_of(use: Use, name: str, value: Message) -> OccupancyGrid:
     """A grid that is held, or that of a message."""
-    await load("ros2_mcp.world.costmap", "ros2_mcp.pictures.maps")
-    from ros2_mcp.world.costmap import CostGrid
+    await load("ros2_mcp.world.occupancy")
+    from ros2_mcp.world.occupancy import OccupancyGrid
 
     kept = use.held.get(value)
-    if isinstance(kept, CostGrid):
+    if isinstance(kept, OccupancyGrid):
         return kept
     message = _object(use, name, value, "OccupancyGrid", ("header", "info"))
     if len(message.data) > MOST_GRID_CELLS:
         raise BadInput(f"robot.{name}: the grid has {len(message.data)} cells, more than {MOST_GRID_CELLS}.")
-    return await _computed(name, len(message.data), CostGrid, message)
+    return await _computed(name, len(message.data), OccupancyGrid, message)
 
 
 def _object(use: Use, name: str, value: Any, type_name: str, needed: Sequence[str]) -> Any:

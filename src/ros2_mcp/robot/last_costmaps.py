@@ -21,7 +21,7 @@ from ros2_mcp.robot.values import Values
 from ros2_mcp_common.wire.protocol import Keep
 
 if TYPE_CHECKING:
-    from ros2_mcp.world.cost_updates import Grid
+    from ros2_mcp.world.costmap import CostGrid
 
 _IDLE_S = 120.0
 """After the last question. A costmap that rolls is sent whole several times a second, so hearing it costs something."""
@@ -47,7 +47,7 @@ class LastCostmap:
     topic: str
     values: Values
     since_ns: int
-    grid: Grid | None = None
+    grid: CostGrid | None = None
     whole: Sample | None = None
     update: Sample | None = None
     updates: int = 0

@@ -10,7 +10,7 @@ from ros2_mcp.ops.relay import relay
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import MessageType, Number
 from ros2_mcp.tools.declare import tool
-from ros2_mcp_common.wire.limits import MAX_RATE_HZ
+from ros2_mcp_common.wire.limits import MAX_RATE_HZ, MIN_RATE_HZ
 
 PLACE = 110
 
@@ -40,7 +40,7 @@ async def ros2_relay_start(
         Field(description="Pass all messages, at most target_rate_hz, or only changes (filter means on_change)."),
     ] = "identity",
     target_rate_hz: Annotated[
-        Number, Field(gt=0, le=MAX_RATE_HZ, description="With rate_limit: maximum messages per second.")
+        Number, Field(ge=MIN_RATE_HZ, le=MAX_RATE_HZ, description="With rate_limit: maximum messages per second.")
     ] = 10.0,
     duration_sec: Annotated[Number, Field(ge=0, le=86400, description="Duration in seconds; 0: until stopped.")] = 60.0,
     tolerances: Tolerances | None = None,

@@ -25,7 +25,7 @@ from ros2_mcp.tools.arguments import (
 )
 from ros2_mcp.tools.declare import tool
 from ros2_mcp.tools.injection import LimitedMessages, Messages, OneMessage
-from ros2_mcp_common.wire.limits import MAX_DURATION_S, MAX_RATE_HZ
+from ros2_mcp_common.wire.limits import MAX_DURATION_S, MAX_RATE_HZ, MIN_RATE_HZ
 
 PLACE = 20
 _PUBLISHING_PLACE = 60
@@ -70,7 +70,7 @@ class TopicToPublish(BaseModel):
     topic_name: Destination
     message_type: Annotated[PublishedType, Field(validation_alias=AliasChoices("message_type", "msg_type"))] = ""
     data: Data
-    frequency: Annotated[Number, Field(gt=0, le=MAX_RATE_HZ, description=_HZ)] = 1.0
+    frequency: Annotated[Number, Field(ge=MIN_RATE_HZ, le=MAX_RATE_HZ, description=_HZ)] = 1.0
     duration: Annotated[Number, Field(gt=0, le=MAX_DURATION_S, description=_SECONDS)] = 5.0
 
 
@@ -216,7 +216,7 @@ async def ros2_topic_publish(
     topic_name: Destination,
     data: Data,
     message_type: PublishedType = "",
-    frequency: Annotated[Number | None, Field(gt=0, le=MAX_RATE_HZ, description=_HZ)] = None,
+    frequency: Annotated[Number | None, Field(ge=MIN_RATE_HZ, le=MAX_RATE_HZ, description=_HZ)] = None,
     duration: Annotated[Number | None, Field(gt=0, le=MAX_DURATION_S, description=_SECONDS)] = None,
 ) -> publish.Published:
     """Publish a message once, or repeatedly with frequency and duration. Can move the robot.

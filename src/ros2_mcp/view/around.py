@@ -71,21 +71,29 @@ class MapPanel(Panel):
             "bulk": [_points(scan) for scan in found.scans],
         }
 
-    async def _packed(self, grid: GridLayer, topic: str) -> Mapping[str, Any]:
+    async def _packed(self, layer: GridLayer, topic: str) -> Mapping[str, Any]:
         """What is to be known of the grid; its cells are asked for by the key, once."""
-        if self._grid[0] is not grid.message:
+        if self._grid[0] is not layer.grid:
+            from ros2_mcp.pictures.palette import cost_colours
             from ros2_mcp.pictures.scene import packed
 
-            made = await asyncio.to_thread(packed, grid, _MOST_CELLS)
+            made = await asyncio.to_thread(packed, layer, _MOST_CELLS)
             key = hashlib.sha256(made.data).hexdigest()[:32]
             self._chunks.keep(key, made.data)
-            facts = {"key": key, "width": made.width, "height": made.height, "resolution": made.resolution_m}
-            self._grid = grid.message, facts
-        corner = grid.corner
+            facts: dict[str, Any] = {
+                "key": key,
+                "width": made.width,
+                "height": made.height,
+                "resolution": made.resolution_m,
+            }
+            if layer.costs:
+                facts["colours"] = base64.b64encode(cost_colours().tobytes()).decode("ascii")
+            self._grid = layer.grid, facts
+        corner = layer.corner
         return {
             **self._grid[1],
             "name": topic,
-            "costs": grid.costs,
+            "costs": layer.costs,
             "x": corner.x_m,
             "y": corner.y_m,
             "yaw": corner.yaw_rad,

@@ -5,7 +5,6 @@ Import it inside functions only: it needs NumPy.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from ros2_mcp.model.costs import OCCUPIED, TOUCHING, UNKNOWN
 from ros2_mcp.model.errors import BadData
 from ros2_mcp.model.nav2 import COSTMAP, COSTMAP_UPDATE
+from ros2_mcp.world.costmap import CostGrid
 
 _RAW_TOUCHING, _RAW_OCCUPIED, _RAW_UNKNOWN = 253, 254, 255
 
@@ -31,44 +31,29 @@ def _published() -> NDArray[np.int8]:
 _PUBLISHED = _published()
 
 
-@dataclass(frozen=True, slots=True)
-class Grid:
-    """A costmap with the fields of nav_msgs/msg/OccupancyGrid that are used."""
-
-    header: Any
-    info: Any
-    data: NDArray[np.int8]
-
-
-def as_grid(type_name: str, message: Any) -> Grid:
-    """A whole costmap, raw or not. Raises `BadData` if its cells do not fit its size."""
-    if type_name == COSTMAP:
-        told = message.metadata
-        info: Any = SimpleNamespace(
-            resolution=told.resolution, width=told.size_x, height=told.size_y, origin=told.origin
-        )
-    else:
-        info = message.info
-    cells = _cells(type_name == COSTMAP, message.data)
-    if len(cells) != info.width * info.height:
-        raise BadData(f"The costmap has {len(cells)} cells instead of {info.width} × {info.height}.")
-    return Grid(message.header, info, cells)
+def as_grid(type_name: str, message: Any) -> CostGrid:
+    """A whole costmap, raw or not. Raises `BadData` as `OccupancyGrid`."""
+    if type_name != COSTMAP:
+        return CostGrid(message)
+    told = message.metadata
+    info = SimpleNamespace(resolution=told.resolution, width=told.size_x, height=told.size_y, origin=told.origin)
+    return CostGrid(SimpleNamespace(header=message.header, info=info, data=_cells(True, message.data)))
 
 
-def updated(grid: Grid, type_name: str, update: Any) -> Grid:
+def updated(grid: CostGrid, type_name: str, update: Any) -> CostGrid:
     """The costmap with a part that has changed. Raises `BadData` if that part does not lie in it."""
     is_raw = type_name == COSTMAP_UPDATE
     width, height = (update.size_x, update.size_y) if is_raw else (update.width, update.height)
     x, y = update.x, update.y
-    if x < 0 or y < 0 or x + width > grid.info.width or y + height > grid.info.height:
+    rows, columns = grid.cells.shape
+    if x < 0 or y < 0 or x + width > columns or y + height > rows:
         raise BadData(f"An update of {width} × {height} cells at ({x}, {y}) is outside the costmap.")
     part = _cells(is_raw, update.data)
     if len(part) != width * height:
         raise BadData(f"An update has {len(part)} cells instead of {width} × {height}.")
-    data: NDArray[np.int8] = np.array(grid.data)  # others may be drawing the former one
-    rows: NDArray[np.int8] = np.reshape(data, (grid.info.height, grid.info.width))
-    rows[y : y + height, x : x + width] = np.reshape(part, (height, width))
-    return replace(grid, data=data)
+    cells: NDArray[np.int8] = np.array(grid.cells)  # others may be drawing the former ones
+    cells[y : y + height, x : x + width] = np.reshape(part, (height, width))
+    return CostGrid(SimpleNamespace(header=grid.header, info=grid.info, data=np.ravel(cells)))
 
 
 def _cells(is_raw: bool, data: Any) -> NDArray[np.int8]:

@@ -7,15 +7,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ros2_mcp.model.costs import OCCUPIED, TOUCHING, Narrowest, Reach
-from ros2_mcp.model.errors import BadData
-from ros2_mcp.model.pictures import Place
-from ros2_mcp_common.geometry import yaw_rad
+from ros2_mcp.world.occupancy import OccupancyGrid
 
 _WIDE_M = 3.0
 """A gap that is wider than this is no narrow spot for anything that drives through doors."""
@@ -25,57 +22,8 @@ _OPPOSITE = -0.5
 """The cosine of 120°: what stands to the other side of the robot, and not round the corner that it drives along."""
 
 
-class CostGrid:
-    """The cells of one message with their place in its frame."""
-
-    def __init__(self, message: Any) -> None:
-        """Raises `BadData` if its data does not fit its size."""
-        info = message.info
-        if not info.width or not info.height or len(message.data) != info.width * info.height:
-            raise BadData(f"The costmap has {len(message.data)} cells instead of {info.width} × {info.height}.")
-        if not info.resolution > 0:
-            raise BadData(f"The resolution of the costmap is {info.resolution} m.")
-        self.message = message
-        self.frame_id: str = message.header.frame_id.lstrip("/")
-        self.resolution_m = float(info.resolution)
-        data: Any = np.asarray(message.data, np.int8)
-        self.cells: NDArray[np.int8] = data.reshape(info.height, info.width)
-        at, turn = info.origin.position, info.origin.orientation
-        self._origin = (float(at.x), float(at.y))
-        self._yaw = yaw_rad(turn.x, turn.y, turn.z, turn.w)
-
-    @property
-    def corner(self) -> Place:
-        """The pose of the corner of cell (0, 0)."""
-        return Place(*self._origin, self._yaw)
-
-    def cell(self, x_m: float, y_m: float) -> tuple[int, int]:
-        """Row and column of a point, which may be outside."""
-        dx, dy = x_m - self._origin[0], y_m - self._origin[1]
-        cos, sin = math.cos(self._yaw), math.sin(self._yaw)
-        return (
-            math.floor((cos * dy - sin * dx) / self.resolution_m),
-            math.floor((cos * dx + sin * dy) / self.resolution_m),
-        )
-
-    def point(self, row: float, column: float) -> tuple[float, float]:
-        """The middle of a cell, in m."""
-        x, y = (column + 0.5) * self.resolution_m, (row + 0.5) * self.resolution_m
-        cos, sin = math.cos(self._yaw), math.sin(self._yaw)
-        return self._origin[0] + cos * x - sin * y, self._origin[1] + sin * x + cos * y
-
-    def cost(self, x_m: float, y_m: float) -> int | None:
-        """The cost at a point; None outside."""
-        row, column = self.cell(x_m, y_m)
-        rows, columns = self.cells.shape
-        return int(self.cells[row, column]) if 0 <= row < rows and 0 <= column < columns else None
-
-    def extent(self) -> str:
-        """In words, where it is, in m."""
-        rows, columns = self.cells.shape
-        corners = [self.point(row, column) for row in (-0.5, rows - 0.5) for column in (-0.5, columns - 0.5)]
-        xs, ys = [x for x, _ in corners], [y for _, y in corners]
-        return f"x {min(xs):.2f} to {max(xs):.2f}, y {min(ys):.2f} to {max(ys):.2f}"
+class CostGrid(OccupancyGrid):
+    """A grid of which the cells say what it costs to be there."""
 
     def nearest_free(self, x_m: float, y_m: float) -> tuple[float, float] | None:
         """The middle of the nearest cell in which the robot touches nothing; None where there is none."""
@@ -95,40 +43,13 @@ class CostGrid:
         best = int(np.argmin((rows - row) ** 2 + (columns - column) ** 2))
         return self.point(int(rows[best]), int(columns[best]))
 
-    def nearest(self, x_m: float, y_m: float, least: int, most: int) -> tuple[int, int] | None:
-        """Row and column of the nearest cell with a value from `least` to `most`; None where there is none.
-
-        It looks at one row after the other, from that of the point outwards: a map of 16 million cells has hits for
-        which there would be no memory.
-        """
-        row, column = self.cell(x_m, y_m)
-        found: tuple[int, int] | None = None
-        nearest = math.inf
-        for other in sorted(range(len(self.cells)), key=lambda each: abs(each - row)):
-            if (other - row) ** 2 >= nearest:
-                break
-            line = self.cells[other]
-            hits = np.flatnonzero((line >= least) & (line <= most))
-            if len(hits):
-                hit = int(hits[np.argmin(np.abs(hits - column))])
-                if (distance := (other - row) ** 2 + (hit - column) ** 2) < nearest:
-                    nearest, found = distance, (other, hit)
-        return found
-
-    def rows(self, together: int) -> list[list[int]]:
-        """The values by rows, from the lowest on; of each square of `together` × `together` cells the largest one."""
-        cells = self.cells
-        for axis, length in enumerate(self.cells.shape):
-            cells = np.maximum.reduceat(cells, range(0, length, together), axis=axis)
-        return cells.tolist()
-
     def reach(self, start: tuple[float, float], goal: tuple[float, float]) -> Reach | None:
         """Where one gets to from `start` through cells in which the robot touches nothing, unknown ones included.
 
         A robot that touches something begins at the nearest place where it does not. None where the start is outside,
         or in what is occupied.
         """
-        cost = self.cost(*start)
+        cost = self.value(*start)
         if cost is None or cost >= OCCUPIED:
             return None
         free = self.nearest_free(*start) if cost >= TOUCHING else start
@@ -190,8 +111,8 @@ class CostGrid:
         rows, columns = np.nonzero(self.cells[low_row:high_row, low_column:high_column] >= OCCUPIED)
         x = (columns + low_column + 0.5) * self.resolution_m
         y = (rows + low_row + 0.5) * self.resolution_m
-        cos, sin = math.cos(self._yaw), math.sin(self._yaw)
-        return np.stack((self._origin[0] + cos * x - sin * y, self._origin[1] + sin * x + cos * y), axis=1)
+        cos, sin = math.cos(self.corner.yaw_rad), math.sin(self.corner.yaw_rad)
+        return np.stack((self.corner.x_m + cos * x - sin * y, self.corner.y_m + sin * x + cos * y), axis=1)
 
 
 def _runs(is_open: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:

@@ -110,6 +110,8 @@ WRONG = [
     ("policy: 1\nallow:\n  - publish: /cmd_vel\n    type: a/msg/B\n    meta: true", 5, "means nothing"),
     ("policy: 1\nallow:\n  - publish: /cmd_vel\n    type: a/msg/B\n    rate_hz: .nan", 5, "must be a number"),
     ("policy: 1\nallow:\n  - publish: /cmd_vel\n    type: a/msg/B\n    rate_hz: '5'", 5, "must be a number"),
+    ("policy: 1\nallow:\n  - publish: /cmd_vel\n    type: a/msg/B\n    rate_hz: 0.009", 5, "0.01"),
+    ("policy: 1\nallow:\n  - publish: /cmd_vel\n    type: a/msg/B\n    rate_hz: 1001", 5, "1000"),
     ("policy: 1\nallow:\n  - relay: /cmd_vel\n    type: a/msg/B", 3, "needs 'from'"),
     ("policy: 1\nallow:\n  - {set: /camera}", 3, "needs 'names'"),
     ("policy: 1\nlimits:\n  a:\n    norm: {linear: 1}", 4, "needs 'types'"),

@@ -8,11 +8,12 @@ from PIL import Image
 from ros2_mcp.model.errors import BadData, BadValue
 from ros2_mcp.model.pictures import BOUNDS, COMPRESSED_IMAGE, IMAGE, OCCUPANCY_GRID, Bounds, Picture, Place
 from ros2_mcp.pictures import messages as makers
-from ros2_mcp.pictures.maps import map_drawing, map_facts
+from ros2_mcp.pictures.maps import map_drawing
 from ros2_mcp.pictures.messages import picture_of
 from ros2_mcp.pictures.raster import Raster
 from ros2_mcp.values.check import check
 from ros2_mcp.values.definitions import Definitions
+from ros2_mcp.world.occupancy import OccupancyGrid
 
 RED, GREEN, BLUE, GREY = (250, 10, 10), (10, 250, 10), (10, 10, 250), (128, 128, 128)
 
@@ -232,12 +233,12 @@ def test_a_map_has_its_first_row_at_the_bottom_and_tells_its_facts(definitions: 
     cells = np.array([[0, 100, -1], [0, 0, 50]])
     message = grid(definitions, cells)
     picture = picture_of(OCCUPANCY_GRID, message)
-    drawing = map_drawing(message, BOUNDS)
+    drawing = map_drawing(OccupancyGrid(message), BOUNDS)
     scale = round(0.05 / drawing.metres_per_pixel)
     left, top = drawing.left_px + scale // 2, drawing.top_px + scale // 2
     cells = pixels(picture)[top : top + 2 * scale : scale, left : left + 3 * scale : scale, 0]
     assert cells.tolist() == [[255, 255, 128], [255, 0, 128]]
-    facts = map_facts(message)
+    facts = OccupancyGrid(message).facts()
     assert (facts.free, facts.occupied, facts.unknown) == pytest.approx((3 / 6, 2 / 6, 1 / 6))
     assert (facts.origin_x_m, facts.origin_y_m, facts.origin_yaw_rad) == pytest.approx((-1, 2, 1.5707963))
     assert "3 × 2 cells of 0.05 m (0.15 m × 0.10 m)" in picture.note and "turned by 90.0°" in picture.note
@@ -248,7 +249,7 @@ def test_walls_stay_visible_on_a_map_that_is_made_smaller(definitions: Definitio
     cells[1500] = 100
     picture = picture_of(OCCUPANCY_GRID, grid(definitions, cells))
     assert max(picture.width, picture.height) <= 1568 and "3 × 3 cells" in picture.note
-    drawing = map_drawing(grid(definitions, cells), BOUNDS)
+    drawing = map_drawing(OccupancyGrid(grid(definitions, cells)), BOUNDS)
     shown = pixels(picture)[drawing.top_px :, drawing.left_px : drawing.left_px + -(-4000 // 3)]
     assert (shown == 0).all(axis=2).any(axis=0).all()
 
@@ -260,7 +261,7 @@ def test_a_map_shows_the_robot_where_it_is(definitions: Definitions, turned: boo
     if not turned:
         message.info.origin.orientation.z, message.info.origin.orientation.w = 0.0, 1.0
         robot = Place(-0.5, 3.0, np.pi / 2)
-    drawing = map_drawing(message, BOUNDS, robot)
+    drawing = map_drawing(OccupancyGrid(message), BOUNDS, robot)
     orange = np.argwhere((drawing.raster.pixels == (255, 140, 0)).all(axis=2))
     row, column = (orange.min(axis=0) + orange.max(axis=0)) / 2
     x = (column - drawing.left_px) * drawing.metres_per_pixel

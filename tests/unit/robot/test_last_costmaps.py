@@ -15,7 +15,12 @@ from ros2_mcp.robot.last_costmaps import LastCostmap
 from ros2_mcp.robot.values import Values
 
 pytestmark = pytest.mark.anyio
-WHOLE = SimpleNamespace(header=None, info=SimpleNamespace(width=2, height=1, resolution=0.1, origin=None), data=[0, 0])
+ORIGIN = SimpleNamespace(position=SimpleNamespace(x=0, y=0, z=0), orientation=SimpleNamespace(x=0, y=0, z=0, w=1))
+WHOLE = SimpleNamespace(
+    header=SimpleNamespace(frame_id="map"),
+    info=SimpleNamespace(width=2, height=1, resolution=0.1, origin=ORIGIN),
+    data=[0, 0],
+)
 
 
 class Decoding:
@@ -48,5 +53,5 @@ async def test_a_later_part_that_is_decoded_sooner_is_not_undone_by_an_earlier_o
     await asyncio.sleep(0)
     decoding.go_on.set()
     await asyncio.gather(whole, later)
-    assert kept.grid is not None and kept.grid.data.tolist() == [2, 1]
+    assert kept.grid is not None and kept.grid.cells.tolist() == [[2, 1]]
     assert (kept.updates, kept.newest_ns) == (2, 3)

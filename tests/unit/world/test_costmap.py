@@ -14,18 +14,20 @@ from ros2_mcp.world.costmap import CostGrid
 def grid(cells, resolution=0.1, x=0.0, y=0.0, z=0.0, w=1.0):
     """A message of these rows, the first one at the smallest y."""
     cells = np.array(cells, np.int8)
-    origin = SimpleNamespace(position=SimpleNamespace(x=x, y=y), orientation=SimpleNamespace(x=0.0, y=0.0, z=z, w=w))
+    origin = SimpleNamespace(
+        position=SimpleNamespace(x=x, y=y, z=0.0), orientation=SimpleNamespace(x=0.0, y=0.0, z=z, w=w)
+    )
     info = SimpleNamespace(width=cells.shape[1], height=cells.shape[0], resolution=resolution, origin=origin)
     return CostGrid(SimpleNamespace(header=SimpleNamespace(frame_id="/map"), info=info, data=cells.ravel()))
 
 
 def test_a_point_has_the_cost_of_its_cell_wherever_the_grid_lies_and_however_it_is_turned():
-    assert grid([[1, 2], [3, 4]]).cost(0.15, 0.05) == 2
-    assert grid([[1, 2], [3, 4]], x=-1.0, y=5.0).cost(-0.95, 5.15) == 3
+    assert grid([[1, 2], [3, 4]]).value(0.15, 0.05) == 2
+    assert grid([[1, 2], [3, 4]], x=-1.0, y=5.0).value(-0.95, 5.15) == 3
     turned = grid([[1, 2], [3, 4]], z=2**-0.5, w=2**-0.5)  # by a right angle: its rows go along -x
-    assert turned.cost(-0.15, 0.05) == 3
+    assert turned.value(-0.15, 0.05) == 3
     assert turned.cell(*turned.point(1, 0)) == (1, 0)
-    assert grid([[1, 2]]).cost(0.05, 0.1) is None and grid([[1, 2]]).cost(-0.01, 0.05) is None
+    assert grid([[1, 2]]).value(0.05, 0.1) is None and grid([[1, 2]]).value(-0.01, 0.05) is None
 
 
 def test_costs_are_told_in_words():
@@ -78,7 +80,7 @@ def test_what_is_reached_is_what_a_search_cell_by_cell_reaches():
 def test_what_is_no_grid_is_refused():
     with pytest.raises(BadData, match="cells"):
         grid(np.zeros((0, 3)))
-    with pytest.raises(BadData, match="The resolution"):
+    with pytest.raises(BadData, match="m wide"):
         grid([[0]], resolution=0.0)
 
 

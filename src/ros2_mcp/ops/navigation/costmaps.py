@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 from ros2_mcp.model.aside import aside, load
 from ros2_mcp.model.errors import BadData, RobotError, TimedOut
-from ros2_mcp.model.nav2 import COSTMAP, COSTMAP_UPDATE, GRID_UPDATE
+from ros2_mcp.model.nav2 import COSTMAP_UPDATE, GRID_UPDATE
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.pictures.next_message import next_message
@@ -19,6 +19,9 @@ from ros2_mcp.ops.results.results import silent
 from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.last_costmaps import LastCostmap, sent_ns
+
+if TYPE_CHECKING:
+    from ros2_mcp.world.costmap import CostGrid
 
 FIRST_S = 1.2
 """For the first part that changes: Nav2 looks once a second what has changed."""
@@ -33,7 +36,7 @@ class Costmap:
     is known to be missing.
     """
 
-    message: Any
+    grid: CostGrid
     sample: Sample
     skipped: str = ""
     note: str = ""
@@ -56,7 +59,7 @@ async def costmap_of(robot: Robot, source: Source, topic: str, type_name: str, w
     """The costmap with what has changed in it since it was sent whole: live as it is now, else at the recording's end.
 
     Raises:
-        RobotError: as `next_message`.
+        RobotError: as `next_message`, and `BadData` if it does not fit its size.
     """
     updates = updates_of(topic, await source.publishing(GRID_UPDATE, COSTMAP_UPDATE))
     if source.is_live:
@@ -70,7 +73,7 @@ async def costmap_now(
     """The costmap as it is now, as far as its changes are heard; `newer_s`: waits so long for what is newer than this.
 
     Raises:
-        RobotError: as `next_message`.
+        RobotError: as `next_message`, and `BadData` if it does not fit its size.
     """
     unheard = ""
     if updates_topic:
@@ -84,20 +87,18 @@ async def costmap_now(
             note = _known(kept, kept.whole, robot.now_ns())
             return Costmap(kept.grid, kept.whole, kept.refused, note, kept.newest_ns, kept.is_complete)
     found = await next_message(source.lasting(wait_s), topic, type_name, silent)
-    if type_name == COSTMAP:
-        await load("ros2_mcp.world.cost_updates")  # with numpy: not before it is needed
-        from ros2_mcp.world.cost_updates import as_grid
+    await load("ros2_mcp.world.cost_updates")  # with numpy: not before it is needed
+    from ros2_mcp.world.cost_updates import as_grid
 
-        grid = await aside(len(found.sample.data), as_grid, type_name, found.message)
-        return Costmap(grid, found.sample, found.skipped, unheard, is_complete=not unheard)
-    return Costmap(found.message, found.sample, found.skipped, unheard, is_complete=not unheard)
+    grid = await aside(len(found.sample.data), as_grid, type_name, found.message)
+    return Costmap(grid, found.sample, found.skipped, unheard, is_complete=not unheard)
 
 
 async def costmap_recorded(source: Source, topic: str, type_name: str, updates_topic: str) -> Costmap:
     """The costmap at the end of a recording's part: the last whole one, with all that was changed in it since.
 
     Raises:
-        RobotError: as `next_message`.
+        RobotError: as `next_message`, and `BadData` if it does not fit its size.
     """
     await load("ros2_mcp.world.cost_updates")  # with numpy: not before it is needed
     from ros2_mcp.world.cost_updates import as_grid, updated

@@ -108,9 +108,9 @@ def judged(
     grid, where = situation.grid, situation.where
     start_cost = goal_cost = None
     if grid and goal:
-        goal_cost = grid.cost(*goal)
+        goal_cost = grid.value(*goal)
     if grid and where.x_m is not None and where.y_m is not None and grid.frame_id == where.frame:
-        start_cost = grid.cost(where.x_m, where.y_m)
+        start_cost = grid.value(where.x_m, where.y_m)
     found = _Findings()
     _servers(found, situation)
     is_goal_known = goal is not None or grid is None

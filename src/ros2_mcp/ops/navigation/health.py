@@ -62,7 +62,7 @@ async def _costmap(robot: Robot, topics: Sequence[TopicRow], action: str) -> lis
         return ["No global costmap was received."]
     if ages:
         return [ages]
-    stamp = grid.message.header.stamp
+    stamp = grid.header.stamp
     age_s = (robot.now_ns() - stamp.sec * 1_000_000_000 - stamp.nanosec) / 1e9
     if not 0 <= age_s < _LONGEST_AGE_S:
         return [f"The costmap {named(topic)} is there."]

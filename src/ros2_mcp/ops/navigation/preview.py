@@ -203,7 +203,7 @@ async def _grid(robot: Robot, action: str, frame: str) -> tuple[CostGrid | None,
 def _dearest(grid: CostGrid | None, points: Sequence[tuple[float, float]]) -> int | None:
     if grid is None:
         return None
-    costs = [cost for x, y in points if (cost := grid.cost(x, y)) is not None]
+    costs = [cost for x, y in points if (cost := grid.value(x, y)) is not None]
     return max(costs, default=None)
 
 

@@ -180,11 +180,11 @@ def around(grid: CostGrid, topic: str, where: Whereabouts) -> Local:
     x_m, y_m = where.x_m or 0.0, where.y_m or 0.0
     nearest = grid.nearest_occupied(x_m, y_m)
     if nearest is None:
-        return Local(topic=topic, cost=grid.cost(x_m, y_m))
+        return Local(topic=topic, cost=grid.value(x_m, y_m))
     bearing_rad = math.remainder(math.atan2(nearest[1] - y_m, nearest[0] - x_m) - (where.yaw_rad or 0.0), 2 * math.pi)
     away_m = math.hypot(nearest[0] - x_m, nearest[1] - y_m)
     return Local(
-        topic=topic, cost=grid.cost(x_m, y_m), away_m=round(away_m, 2), bearing_deg=round(math.degrees(bearing_rad))
+        topic=topic, cost=grid.value(x_m, y_m), away_m=round(away_m, 2), bearing_deg=round(math.degrees(bearing_rad))
     )
 
 
@@ -205,7 +205,7 @@ async def _newest_grid(robot: Robot, topics: Sequence[TopicRow], topic: str, wit
     updates = updates_of(topic, _published(topics, GRID_UPDATE, COSTMAP_UPDATE))
     if updates or kind == COSTMAP:
         found = await costmap_now(robot, Live(robot), topic, kind, updates, COSTMAP_S, newer_s=within_s)
-        return CostGrid(found.message), found.note
+        return found.grid, found.note
     async with robot.listen(topic, keep="latest") as listening:
         samples = await listening.take(COSTMAP_S)
         end = monotonic() + within_s

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import asdict, dataclass, field, replace
+from typing import TYPE_CHECKING
 
 from ros2_mcp.model import names
 from ros2_mcp.model.aside import load
@@ -17,6 +18,9 @@ from ros2_mcp.ops.results.results import IF_ANY, SAID, Report, WithPictures, fac
 from ros2_mcp.ops.sources.only import only_topic
 from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.robot import Robot
+
+if TYPE_CHECKING:
+    from ros2_mcp.world.occupancy import OccupancyGrid
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,14 +71,14 @@ async def map_picture(robot: Robot, source: Source, topic: str, report: Report =
         BadData: if the map is empty or does not fit its size.
     """
     await load("ros2_mcp.pictures.maps", "ros2_mcp.pictures.raster")  # with numpy: not before it is needed
-    from ros2_mcp.pictures.maps import map_drawing, map_facts
+    from ros2_mcp.pictures.maps import map_drawing
     from ros2_mcp.pictures.raster import finished
 
     topic, chosen = await only_topic(source, topic, OCCUPANCY_GRID)
-    found = await _map(robot, source, topic, report)
-    numbers = await asyncio.to_thread(map_facts, found.message)
+    grid, found = await _map(robot, source, topic, report)
+    numbers = await asyncio.to_thread(grid.facts)
     place = await robot_place(source, numbers.frame_id, found.sample.received_ns)
-    drawing = await asyncio.to_thread(map_drawing, found.message, BOUNDS, place)
+    drawing = await asyncio.to_thread(map_drawing, grid, BOUNDS, place)
     picture = await asyncio.to_thread(finished, drawing.raster, BOUNDS)
     smaller = picture.width / drawing.raster.pixels.shape[1]
     return MapPicture(
@@ -95,15 +99,17 @@ async def map_picture(robot: Robot, source: Source, topic: str, report: Report =
     )
 
 
-async def _map(robot: Robot, source: Source, topic: str, report: Report) -> Next:
-    """The map; its note tells what has changed in it since it was sent whole, or that this is not in it."""
+async def _map(robot: Robot, source: Source, topic: str, report: Report) -> tuple[OccupancyGrid, Next]:
+    """The map; the note tells what has changed in it since it was sent whole, or that this is not in it."""
+    from ros2_mcp.world.occupancy import OccupancyGrid
+
     updates = updates_of(names.absolute(topic), await source.publishing(GRID_UPDATE, COSTMAP_UPDATE))
-    if not updates:
-        return await next_message(source, topic, OCCUPANCY_GRID, report)
-    if not (source.is_live or source.from_end):  # what changed up to the start may lie before it, and is not looked for
-        found = await next_message(source, topic, OCCUPANCY_GRID, report)
-        return replace(found, note=f"{found.note} Later updates are not shown.".lstrip())
-    async with reporting(report, source.duration_s, f"waiting for {topic}"):
-        grid = await costmap_of(robot, source, names.absolute(topic), OCCUPANCY_GRID, source.duration_s)
-    note = " ".join(filter(None, (grid.skipped, grid.note)))
-    return Next(grid.message, grid.sample, source.words, note, grid.skipped)
+    if updates and (source.is_live or source.from_end):
+        async with reporting(report, source.duration_s, f"waiting for {topic}"):
+            kept = await costmap_of(robot, source, names.absolute(topic), OCCUPANCY_GRID, source.duration_s)
+        note = " ".join(filter(None, (kept.skipped, kept.note)))
+        return kept.grid, Next(kept.grid, kept.sample, source.words, note, kept.skipped)
+    found = await next_message(source, topic, OCCUPANCY_GRID, report)
+    if updates:  # what changed up to the start may lie before it, and is not looked for
+        found = replace(found, note=f"{found.note} Later updates are not shown.".lstrip())
+    return await asyncio.to_thread(OccupancyGrid, found.message), found

@@ -2,20 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any
 
 from ros2_mcp.model.samples import Sample
 
 _LONGEST_AGE_S = 1e6
 """Between a stamp and now: more means that one of both is simulated time, or not filled in."""
-
-
-class _Read(Protocol):
-    @property
-    def message(self) -> Any: ...
-
-    @property
-    def sample(self) -> Sample: ...
 
 
 def stamp_ns(header: Any) -> int:
@@ -31,7 +23,7 @@ def since_s(stamp_ns: int | None, now_ns: int) -> float | None:
     return round(max(age_s, 0.0), 3) if -1 < age_s < _LONGEST_AGE_S else None
 
 
-def age_of(found: _Read, now_ns: int) -> float | None:
+def age_of(header: Any, sample: Sample, now_ns: int) -> float | None:
     """By the message's stamp, else by when it was received."""
-    by_stamp = since_s(stamp_ns(found.message.header), now_ns)
-    return since_s(found.sample.received_ns, now_ns) if by_stamp is None else by_stamp
+    by_stamp = since_s(stamp_ns(header), now_ns)
+    return since_s(sample.received_ns, now_ns) if by_stamp is None else by_stamp

@@ -237,9 +237,9 @@ class Gathered:
         )
 
     def _frames_of_messages(self) -> list[str]:
-        read = [self.grid.message] if self.grid else []
-        read += [found.message for kind, _, found in self.read_layers if kind != _DESCRIPTION]
-        return [message.header.frame_id.lstrip("/") for message in read]
+        headers = [self.grid.grid.header] if self.grid else []
+        headers += [found.message.header for kind, _, found in self.read_layers if kind != _DESCRIPTION]
+        return [header.frame_id.lstrip("/") for header in headers]
 
     def _is_complete(self, tree: FrameTree) -> bool:
         """Whether everything can be placed, the scans at the time when they were taken."""
@@ -280,36 +280,30 @@ class Gathered:
             if pose is None:
                 self._unplaced(kind, name, found.message.header)
                 continue
-            age_s = age_of(found, now_ns)
+            age_s = age_of(found.message.header, found.sample, now_ns)
             _PLACERS[kind](self, name, found.message, pose, age_s)
         self._place_named(robot)
 
     def tell_age(self, name: str, scan: Next) -> None:
         """That what a scan means is of another moment than the robot's pose, where the robot may have turned since."""
-        age_s = age_of(scan, self.at_ns)
+        age_s = age_of(scan.message.header, scan.sample, self.at_ns)
         if age_s is not None and age_s > _LATE_S:
             self.missing.append(
                 f"The scan {named(name)} is {age_s:.1f} s old: if the robot has turned since, its directions no longer "
                 "hold."
             )
 
-    def _place_grid(self, grid: Costmap, now_ns: int) -> None:
-        from ros2_mcp.pictures.scene import GridLayer, check_grid
+    def _place_grid(self, found: Costmap, now_ns: int) -> None:
+        from ros2_mcp.pictures.scene import GridLayer
 
-        costs = _COSTMAP in self.grid_topic
+        grid, costs = found.grid, _COSTMAP in self.grid_topic
         kind = _COSTMAP if costs else "grid"
-        pose = self._located(grid.message.header)
+        pose = self._located(grid.header)
         if pose is None:
-            self._unplaced(kind, self.grid_topic, grid.message.header)
+            self._unplaced(kind, self.grid_topic, grid.header)
             return
-        try:
-            check_grid(grid.message)
-            corner = _place(pose @ pose_of(grid.message.info.origin))
-        except (BadData, ValueError) as error:  # an origin that is not finite
-            self.missing.append(f"The {kind} {named(self.grid_topic)} is not shown: {str(error).rstrip('.')}.")
-            return
-        self.grid_layer = GridLayer(grid.message, corner, costs)
-        age_s = since_s(grid.newest_ns, now_ns) if grid.newest_ns else age_of(grid, now_ns)
+        self.grid_layer = GridLayer(grid, _place(pose @ grid.origin), costs)
+        age_s = since_s(found.newest_ns, now_ns) if found.newest_ns else age_of(grid.header, found.sample, now_ns)
         self.layers.append(SceneLayer(kind, self.grid_topic, age_s=age_s))
 
     def _unplaced(self, kind: str, name: str, header: Any) -> None:

@@ -26,7 +26,9 @@ def costmap():
     cells[:, 18:22] = 99
     cells[:, 20] = 100
     cells[5, 30] = 100
-    origin = SimpleNamespace(position=SimpleNamespace(x=0.0, y=0.0), orientation=SimpleNamespace(x=0, y=0, z=0, w=1))
+    origin = SimpleNamespace(
+        position=SimpleNamespace(x=0.0, y=0.0, z=0.0), orientation=SimpleNamespace(x=0, y=0, z=0, w=1)
+    )
     info = SimpleNamespace(width=40, height=20, resolution=0.1, origin=origin)
     return CostGrid(SimpleNamespace(header=SimpleNamespace(frame_id="map"), info=info, data=cells.ravel()))
 

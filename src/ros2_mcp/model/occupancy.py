@@ -1,0 +1,34 @@
+"""What an occupancy grid says in numbers: nav_msgs/msg/OccupancyGrid, maps and costmaps."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+OCCUPIED_FROM = 50
+"""Cells of a map from this percentage on count as occupied, below as free: the middle, as a map tells no threshold."""
+
+
+@dataclass(frozen=True, slots=True)
+class MapFacts:
+    """Size and content of a map: metres per cell, cells, the pose of cell (0, 0)'s corner, shares of all cells."""
+
+    frame_id: str
+    resolution_m: float
+    width: int
+    height: int
+    origin_x_m: float
+    origin_y_m: float
+    origin_yaw_rad: float
+    free: float
+    occupied: float
+    unknown: float
+
+    def __str__(self) -> str:
+        size = f"{self.width * self.resolution_m:.2f} m × {self.height * self.resolution_m:.2f} m"
+        turned = f", turned by {math.degrees(self.origin_yaw_rad):.1f}°" if abs(self.origin_yaw_rad) > 1e-6 else ""
+        return (
+            f"{self.width} × {self.height} cells of {self.resolution_m:.4g} m ({size}); the lower left corner is at "
+            f"({self.origin_x_m:.3f}, {self.origin_y_m:.3f}) m{turned}; "
+            f"free {self.free:.1%}, occupied {self.occupied:.1%}, unknown {self.unknown:.1%}."
+        )

@@ -1,0 +1,135 @@
+"""nav_msgs/msg/OccupancyGrid: checked once, with its place in its frame. Maps, costmaps and programs read it here.
+
+Import it inside functions only: it needs NumPy.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ros2_mcp.model.errors import BadData
+from ros2_mcp.model.occupancy import OCCUPIED_FROM, MapFacts
+from ros2_mcp.model.pictures import Place
+from ros2_mcp.world.transforms import pose_of
+
+
+class OccupancyGrid:
+    """The cells of one message with their place in its frame.
+
+    `cells` are height × width as the message has them, the first row at the least y; `origin` is the pose of the corner
+    of cell (0, 0), `corner` the same seen from above. `frame_id` has no leading slash.
+    """
+
+    def __init__(self, message: Any) -> None:
+        """Reads the `header`, `info` and `data` of a message.
+
+        Raises:
+            BadData: if it is empty, its data does not fit its size, or its resolution or origin is not finite.
+        """
+        info = message.info
+        width, height, count = info.width, info.height, len(message.data)
+        if not width or not height:
+            raise BadData(f"The grid is empty: {width} × {height} cells.")
+        if count != width * height:
+            raise BadData(
+                f"The grid's data has {count} cells, but width × height is {width} × {height} = {width * height}."
+            )
+        resolution_m = float(info.resolution)
+        if not (math.isfinite(resolution_m) and resolution_m > 0):
+            raise BadData(f"A cell of the grid is {resolution_m} m wide.")
+        try:
+            self.origin = pose_of(info.origin)
+        except ValueError as error:
+            raise BadData(f"The grid's origin is not a pose: {error}.") from error
+        self.header: Any = message.header
+        self.info: Any = info
+        self.frame_id: str = message.header.frame_id.lstrip("/")
+        self.resolution_m = resolution_m
+        self.corner = Place(self.origin.translation[0], self.origin.translation[1], self.origin.yaw_rad)
+        data: Any = np.asarray(message.data, np.int8)
+        self.cells: NDArray[np.int8] = data.reshape(height, width)
+
+    def cell(self, x_m: float, y_m: float) -> tuple[int, int]:
+        """Row and column of a point, which may be outside."""
+        dx, dy = x_m - self.corner.x_m, y_m - self.corner.y_m
+        cos, sin = math.cos(self.corner.yaw_rad), math.sin(self.corner.yaw_rad)
+        return (
+            math.floor((cos * dy - sin * dx) / self.resolution_m),
+            math.floor((cos * dx + sin * dy) / self.resolution_m),
+        )
+
+    def point(self, row: float, column: float) -> tuple[float, float]:
+        """The middle of a cell, in m."""
+        x, y = (column + 0.5) * self.resolution_m, (row + 0.5) * self.resolution_m
+        cos, sin = math.cos(self.corner.yaw_rad), math.sin(self.corner.yaw_rad)
+        return self.corner.x_m + cos * x - sin * y, self.corner.y_m + sin * x + cos * y
+
+    def value(self, x_m: float, y_m: float) -> int | None:
+        """The value of the cell at a point; None outside."""
+        row, column = self.cell(x_m, y_m)
+        rows, columns = self.cells.shape
+        return int(self.cells[row, column]) if 0 <= row < rows and 0 <= column < columns else None
+
+    def nearest(self, x_m: float, y_m: float, least: int, most: int) -> tuple[int, int] | None:
+        """Row and column of the nearest cell with a value from `least` to `most`; None where there is none.
+
+        It looks at one row after the other, from that of the point outwards: a map of 16 million cells has hits for
+        which there would be no memory.
+        """
+        row, column = self.cell(x_m, y_m)
+        found: tuple[int, int] | None = None
+        nearest = math.inf
+        for other in sorted(range(len(self.cells)), key=lambda each: abs(each - row)):
+            if (other - row) ** 2 >= nearest:
+                break
+            line = self.cells[other]
+            hits = np.flatnonzero((line >= least) & (line <= most))
+            if len(hits):
+                hit = int(hits[np.argmin(np.abs(hits - column))])
+                if (distance := (other - row) ** 2 + (hit - column) ** 2) < nearest:
+                    nearest, found = distance, (other, hit)
+        return found
+
+    def rows(self, together: int) -> list[list[int]]:
+        """The values by rows, from the lowest on; of each square of `together` × `together` cells the largest one."""
+        return largest_of(self.cells, together).tolist()
+
+    def extent(self) -> str:
+        """In words, where it is, in m."""
+        rows, columns = self.cells.shape
+        corners = [self.point(row, column) for row in (-0.5, rows - 0.5) for column in (-0.5, columns - 0.5)]
+        xs, ys = [x for x, _ in corners], [y for _, y in corners]
+        return f"x {min(xs):.2f} to {max(xs):.2f}, y {min(ys):.2f} to {max(ys):.2f}"
+
+    def facts(self) -> MapFacts:
+        """Its size, place and content in numbers."""
+        free = float(np.mean((self.cells >= 0) & (self.cells < OCCUPIED_FROM)))
+        occupied = float(np.mean((self.cells >= OCCUPIED_FROM) & (self.cells <= 100)))
+        height, width = self.cells.shape
+        return MapFacts(
+            self.frame_id,
+            self.resolution_m,
+            width,
+            height,
+            self.corner.x_m,
+            self.corner.y_m,
+            self.corner.yaw_rad,
+            free,
+            occupied,
+            max(0.0, 1 - free - occupied),
+        )
+
+    def percentages(self) -> NDArray[np.int8]:
+        """The cells as 0 to 100, and -1 for each that is no percentage: unknown."""
+        return np.where((self.cells < 0) | (self.cells > 100), np.int8(-1), self.cells)
+
+
+def largest_of(cells: NDArray[np.int8], together: int) -> NDArray[np.int8]:
+    """Of each square of `together` × `together` cells the largest value; those at the far sides may be smaller."""
+    for axis, length in enumerate(cells.shape):
+        cells = np.maximum.reduceat(cells, range(0, length, together), axis=axis)
+    return cells
