@@ -12,7 +12,7 @@ import sys
 import time
 from collections.abc import Awaitable, Callable
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 T = TypeVar("T")
 
@@ -44,10 +44,11 @@ def state_of(pid: int) -> str:
 
 
 def _has_not_ended(pid: int) -> bool:
-    if not hasattr(os, "waitid"):
+    system: Any = os  # macOS has `waitid` from Python 3.13 on, which its type stubs do not say
+    if not hasattr(system, "waitid"):
         return True
     try:  # it is a child of this process; whoever began it waits for its end
-        return os.waitid(os.P_PID, pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None
+        return system.waitid(system.P_PID, pid, system.WEXITED | system.WNOHANG | system.WNOWAIT) is None
     except OSError:
         return False
 
