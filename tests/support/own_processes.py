@@ -18,6 +18,10 @@ from typing import NamedTuple
 END_S = 10.0
 """A node leaves within a second, a stopper 4 s after its bridge; a busy machine stretches that."""
 POLL_S = 0.02
+EXEC_S, EXEC_LOOK_S = 0.5, 0.001
+"""How long a process that was forked may take to become another program, and how often it is looked at then."""
+KTHREADD = 2
+"""The parent of the kernel's own processes, which have no environment."""
 ENDS_WITHOUT_A_WORD = (signal.SIGKILL, signal.SIGSTOP)
 HALF = 0xFFFF
 """What Fast DDS keeps of a process id."""
@@ -126,7 +130,15 @@ def own(among: Iterable[int] | None = None) -> list[Process]:
 
 
 def _is_own(one: Process) -> bool:
-    return environment(one.pid).get(_NAME) == os.environ.get(_NAME, "") or _descends(one)
+    while not (found := environment(one.pid)) and not _descends(one) and _may_be_in_exec(one):
+        time.sleep(EXEC_LOOK_S)
+    return found.get(_NAME) == os.environ.get(_NAME, "") or _descends(one)
+
+
+def _may_be_in_exec(one: Process) -> bool:
+    """Whether it lives and is so young that it may just become another program: it shows no environment meanwhile."""
+    is_of_kernel = one.parent in (0, KTHREADD)
+    return not is_of_kernel and boot_s() - one.started_s < EXEC_S and process(one.pid) is not None
 
 
 def _descends(one: Process) -> bool:
