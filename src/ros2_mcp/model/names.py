@@ -119,6 +119,11 @@ def type_in_words(name: str) -> str:
     return f"the {part} of {whole}"
 
 
+def is_of_action(name: str) -> bool:
+    """Whether it is the name of a topic or service of an action's server, such as `/dock/_action/status`."""
+    return "/_action/" in name
+
+
 def is_hidden(name: str) -> bool:
     """Whether ROS hides the name by convention: a part that starts with an underscore."""
     return "/_" in name

@@ -149,7 +149,9 @@ def slerp(a: Quaternion, b: Quaternion, share: float) -> Quaternion:
 
 
 def angle_between_rad(a: Quaternion, b: Quaternion) -> float:
-    """By how much two rotations differ: the angle of the turn from one to the other, 0 to π."""
+    """By how much two rotations differ: the angle of the turn from one to the other, 0 to π. Of quaternions of any
+    length; 0 where one is all zeros.
+    """
     x, y, z, w = product((-a[0], -a[1], -a[2], a[3]), b)
     return 2 * math.atan2(math.hypot(x, y, z), abs(w))
 

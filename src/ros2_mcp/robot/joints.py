@@ -19,13 +19,14 @@ from ros2_mcp_common.policy.trajectory_limits import JointBounds, Joints, LookAt
 from ros2_mcp_common.wire.protocol import JointsReply
 
 DESCRIPTION, TEXT = "robot_description", "std_msgs/msg/String"
+MOST_DESCRIPTION_BYTES = 16_000_000
+"""One description with meshes inside; `world/urdf.py` reads less."""
 _SAID_S = 4.0
 """A latched message comes with the matching; a publisher that missed our announcement is discovered 3 s later."""
 _KEPT_S = 10.0
 """A description hardly ever changes; reading it takes some hundredths of a second, and MB of a large one."""
 _MEASURED_S = 3.5
 """For the first joint states: as in the bridge (`joint_states.MEASURED_S`)."""
-_MOST_BYTES = 16_000_000
 
 Listen = Callable[[str], AbstractAsyncContextManager[Listening]]
 
@@ -44,8 +45,8 @@ class RobotJoints:
         """The robot's description, also of a publisher that has gone: its limits do not go with it. None where nobody
         has published one that can be read.
         """
-        if monotonic() - self._read_at > _KEPT_S and (topic := await self._topic()):
-            self._urdf, self._read_at = await self._read(topic) or self._urdf, monotonic()
+        if monotonic() - self._read_at > _KEPT_S and (topics := await self.description_topics()):
+            self._urdf, self._read_at = await self._read(topics[0]) or self._urdf, monotonic()
         return self._urdf
 
     async def look(self, names: Sequence[str] = ()) -> LookAtJoints:
@@ -66,16 +67,22 @@ class RobotJoints:
         measured = {name: State(*told) for name, told in reply["joints"].items()}
         return known(Joints(measured, limits))
 
-    async def _topic(self) -> str:
-        """Where a description is published; empty while none is discovered."""
+    async def description_topics(self) -> Sequence[str]:
+        """Where descriptions are published, `/robot_description` first; none while none is discovered."""
         rows = [row for row in await self._graph.topics() if row.publishers and TEXT in row.types]
-        return min((row.name for row in rows if row.name.rpartition("/")[2] == DESCRIPTION), key=len, default="")
+        found = [row.name for row in rows if row.name.rpartition("/")[2] == DESCRIPTION]
+        return sorted(found, key=lambda name: (name.count("/"), name))
+
+    async def description_on(self, topic: str) -> str:
+        """The description that a topic has; empty where no message comes. Raises as `Robot.listen`."""
+        async with self._listen(topic) as listening:
+            samples = await listening.take(_SAID_S)
+        return str((await self._values.in_full(TEXT, samples[-1].data))["data"]) if samples else ""
 
     async def _read(self, topic: str) -> Urdf | None:
         try:
-            async with self._listen(topic) as listening:
-                samples = await listening.take(_SAID_S)
-            return parse((await self._values.in_full(TEXT, samples[-1].data))["data"]) if samples else None
+            text = await self.description_on(topic)
+            return parse(text) if text else None
         except (BadData, RobotError):
             return None
 

@@ -25,7 +25,7 @@ from ros2_mcp.robot.facts import facts_of
 from ros2_mcp.robot.failsafes import ACKNOWLEDGED_S, MATCH_S, ZERO_S
 from ros2_mcp.robot.graph import Graph
 from ros2_mcp.robot.jobs import Job
-from ros2_mcp.robot.joints import TEXT, RobotJoints
+from ros2_mcp.robot.joints import MOST_DESCRIPTION_BYTES, TEXT, RobotJoints
 from ros2_mcp.robot.last_costmaps import LastCostmaps
 from ros2_mcp.robot.last_plans import LastPlans
 from ros2_mcp.robot.listening import Listening, subscribed_while
@@ -107,7 +107,7 @@ def _check_action_topic(command: Command[Any]) -> None:
     """Raises `Refused` for what only an action's server publishes. A stop believes the status of goals: a forged one
     would make it forget a goal that still moves the robot.
     """
-    if isinstance(command, (commands.Publish, commands.Repeat, commands.Relay)) and "/_action/" in command.name:
+    if isinstance(command, _PUBLISHING) and names.is_of_action(command.name):
         raise Refused(
             f"{named(command.name)} is published by the server of an action: nothing was sent.",
             "ros2_send_action_goal and ros2_cancel_action_goal speak to that server.",
@@ -137,7 +137,11 @@ class Robot(Core):
         self.last_plans = LastPlans(lambda topic: self.listen(topic, keep="latest"))
         self.last_costmaps = LastCostmaps(lambda topic, keep: self.listen(topic, keep=keep), self.values, self.now_ns)
         self.newest = NewestSamples(lambda topic: self.listen(topic, keep="latest"), self._fits)
-        self.joints = RobotJoints(lambda topic: self.listen(topic, TEXT, keep="latest"), self.graph, self.values)
+        self.joints = RobotJoints(
+            lambda topic: self.listen(topic, TEXT, keep="latest", max_bytes=MOST_DESCRIPTION_BYTES),
+            self.graph,
+            self.values,
+        )
         self.beginnings = Beginnings()
         self.programs_folder: Path | None = None  # of kept programs; None: none are kept
         self._listened: dict[tuple[str, str, str, bool], tuple[str, Choice]] = {}

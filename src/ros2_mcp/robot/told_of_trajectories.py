@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ros2_mcp.guard.exact import word
+from ros2_mcp.model.text import counted
 from ros2_mcp.world.urdf import Joint, Urdf
 from ros2_mcp_common.policy.field_values import Unfit
 from ros2_mcp_common.policy.trajectory_limits import Joints, LookAtJoints, Path, extremes_of, positions_at, read
@@ -42,11 +43,10 @@ def _told(path: str, trajectory: Mapping[str, Any], look: LookAtJoints, urdf: Ur
         for name, one in extremes.items()
     ]
     fastest = max(extremes, key=lambda name: extremes[name].speed)
-    count = len(points.times)
     return [
         f"From where the joints are now, all along: {', '.join(ways)}.",
         f"Top speed {_short(extremes[fastest].speed)}{_unit(urdf, fastest)}/s of {word(fastest)}; "
-        f"{count} point{'s' * (count > 1)} in {_short(points.times[-1])} s.",
+        f"{counted(len(points.times), 'point')} in {_short(points.times[-1])} s.",
         *_reach(points, joints, urdf),
     ]
 

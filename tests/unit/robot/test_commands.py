@@ -114,7 +114,7 @@ async def test_a_second_goal_of_the_same_id_that_is_refused_leaves_the_first_kno
 
 
 async def test_what_only_the_server_of_an_action_publishes_is_refused(robot: Robot, bridge: Noting) -> None:
-    for command in EVERY[:3]:
+    for command in EVERY[:4]:
         with pytest.raises(Refused, match="published by the server of an action"):
             await robot.do(replace(command, name="/go/_action/status"))
     assert bridge.sent == []

@@ -19,7 +19,7 @@ from ros2_mcp.model.errors import BadInput, NotFound, Refused, RobotError, Stopp
 from ros2_mcp.model.graph import RelayCounts
 from ros2_mcp.model.qos import QoS
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.model.text import named
+from ros2_mcp.model.text import listed, named
 from ros2_mcp.model.times import seconds_in
 from ros2_mcp.ops.acting.endings import ended_by, guarded, held_back, limited, reason_of
 from ros2_mcp.ops.memory.bag_store import BagStore
@@ -137,6 +137,7 @@ class Playback(Job):
         self._start_ns = max(first_ns, span.start_ns)
         self._length_ns = max(min(last_ns, span.end_ns) - self._start_ns, 1)
         self._topics = topics
+        self._left_out = [] if request.topics else sorted(filter(names.is_of_action, bag.topics))
         self._fed = dict.fromkeys(topics, 0)
         self._published = dict.fromkeys(topics, 0)
         """Of the messages that were fed to the bridge, those that it has published."""
@@ -195,7 +196,13 @@ class Playback(Job):
         published = {name: counts.passed if counts else self._published[name] for name, counts in ended.items()}
         refused = sum(c.refused if c else self._fed[name] - published[name] for name, c in ended.items())
         slower = sum(counts.limited for counts in ended.values() if counts)
-        told = (self._guarded, held_back(refused) if refused else "", limited(slower) if slower else "")
+        left_out = f"Left out: {listed(self._left_out, _MOST_NAMED)} (published by servers of actions)."
+        told = (
+            left_out if self._left_out else "",
+            self._guarded,
+            held_back(refused) if refused else "",
+            limited(slower) if slower else "",
+        )
         return PlaybackState(
             playback_id=self.id,
             bag=self._request.bag,
@@ -355,7 +362,8 @@ def _prepare(store: BagStore, request: PlayRequest) -> tuple[Bag, Span, dict[str
 
     bag = Bag(store.find_bag(request.bag))
     try:
-        chosen = [find_topic(bag, name) for name in request.topics] or list(bag.topics.values())
+        chosen = [find_topic(bag, name) for name in request.topics]
+        chosen = chosen or [topic for topic in bag.topics.values() if not names.is_of_action(topic.name)]
         topics = {topic.name: topic for topic in chosen}
         unknown = set(request.remaps) - set(topics)
         if unknown:

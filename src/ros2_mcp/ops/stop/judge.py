@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
+from ros2_mcp.model.poses import angle_between_rad
 from ros2_mcp.model.text import named
 
 State = Literal["moving", "still", "not observed"]
@@ -283,11 +284,8 @@ def angle_rad(one: Sequence[float] | None, other: Sequence[float] | None) -> flo
     """The rotation between two quaternions of any length; 0 where one is not given, not finite, or zero."""
     if one is None or other is None or not all(map(math.isfinite, (*one, *other))):
         return 0.0
-    lengths = math.hypot(*one) * math.hypot(*other)
-    if not lengths:
-        return 0.0
-    cosine = abs(math.fsum(a * b for a, b in zip(one, other, strict=True))) / lengths
-    return 2 * math.acos(min(1.0, cosine))
+    (ax, ay, az, aw), (bx, by, bz, bw) = one, other
+    return angle_between_rad((ax, ay, az, aw), (bx, by, bz, bw))
 
 
 # ── all topics together ────────────────────────────────────────────────────────────────────────────────────────────

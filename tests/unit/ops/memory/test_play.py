@@ -11,7 +11,7 @@ import pytest
 
 from ros2_mcp.bags.stored import StoredTopic
 from ros2_mcp.bags.writer import BagWriter
-from ros2_mcp.model.errors import BadValue
+from ros2_mcp.model.errors import BadValue, Refused
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.memory import play as playing
 from ros2_mcp.ops.memory.bag_store import BagStore
@@ -80,6 +80,27 @@ async def test_a_playback_says_of_how_many_messages_less_was_sent(bridge: MadeBr
     bridge.limited = 7
     state = await play(PlayRequest(bag="run", rate=10.0, topics=["/odom"]))
     assert state.state == "ended" and "reduced 7 messages" in state.note
+
+
+async def test_what_servers_of_actions_publish_is_left_out_and_refused_where_it_is_named(
+    tmp_path: Path, bridge: MadeBridge, play: Play
+) -> None:
+    status_topic = "/dock/_action/status"
+    (tmp_path / "hidden").mkdir()
+    writer = BagWriter(tmp_path / "hidden", "hidden")
+    for topic in ("/goal", status_topic):
+        writer.add_topic(StoredTopic(topic, NUMBER, None, "ros2msg", "int32 data\n"))
+        writer.write(topic, Sample(START_NS, 0, None, b"\0\1\0\0\0\0\0\0"))
+    writer.close()
+    state = await play(PlayRequest(bag="hidden"))
+    assert [*state.published] == ["/goal"] and status_topic in state.note
+    assert {topic for topic, _ in bridge.heard} == {"/goal"}
+    named = PlayRequest(bag="hidden", topics=[status_topic])
+    remapped = PlayRequest(bag="hidden", topics=["/goal"], remaps={"/goal": status_topic})
+    for request in (named, remapped):
+        with pytest.raises(Refused, match="published by the server of an action"):
+            await play(request)
+    assert {topic for topic, _ in bridge.heard} == {"/goal"}
 
 
 async def test_a_playback_says_at_once_what_of_its_bag_is_lost(
