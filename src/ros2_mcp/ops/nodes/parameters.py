@@ -232,6 +232,12 @@ async def describe(robot: Robot, nodes: Sequence[str], pattern: str = "", limit:
     return ParameterList(shown, " ".join(filter(None, notes)))
 
 
+async def all_of(robot: Robot, node: str) -> Sequence[Parameter]:
+    """All parameters of one node, with values of any length; raises as `dump`."""
+    declared = await _names(robot, node)
+    return await _read(robot, node, declared, declared)
+
+
 def _is_usual(parameter: Parameter) -> bool:
     """Whether it says nothing of its node."""
     is_default = parameter.name in _OF_EVERY_NODE and parameter.value is _OF_EVERY_NODE[parameter.name]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 from abc import ABC, abstractmethod
-from collections.abc import AsyncGenerator, Awaitable, Callable, Mapping, Sequence
+from collections.abc import AsyncGenerator, Awaitable, Callable, Collection, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Generic, Protocol, TypeAlias, TypeVar
@@ -175,7 +175,8 @@ class GraphSnapshot:
     """What a source knows of the graph. `nodes` has a name as often as nodes share it, `services` the types of each;
     None is not known.
 
-    `absence` says in words that no robot is there; `left` is what was seen of it earlier in this session.
+    `absence` says in words that no robot is there; `left` is what was seen of it earlier in this session, and `ran` the
+    topics that were a stream then.
     """
 
     topics: Mapping[str, TopicEndpoints]
@@ -184,6 +185,7 @@ class GraphSnapshot:
     settled: bool = True
     absence: str = ""
     left: Left = field(default_factory=Left)
+    ran: Collection[str] = ()
 
 
 @dataclass(frozen=True, slots=True)
