@@ -12,6 +12,7 @@ from ros2_mcp.model.commands import Move, Moved
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.model.text import counted, named
 from ros2_mcp.ops.acting.endings import ended_by, guarded, limited
+from ros2_mcp.ops.log.complaints import complaints_from_now
 from ros2_mcp.ops.motion.body import body_of
 from ros2_mcp.ops.motion.find import Found, command_input, first_message, header_frame, mount_of, odometry_of, scan_of
 from ros2_mcp.ops.motion.held import others_on, why_it_stands
@@ -186,10 +187,11 @@ async def drive(robot: Robot, request: DriveRequest, report: Report = silent) ->
         wait_match_s=MATCH_S,
     )
     move = _within_policy(robot, request, move)
+    complaints = complaints_from_now(robot)
     moved, reason = await run_motion(robot, move, report, lambda told: _line(told, request))
     notes.append(await others_on(robot, move.name))
     if moved.outcome == "stuck":
-        notes += await why_it_stands(robot, move.name, scan.topic if scan else request.scan)
+        notes += [*await why_it_stands(robot, move.name, scan.topic if scan else request.scan), await complaints.said()]
     return _driven(request, moved, reason, odometry, scan, notes)
 
 
