@@ -18,6 +18,7 @@ from ros2_mcp.ops.acting.defaults import left_at_default
 from ros2_mcp.ops.actions.cancel_when import ConditionalCancel, asked_for, begin
 from ros2_mcp.ops.actions.result import STATUS_AFTER_S, result_of
 from ros2_mcp.ops.actions.status import SERVER_S, states_now
+from ros2_mcp.ops.log.complaints import complaints_from_now
 from ros2_mcp.ops.results.results import SAID, Report, in_words, silent
 from ros2_mcp.robot import Answer, Listening, Robot
 from ros2_mcp.robot.goals import Goal
@@ -140,6 +141,7 @@ async def follow(robot: Robot, goal: Goal, report: Report = silent, heard: Heard
 async def _submit(robot: Robot, command: SendGoal, goal: Mapping[str, Any]) -> GoalOutcome:
     """Sends the goal; returns when its server has said whether it accepts it."""
     await robot.values.learn(command.type)
+    complaints = complaints_from_now(robot)
     calling = asyncio.ensure_future(robot.do(command))
     try:
         accepted, stamp = True, await _accepted_meanwhile(robot, command, calling)
@@ -160,7 +162,8 @@ async def _submit(robot: Robot, command: SendGoal, goal: Mapping[str, Any]) -> G
         calling.cancel()
     sent = GoalOutcome(command.name, command.type, accepted, command.goal_id, stamp if accepted else None)
     if not accepted:
-        rejected = "The action server rejected the goal; ros2_log_read may show why."
+        said = await complaints.said() or "ros2_log_read may show why."
+        rejected = f"The action server rejected the goal. {said}"
         return replace(sent, status_code=-1, status=STATUS[-1], note=rejected)
     return replace(sent, note=left_at_default(robot.values.definitions, f"{command.type}_Goal", goal))
 

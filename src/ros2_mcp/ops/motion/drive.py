@@ -12,6 +12,7 @@ from ros2_mcp.model.commands import Move, Moved
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.model.text import counted, named
 from ros2_mcp.ops.acting.endings import ended_by, guarded, limited
+from ros2_mcp.ops.log.complaints import complaints_from_now
 from ros2_mcp.ops.motion.find import Found, base_frame_of, command_input, odometry_of
 from ros2_mcp.ops.motion.guarding import WITHOUT, Guarding, guarding
 from ros2_mcp.ops.motion.held import others_on, why_it_stands
@@ -197,10 +198,12 @@ async def drive(robot: Robot, request: DriveRequest, report: Report = silent) ->
         wait_match_s=MATCH_S,
     )
     move = _within_policy(robot, request, move)
+    complaints = complaints_from_now(robot)
     moved, reason = await run_motion(robot, move, report, lambda told: _line(told, request))
     notes = [_looked(request, guard, moved), await others_on(robot, move.name)]
     if moved.outcome == "stuck":
         notes += await why_it_stands(robot, move.name, odometry, guard.topics[0] if guard else request.scan)
+        notes.append(await complaints.said())
     return _driven(request, moved, reason, odometry, guard, notes)
 
 
