@@ -9,9 +9,10 @@ from typing import Any, Literal, cast
 
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model.commands import Move, Moved
-from ros2_mcp.model.errors import BadInput
+from ros2_mcp.model.errors import BadInput, NotFound
 from ros2_mcp.model.text import counted, named
 from ros2_mcp.ops.acting.endings import ended_by, guarded, limited
+from ros2_mcp.ops.acting.idle import why_idle, with_reason
 from ros2_mcp.ops.log.complaints import complaints_from_now
 from ros2_mcp.ops.motion.find import Found, base_frame_of, command_input, odometry_of
 from ros2_mcp.ops.motion.guarding import WITHOUT, Guarding, guarding
@@ -31,6 +32,8 @@ MAX_M, MAX_DEG, MAX_RADIUS_M = 100.0, 3600.0, 100.0
 MIN_MPS, MAX_MPS, MIN_DEGPS, MAX_DEGPS = 0.01, 3.0, 2.0, 180.0
 MIN_GUARD_M, MAX_GUARD_M = 0.1, 5.0
 """Below the first the noise of a scan, and the way that a robot still rolls, are no distance any more."""
+_NOT_MOVED = frozenset({"silent", "stuck", "time_out", "missed", "nobody_listens"})
+"""Ends of which a controller that is not active, or a node that is frozen, may be the reason."""
 BLIND_M = 1.0
 """Farther than that a drive without any sensor says that it was blind: shorter ones end where the caller has looked."""
 _SETTLES_S = 3.0
@@ -174,7 +177,10 @@ async def drive(robot: Robot, request: DriveRequest, report: Report = silent) ->
     odometry = await odometry_of(robot, request.odometry, to.topic)
     base, guard = "", None
     if request.guard_m != 0 or to.type.endswith("Stamped"):
-        base = await base_frame_of(robot, odometry)
+        try:
+            base = await base_frame_of(robot, odometry)
+        except NotFound as error:  # silent odometry: mostly its controller stands still, too
+            raise await with_reason(robot, error, to.topic, odometry.topic) from error
     if request.guard_m != 0:
         guard = await guarding(robot, base, request.guard_m, request.scan, to.topic)
     controller: dict[str, Any] = {
@@ -201,6 +207,8 @@ async def drive(robot: Robot, request: DriveRequest, report: Report = silent) ->
     complaints = complaints_from_now(robot)
     moved, reason = await run_motion(robot, move, report, lambda told: _line(told, request))
     notes = [_looked(request, guard, moved), await others_on(robot, move.name)]
+    if moved.outcome in _NOT_MOVED:
+        notes.append(await why_idle(robot, move.name, odometry.topic, is_in_doubt=True))
     if moved.outcome == "stuck":
         notes += await why_it_stands(robot, move.name, odometry, guard.topics[0] if guard else request.scan)
         notes.append(await complaints.said())

@@ -15,6 +15,7 @@ from ros2_mcp.model.errors import BadInput, RobotError
 from ros2_mcp.model.poses import Pose
 from ros2_mcp.model.text import named, quoted
 from ros2_mcp.ops.acting.endings import ended_by, guarded, limited
+from ros2_mcp.ops.acting.idle import why_idle
 from ros2_mcp.ops.motion.find import Found, base_frame_of, command_input, first_decoded, located_on, odometry_of
 from ros2_mcp.ops.motion.held import others_on, why_it_stands
 from ros2_mcp.ops.motion.job import run_motion
@@ -150,6 +151,7 @@ async def move_until(robot: Robot, request: UntilRequest, report: Report = silen
     held = [await others_on(robot, to.topic)]
     if odometry and moved.sent.sent and moved.outcome != "met" and (moved.report["distance_m"] or 0.0) < _STOOD_M:
         held += await why_it_stands(robot, to.topic, odometry)
+        held.append(await why_idle(robot, to.topic, odometry.topic, is_in_doubt=True))
     return _result(command, moved, reason, " ".join(filter(None, [turned, *held])))
 
 
