@@ -21,7 +21,7 @@ PLACE = 62
 
 VelocityTopic = Annotated[str, Field(description="Velocity topic. Default: from the graph.")]
 OdometryTopic = Annotated[str, Field(description="Odometry topic. Default: from the graph.")]
-ScanTopic = Annotated[str, Field(description="Laser scan topic. Default: from the graph.")]
+ScanTopic = Annotated[str, Field(description="Scan or cloud topic. Default: from the graph.")]
 MetresPerSecond = Annotated[Number, Field(ge=-10, le=10, description="In m/s.")]
 
 
@@ -42,16 +42,16 @@ async def ros2_drive(
     speed: Annotated[Number | None, Field(description="m/s; on the spot °/s.")] = None,
     guard_m: Annotated[
         Number | None,
-        Field(description="Stop when an obstacle in the way is this near (m) to the outline, by a laser scan."),
+        Field(description="Metres kept free ahead of the outline; default 0.2, 0: off."),
     ] = None,
     topic_name: VelocityTopic = "",
     odometry: OdometryTopic = "",
     scan: ScanTopic = "",
 ) -> drive.Driven:
-    """Drive a distance or turn an angle by odometry feedback; returns when the robot stands still. Moves the robot.
+    """Drive a distance or turn an angle by odometry, to 2 cm or 1°; returns when the robot stands. Moves the robot.
 
-    Reports how far the robot came, what is missing, and what ended the motion. Stops when odometry or scan
-    falls silent.
+    Keeps clear of obstacles. Reports how far it came and what ended it. Stops when odometry or scan falls silent, and
+    after 1.5 times the expected time + 15 s.
     """
     request = drive.DriveRequest(
         distance_m=distance_m,

@@ -38,6 +38,7 @@ READING_TYPES = frozenset(
         "lifecycle_msgs/srv/GetAvailableTransitions",
         "lifecycle_msgs/srv/GetState",
         "controller_manager_msgs/srv/ListControllers",
+        "controller_manager_msgs/srv/ListHardwareComponents",
         "type_description_interfaces/srv/GetTypeDescription",
         "lora_msgs/srv/GetMessages",
         "wisevision_msgs/srv/InfluxGetMessages",

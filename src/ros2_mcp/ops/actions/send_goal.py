@@ -15,6 +15,7 @@ from ros2_mcp.model.commands import SendGoal
 from ros2_mcp.model.errors import LinkError, NotFound, RobotError, TimedOut
 from ros2_mcp.model.goals import STATUS, goal_id_hex, new_goal_id
 from ros2_mcp.ops.acting.defaults import left_at_default
+from ros2_mcp.ops.acting.idle import why_idle, with_reason
 from ros2_mcp.ops.actions.cancel_when import ConditionalCancel, asked_for, begin
 from ros2_mcp.ops.actions.result import STATUS_AFTER_S, result_of
 from ros2_mcp.ops.actions.status import SERVER_S, states_now
@@ -154,15 +155,17 @@ async def _submit(robot: Robot, command: SendGoal, goal: Mapping[str, Any]) -> G
         gone = f"The server of {command.name} is not running, or left before it accepted the goal."
         raise NotFound(gone) from error
     except TimedOut as error:
-        raise TimedOut(
+        unanswered = TimedOut(
             f"The server of {command.name} did not accept or reject goal {command.goal_id} within {ACCEPT_S:g} s.",
             "It may still accept the goal; cancel it with ros2_cancel_action_goal.",
-        ) from error
+        )
+        raise await with_reason(robot, unanswered, action=command.name) from error
     finally:
         calling.cancel()
     sent = GoalOutcome(command.name, command.type, accepted, command.goal_id, stamp if accepted else None)
     if not accepted:
-        said = await complaints.said() or "ros2_log_read may show why."
+        why = [await why_idle(robot, action=command.name), await complaints.said()]
+        said = " ".join(filter(None, why)) or "ros2_log_read may show why."
         rejected = f"The action server rejected the goal. {said}"
         return replace(sent, status_code=-1, status=STATUS[-1], note=rejected)
     return replace(sent, note=left_at_default(robot.values.definitions, f"{command.type}_Goal", goal))
@@ -218,6 +221,7 @@ async def _ending(
         following.cancel()
     while await take_feedback(_LAST_FEEDBACK_S):
         pass
+    why = await why_idle(robot, action=sent.action_name) if ended.status == "ABORTED" else ""
     return replace(
         sent,
         waited=True,
@@ -227,7 +231,7 @@ async def _ending(
         result=ended.result,
         feedback_count=count,
         last_feedback=last,
-        note=f"{sent.note} {ended.note}".strip(),
+        note=" ".join(filter(None, (sent.note, ended.note, why))),
     )
 
 
