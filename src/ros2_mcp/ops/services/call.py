@@ -109,6 +109,6 @@ async def call(
         result=shown.value,
         missing_fields=missing,
         elapsed=answer.elapsed_s,
-        truncated=shown.truncated,
+        truncated=list(shown.truncated),
         note=" ".join(filter(None, notes)),
     )
