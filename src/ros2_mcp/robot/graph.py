@@ -324,6 +324,10 @@ class Graph:
         """Waits until there is a bridge; raises `LinkError` with the reason where there can be none."""
         await self._bridge.ready()
 
+    async def name_of(self, topic: str) -> str:
+        """The full name of a topic that somebody asks for; raises `BadName` where ROS allows no such name."""
+        return names.absolute(topic)
+
     async def endpoints(self, topic: str, within_s: float | None = None) -> TopicEndpoints:
         """The publishers and subscribers of a topic; empty where the graph does not know it."""
         return self._present(topic, await self._settled(protocol.EndpointsReply, "endpoints", within_s, topic=topic))

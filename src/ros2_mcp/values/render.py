@@ -38,6 +38,8 @@ _ANGLE_DIGITS = 4
 """0.006°: no scanner is as exact."""
 
 _FLOAT32 = Struct("<f")
+_ABSENT = object()
+"""Of a field that a message does not have, as JSON may."""
 # What is tried, one after the other, where a message is longer than it may be: first shorter arrays and texts, each
 # step about a quarter of the one before, then fewer levels.
 _ARRAY_STEPS = (16, 4, 0)
@@ -154,12 +156,16 @@ class _Render:
         result: dict[str, Any] = {}
         for field in self._definitions.structure(type_name).fields:
             below = f"{path}.{field.name}" if path else field.name
-            result[field.name] = self._value(field.type, getattr(message, attribute(field.name)), below, depth - 1)
+            value = getattr(message, attribute(field.name), _ABSENT)
+            if value is not _ABSENT:
+                result[field.name] = self._value(field.type, value, below, depth - 1)
         if type_name == _SCAN:
             _add_angle(result)
         return result
 
     def _value(self, field_type: FieldType, value: Any, path: str, depth: int) -> Any:
+        if value is None:  # in JSON
+            return None
         if field_type.arity != "single":
             return self._several(field_type, value, path, depth, self._limits.array)
         if field_type.is_message:
@@ -204,7 +210,9 @@ class _Render:
     def _follow(self, path: str, steps: tuple[Step, ...], value: Any) -> Any:
         """What a selected path leads to; beyond a slice, a list with what the rest of the path leads to in each."""
         step, rest = steps[0], steps[1:]
-        field_type, value = step.field.type, getattr(value, attribute(step.field.name))
+        field_type, value = step.field.type, getattr(value, attribute(step.field.name), None)
+        if value is None:  # in JSON: null, or there is no such field in this message
+            return None
         if isinstance(step.pick, int):
             field_type, value = field_type.element, element_at(value, step.pick, path)
         elif step.pick is not None:

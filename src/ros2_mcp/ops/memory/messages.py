@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Sequence
-from contextlib import aclosing
+from contextlib import aclosing, suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -87,7 +87,8 @@ async def get_messages(
     """
     bounded("number_of_messages", selection.message_limit or 0, 0, MAX_MESSAGES, "messages")
     selection.check()
-    topic = names.absolute(topic)
+    with suppress(BadName):  # a recording may have others
+        topic = names.absolute(topic)
     type_name = "" if type_name in ("", _ANY) else await sources.robot.types.full_name(type_name, "msg")
     async with reporting(report, ANSWER_S, f"looking for earlier messages of {topic}"):
         found = await _find(sources, topic, type_name, request, selection)
@@ -111,6 +112,8 @@ async def _find(sources: Sources, topic: str, type_name: str, request: SourceReq
                     raise source
                 expected = "" if source.keeps_types else type_name
                 collected = await collect(source, topic, expected, all_of_them, latched=False, names=request.names)
+                if collected.samples:  # another source may have what can be read
+                    collected.stream.codec.definitions.structure(collected.stream.type)
             except (BadName, BadValue):
                 raise
             except NotFound:
