@@ -41,6 +41,7 @@ async def ros2_list_actions(robot: Robot, pattern: Pattern = "") -> ActionList:
 @tool(
     title="Send a goal",
     risk="actuate",
+    does={"goal": ()},
     group="actions",
     program="goal",
     finds="gripper open or close, move the arm, dock, take off, start an action",

@@ -8,10 +8,12 @@ from pydantic import Field
 
 from ros2_mcp.ops.motion import drive, until
 from ros2_mcp.ops.motion import joints as joint_move
+from ros2_mcp.ops.motion.controllers import FOLLOW
 from ros2_mcp.ops.results.results import Report
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import Flag, Number, TopicName
 from ros2_mcp.tools.declare import tool
+from ros2_mcp_common.policy.velocity import HOLD_TYPES, VELOCITY_TYPES
 from ros2_mcp_common.wire.limits import MAX_DURATION_S
 
 PLACE = 62
@@ -26,6 +28,7 @@ MetresPerSecond = Annotated[Number, Field(ge=-10, le=10, description="In m/s.")]
 @tool(
     title="Drive by odometry",
     risk="actuate",
+    does={"publish": tuple(VELOCITY_TYPES)},
     group="motion",
     program="drive",
     finds="forward, back, drive a distance, turn around, rotate",
@@ -66,6 +69,7 @@ async def ros2_drive(
 @tool(
     title="Move until a condition holds",
     risk="actuate",
+    does={"publish": tuple(VELOCITY_TYPES)},
     group="motion",
     by_default=False,
     program="move_until",
@@ -111,6 +115,7 @@ async def ros2_move_until(
 @tool(
     title="Move joints",
     risk="actuate",
+    does={"goal": (FOLLOW,), "publish": tuple(HOLD_TYPES)},
     group="motion",
     by_default=False,
     program="joint_move",

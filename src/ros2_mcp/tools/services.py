@@ -42,7 +42,6 @@ async def ros2_service_list(
     title="Call a service",
     risk="actuate",
     group="services",
-    aliases={"timeout": "timeout_sec"},
     program="call",
     finds="call a service: take off, land, drone, arm, reset, enable, set mode",
 )

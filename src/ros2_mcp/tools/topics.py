@@ -205,6 +205,7 @@ async def ros2_topic_stats(
 @tool(
     title="Publish",
     risk="actuate",
+    does={"publish": ()},
     place=_PUBLISHING_PLACE,
     aliases={"msg_type": "message_type"},
     program="publish",
@@ -233,6 +234,7 @@ async def ros2_topic_publish(
 @tool(
     title="Publish on several topics",
     risk="actuate",
+    does={"publish": ()},
     place=_PUBLISHING_PLACE,
     finds="send on several topics together",
 )

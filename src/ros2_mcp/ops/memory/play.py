@@ -149,6 +149,11 @@ class Playback(Job):
         self._loops = 0
         self._late_s = 0.0
 
+    @property
+    def about(self) -> str:
+        """The name of the bag."""
+        return self._request.bag
+
     async def run(self) -> None:
         """Opens the publishers and plays. They are requests to the bridge that stay open: losing one ends it all."""
         try:
@@ -352,8 +357,8 @@ async def status(robot: Robot, playback_id: str = "") -> PlaybackStates:
     return PlaybackStates([playback.report() for playback in robot.jobs.chosen(Playback, playback_id)])
 
 
-async def stop(robot: Robot, playback_id: str) -> PlaybackState:
-    """Stops a playback."""
+async def stop(robot: Robot, playback_id: str = "") -> PlaybackState:
+    """Stops a playback; raises as `Jobs.one`."""
     return (await robot.jobs.stop(Playback, playback_id)).report()
 
 
