@@ -139,6 +139,7 @@ class Operations:
                 "topics": self._graph.topics,
                 "counted": self._graph.counted,
                 "services": self._services,
+                "servers": self._graph.servers,
                 "nodes": self._graph.nodes,
                 "node": self._graph.node,
                 "endpoints": self._graph.endpoints,

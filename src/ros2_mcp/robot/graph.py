@@ -142,6 +142,11 @@ class Graph:
         reply = await self._settled(protocol.ServicesReply, "services", within_s)
         return Rows([ServiceRow(*row) for row in reply["services"]], reply["settled"])
 
+    async def servers(self, service: str) -> list[str]:
+        """The full names of the nodes that serve a service; a name twice where two nodes share it."""
+        reply = await self._settled(protocol.ServersReply, "servers", service=service)
+        return [row.name for row in _nodes(reply["servers"], settled=True)]
+
     async def nodes(self, within_s: float | None = None) -> Rows[NodeRow]:
         """Every node, ours among them."""
         reply = await self._settled(protocol.NodesReply, "nodes", within_s)

@@ -60,6 +60,7 @@ async def ros2_send_action_goal(
             description='Cancel the goal when its feedback, or a topic ("/scan: nearest(-20, 20) < 0.4"), meets this.'
         ),
     ] = "",
+    force: Annotated[Flag, Field(description="Send although several nodes serve it.")] = False,
 ) -> GoalOutcome:
     """Send a goal to an action server. Can move the robot.
 
@@ -73,6 +74,7 @@ async def ros2_send_action_goal(
         goal_fields,
         cancel_when=cancel_when,
         wait_for_result=wait_for_result,
+        force=force,
         timeout_s=60.0 if timeout_sec is None else timeout_sec,
         report=report,
     )

@@ -57,6 +57,7 @@ class Robot:
         self._hardware = dict.fromkeys(HARDWARE, "active")
         self._speed = self._x = self._at = self._target = 0.0
         self._result_late_s = 0.0
+        self._cancels = 0
         self._nodes = {name: Node(name) for name in ("controller_manager", *CONTROLLERS)}
         host, base, arm = (self._nodes[name] for name in ("controller_manager", "base_controller", "arm_controller"))
         host.create_service(ListControllers, "~/list_controllers", self._list_controllers)
@@ -72,7 +73,7 @@ class Robot:
             "~/follow_joint_trajectory",
             execute_callback=self._follow,
             goal_callback=self._judge,
-            cancel_callback=lambda _: CancelResponse.ACCEPT,
+            cancel_callback=self._on_cancel,
             callback_group=ReentrantCallbackGroup(),
         )
         self._joints = self._nodes["joint_state_broadcaster"].create_publisher(JointState, "/joint_states", 10)
@@ -94,7 +95,7 @@ class Robot:
         for name in HARDWARE:
             self._hardware[name] = states.get(name, "active")
         self._result_late_s = result_late_s
-        self._speed = 0.0
+        self._speed, self._cancels = 0.0, 0
 
     def send(self, target: float, seconds: int) -> str:
         """Send the arm a goal as another client does; its id, once it is accepted."""
@@ -113,6 +114,14 @@ class Robot:
         self._sent.cancel_goal_async()
         while not ended.done():
             time.sleep(STEP_S)
+
+    def cancels(self) -> int:
+        """How many cancellations came since `put`."""
+        return self._cancels
+
+    def _on_cancel(self, _: Any) -> CancelResponse:
+        self._cancels += 1
+        return CancelResponse.ACCEPT
 
     def _list_controllers(self, _: Any, answer: Any) -> Any:
         for name, (kind, interfaces) in CONTROLLERS.items():

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ros2_mcp.model.errors import NotFound, RobotError, TimedOut
-from ros2_mcp.model.text import listed, named
+from ros2_mcp.model.text import named
 from ros2_mcp.ops.space.controllers import LIST_CONTROLLERS
 from ros2_mcp.robot import MOTION_TYPES, Robot
 
@@ -92,16 +92,16 @@ async def _by_its_list(robot: Robot, host: str, nodes: set[str], services: set[s
         components = (await _asked(robot, f"{host}{_HARDWARE}", _LIST_HARDWARE))["component"]
     except RobotError:
         return ""
-    used = {interface for name in chain for interface in _interfaces(controllers[name])}
-    asleep = [
-        f"its hardware {named(str(one['name']))} is {named(str(one['state']['label']))}"
-        for one in components
-        if one["state"]["label"] != _ACTIVE and used & {str(each["name"]) for each in one["command_interfaces"]}
-    ]
-    if not asleep:
-        return ""
-    who = listed([f"{namespace}/{name}" for name in meant], 3)
-    return f"{who} is active, {' and '.join(asleep)}: nothing moves until it is active (set_hardware_component_state)."
+    told: list[str] = []
+    for name in meant:
+        used = {interface for each in _below(controllers, [name]) for interface in _interfaces(controllers[each])}
+        told += [
+            f"{named(f'{namespace}/{name}')} is active, its hardware {named(str(one['name']))} is "
+            f"{named(str(one['state']['label']))}: nothing moves until it is active (set_hardware_component_state)."
+            for one in components
+            if one["state"]["label"] != _ACTIVE and used & {str(each["name"]) for each in one["command_interfaces"]}
+        ]
+    return " ".join(told)
 
 
 def _below(controllers: Mapping[str, Mapping[str, Any]], meant: Sequence[str]) -> Sequence[str]:

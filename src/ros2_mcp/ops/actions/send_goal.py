@@ -16,6 +16,8 @@ from ros2_mcp.model.errors import LinkError, NotFound, RobotError, TimedOut
 from ros2_mcp.model.goals import STATUS, goal_id_hex, new_goal_id
 from ros2_mcp.ops.acting.defaults import left_at_default
 from ros2_mcp.ops.acting.idle import why_idle, with_reason
+from ros2_mcp.ops.acting.servers import check_one_server, servers_of_action
+from ros2_mcp.ops.acting.servers import in_words as in_words_of
 from ros2_mcp.ops.actions.cancel_when import ConditionalCancel, asked_for, begin
 from ros2_mcp.ops.actions.result import STATUS_AFTER_S, result_of
 from ros2_mcp.ops.actions.status import SERVER_S, states_now
@@ -73,15 +75,18 @@ async def send_goal(
     *,
     cancel_when: str = "",
     wait_for_result: bool = False,
+    force: bool = False,
     timeout_s: float = 60.0,
     report: Report = silent,
 ) -> GoalOutcome:
     """Sends a goal, and waits for its result if asked to, reporting its feedback as progress.
 
     A waiting that times out leaves the goal running; a waiting that is cancelled cancels the goal. With `cancel_when`
-    the bridge cancels it as soon as that condition holds (see `asked_for`), also when nobody waits.
+    the bridge cancels it as soon as that condition holds (see `asked_for`), also when nobody waits. Where several nodes
+    serve the action, it is sent only with `force`.
 
     Raises:
+        BadInput: if several nodes serve the action.
         NotFound: if no such action is there, or its server left.
         BadValue: naming the path of a value that does not fit; nothing is sent.
         TimedOut: if the server did not say whether it accepts.
@@ -89,6 +94,10 @@ async def send_goal(
     bounded("timeout_sec", timeout_s, 0.0, MAX_DURATION_S, "s")
     action = names.absolute(action, "action")
     action_type = await robot.types.action(action, action_type)
+    servers = await servers_of_action(robot, action)
+    if servers and not force:
+        await check_one_server(robot, action, "End all but one, or set force to true.")
+    several = f"{in_words_of(action, servers)}: each may carry it out." if servers else ""
     command = SendGoal(
         principal=robot.principal,
         name=action,
@@ -103,7 +112,7 @@ async def send_goal(
         watch = await begin(robot, await asked_for(robot, action, action_type, command.goal_id, cancel_when))
     try:
         if not wait_for_result:
-            return await _submit(robot, command, goal)
+            return _with_note(await _submit(robot, command, goal), several)
         # Subscribed before anything else: the action server must have discovered this subscription when it accepts the
         # goal, or its first feedback is lost.
         async with robot.listen(
@@ -113,7 +122,7 @@ async def send_goal(
             # it, for 1 in 300 goals that publish at once, on a busy machine. A server takes in announcements in their
             # order: when a later subscription has its latched message, the server knows this one too.
             await states_now(robot, action, _ANNOUNCED_S)
-            sent = await _submit(robot, command, goal)
+            sent = _with_note(await _submit(robot, command, goal), several)
             return await _ending(robot, sent, listening, timeout_s, report) if sent.accepted else sent
     except asyncio.CancelledError:
         await asyncio.shield(_give_up(robot, command))
@@ -121,6 +130,10 @@ async def send_goal(
     finally:
         if watch and not ((sent := robot.jobs.get(Goal, command.goal_id)) and sent.is_running):
             await asyncio.shield(watch.stop())
+
+
+def _with_note(sent: GoalOutcome, note: str) -> GoalOutcome:
+    return replace(sent, note=f"{note} {sent.note}".strip()) if note else sent
 
 
 Heard = Callable[[Mapping[str, Any]], None]

@@ -28,6 +28,7 @@ from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.model.text import listed, named, quoted
 from ros2_mcp.ops.acting.endings import ended_by
 from ros2_mcp.ops.acting.idle import why_idle, with_reason
+from ros2_mcp.ops.acting.servers import check_one_server
 from ros2_mcp.ops.actions.result import result_of
 from ros2_mcp.ops.actions.status import SERVER_S, states_now
 from ros2_mcp.ops.log.complaints import complaints_from_now
@@ -362,6 +363,7 @@ class JointMotion(Job):
             wait_s=SERVER_S,
         )
         await robot.values.learn(FOLLOW)
+        await check_one_server(robot, action, "End all but one, or send it with ros2_send_action_goal and force=true.")
         await self._note_rivals(action)
         self.has_left = True
         complaints = complaints_from_now(robot)
