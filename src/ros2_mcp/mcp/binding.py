@@ -270,7 +270,6 @@ def bind(
         input_schema=argument_schema(arguments.model_json_schema()),
         output_schema=None if declaration.audience == "page" else answer_schema(signature.return_annotation),
         annotations=ToolAnnotations(
-            title=declaration.title,
             read_only_hint=declaration.risk == "read",
             destructive_hint=declaration.risk == "actuate",
             idempotent_hint=declaration.risk in ("read", "stop"),
