@@ -31,7 +31,8 @@ LIBRARY = re.compile(
     r"<[\w.]+ object|object at 0x|\bBytesIO|unpack_from|Traceback|\[?Errno|\bnumpy|np\.|pydantic|\bPIL\b"
     r"|\b\w*(?:KeyError|ValueError|TypeError|IndexError|AttributeError|OverflowError|struct\.error)\b"
     r"|cannot identify|NoneType|list index out of|invalid literal|not enough values|Expecting value"
-    r"|must be real|out of bounds for|a bytes-like object|codec can't|cannot reshape|broadcast|\bnan\b(?!['\"])|fault of this server"
+    r"|must be real|out of bounds for|a bytes-like object|codec can't|cannot reshape|broadcast"
+    r"|\bnan\b(?!['\"])|fault of this server"
 )
 """What libraries and the language say; and a number that is none, in a sentence."""
 MESSAGES: dict[str, tuple[str, dict[str, Any]]] = {
