@@ -27,9 +27,7 @@ ActionType = Annotated[str, Field(description="Such as nav2_msgs/action/Navigate
 GoalId = Annotated[str, Field(description="ID of the goal: 32 hexadecimal digits.")]
 Duration = Annotated[Number, Field(gt=0, le=MAX_DURATION_S, description="Listening time in seconds.")]
 MaxMessages = Annotated[Whole, Field(ge=1, le=MAX_MESSAGES, description="Stop after this many messages.")]
-ResultTimeout = Annotated[
-    Number | None, Field(ge=0, le=MAX_DURATION_S, description="Maximum wait for the result, in seconds.")
-]
+ResultTimeout = Annotated[Number | None, Field(ge=0, le=MAX_DURATION_S, description="Maximum wait in seconds.")]
 
 
 @tool(title="List actions", risk="read", group="actions", finds="which actions are there, list actions, abilities")
@@ -84,15 +82,13 @@ async def ros2_send_action_goal(
 async def ros2_cancel_action_goal(
     robot: Robot,
     action_name: ActionName,
-    goal_id_hex: Annotated[str, Field(description="ID of the goal; required unless cancel_all is true.")] = "",
-    cancel_all: Annotated[Flag, Field(description="Cancel every goal of the action.")] = False,
+    goal_id_hex: Annotated[str, Field(description="Required unless cancel_all is true.")] = "",
+    cancel_all: Annotated[Flag, Field(description="Cancel every goal.")] = False,
     stamp_sec: Annotated[
         Whole, Field(description="Also goals accepted up to this time; with cancel_all, only those.")
     ] = 0,
     stamp_nanosec: Annotated[Whole, Field(ge=0, lt=1_000_000_000, description="Nanoseconds of that time.")] = 0,
-    wait_timeout_sec: Annotated[
-        Number, Field(gt=0, le=60, description="Maximum wait for the answer, in seconds.")
-    ] = 3.0,
+    wait_timeout_sec: Annotated[Number, Field(gt=0, le=60, description="Maximum wait in seconds.")] = 3.0,
 ) -> Cancellation:
     """Ask an action server to cancel a goal, or all goals."""
     return await cancel(

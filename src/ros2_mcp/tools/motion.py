@@ -38,7 +38,7 @@ async def ros2_drive(
     report: Report,
     distance_m: Annotated[Number | None, Field(description="Metres ahead; negative: back.")] = None,
     angle_deg: Annotated[Number | None, Field(description="Degrees to turn on the spot; positive: left.")] = None,
-    radius_m: Annotated[Number | None, Field(description="With angle_deg: radius in metres of an arc ahead.")] = None,
+    radius_m: Annotated[Number | None, Field(description="With angle_deg: radius (m) of an arc ahead.")] = None,
     speed: Annotated[Number | None, Field(description="m/s; on the spot °/s.")] = None,
     guard_m: Annotated[
         Number | None,

@@ -52,11 +52,11 @@ async def ros2_service_call(
     fields: Annotated[
         dict[str, Any] | None,
         BeforeValidator(_empty_request),
-        Field(description='Request fields, such as {"data": true}; omit if there are none.'),
+        Field(description='Request fields, such as {"data": true}.'),
     ] = None,
     service_type: Annotated[str, Field(description="Such as std_srvs/srv/SetBool. Default: the service's own.")] = "",
     force_call: Annotated[
-        Flag, Field(description="Call even if fields are missing (they get defaults) or several nodes serve it.")
+        Flag, Field(description="Call even if fields are missing, or several nodes serve it.")
     ] = False,
     timeout_sec: Annotated[Number, Field(gt=0, le=MAX_DURATION_S, description="Maximum wait in seconds.")] = 10.0,
     *,
