@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ros2_mcp.model.samples import Sample
+from ros2_mcp.ops.sources.newest_samples import Newest, newest_of
 from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.listening import Listening
-from ros2_mcp.robot.newest import Newest
 
 WAIT_S = 0.5
 """For the next message, before it is looked whether there is still a publisher."""
@@ -68,7 +68,7 @@ class Shown:
         """
         if topic != self.topic:
             self.topic, self.sample = topic, None
-        newest = robot.newest.of(topic)
+        newest = newest_of(robot, topic)
         sample = await newest.newer(self.sample, WAIT_S)
         if sample is None and newest.error:
             raise newest.error.again()

@@ -21,6 +21,7 @@ from ros2_mcp.ops.actions.status import SERVER_S, states_now
 from ros2_mcp.ops.results.results import SAID, Report, in_words, silent
 from ros2_mcp.robot import Answer, Listening, Robot
 from ros2_mcp.robot.goals import Goal
+from ros2_mcp.robot.session import Session
 from ros2_mcp_common.wire.limits import MAX_DURATION_S
 
 ACCEPT_S = 10.0
@@ -65,6 +66,7 @@ class GoalOutcome:
 
 async def send_goal(
     robot: Robot,
+    session: Session,
     action: str,
     action_type: str,
     goal: Mapping[str, Any],
@@ -88,7 +90,7 @@ async def send_goal(
     action = names.absolute(action, "action")
     action_type = await robot.types.action(action, action_type)
     command = SendGoal(
-        principal=robot.principal,
+        principal=session.principal,
         name=action,
         type=action_type,
         value=goal,
@@ -98,10 +100,11 @@ async def send_goal(
     )
     watch: ConditionalCancel | None = None
     if cancel_when.strip():
-        watch = await begin(robot, await asked_for(robot, action, action_type, command.goal_id, cancel_when))
+        asked = await asked_for(robot, action, action_type, command.goal_id, cancel_when)
+        watch = await begin(robot, session.principal, asked)
     try:
         if not wait_for_result:
-            return await _submit(robot, command, goal)
+            return await _submit(robot, session, command, goal)
         # Subscribed before anything else: the action server must have discovered this subscription when it accepts the
         # goal, or its first feedback is lost.
         async with robot.listen(
@@ -111,7 +114,7 @@ async def send_goal(
             # it, for 1 in 300 goals that publish at once, on a busy machine. A server takes in announcements in their
             # order: when a later subscription has its latched message, the server knows this one too.
             await states_now(robot, action, _ANNOUNCED_S)
-            sent = await _submit(robot, command, goal)
+            sent = await _submit(robot, session, command, goal)
             return await _ending(robot, sent, listening, timeout_s, report) if sent.accepted else sent
     except asyncio.CancelledError:
         await asyncio.shield(_give_up(robot, command))
@@ -137,10 +140,10 @@ async def follow(robot: Robot, goal: Goal, report: Report = silent, heard: Heard
         return await _ending(robot, sent, listening, MAX_DURATION_S, report, heard)
 
 
-async def _submit(robot: Robot, command: SendGoal, goal: Mapping[str, Any]) -> GoalOutcome:
+async def _submit(robot: Robot, session: Session, command: SendGoal, goal: Mapping[str, Any]) -> GoalOutcome:
     """Sends the goal; returns when its server has said whether it accepts it."""
     await robot.values.learn(command.type)
-    calling = asyncio.ensure_future(robot.do(command))
+    calling = asyncio.ensure_future(robot.do(command, session))
     try:
         accepted, stamp = True, await _accepted_meanwhile(robot, command, calling)
         if stamp is None:

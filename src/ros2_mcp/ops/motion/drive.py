@@ -18,6 +18,7 @@ from ros2_mcp.ops.motion.held import others_on, why_it_stands
 from ros2_mcp.ops.motion.job import run_motion
 from ros2_mcp.ops.results.results import SAID, Report, silent
 from ros2_mcp.robot import Robot
+from ros2_mcp.robot.session import Session
 from ros2_mcp_common.wire.limits import STEER_MOST
 
 MATCH_S = 1.0
@@ -147,7 +148,7 @@ class Driven:
         return "short" if error * self.asked >= 0 else "too far"
 
 
-async def drive(robot: Robot, request: DriveRequest, report: Report = silent) -> Driven:
+async def drive(robot: Robot, session: Session, request: DriveRequest, report: Report = silent) -> Driven:
     """Drives, and returns when the robot stands.
 
     Raises:
@@ -176,7 +177,7 @@ async def drive(robot: Robot, request: DriveRequest, report: Report = silent) ->
         notes.append(known_by)
     hears = [odometry.type, *([scan.type] if scan else [])]
     move = Move(
-        principal=robot.principal,
+        principal=session.principal,
         name=to.topic,
         type=to.type,
         value=_fastest(request, to.type, base),
@@ -186,7 +187,7 @@ async def drive(robot: Robot, request: DriveRequest, report: Report = silent) ->
         wait_match_s=MATCH_S,
     )
     move = _within_policy(robot, request, move)
-    moved, reason = await run_motion(robot, move, report, lambda told: _line(told, request))
+    moved, reason = await run_motion(robot, session, move, report, lambda told: _line(told, request))
     notes.append(await others_on(robot, move.name))
     if moved.outcome == "stuck":
         notes += await why_it_stands(robot, move.name, scan.topic if scan else request.scan)
