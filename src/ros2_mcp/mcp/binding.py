@@ -31,7 +31,7 @@ from ros2_mcp.tools.arguments import WHOLE_SENTENCE, TimeArgument
 from ros2_mcp.tools.declare import ForPage
 from ros2_mcp.tools.injection import Call
 from ros2_mcp.tools.leniency import as_meant
-from ros2_mcp.tools.misnamed import hint_for
+from ros2_mcp.tools.misnamed import hint_for, taken_for
 from ros2_mcp.tools.schema import argument_schema, expected_kind, node_at, result_schema, text_for_number
 from ros2_mcp.view.viewing import Viewing
 
@@ -203,12 +203,15 @@ class BoundTool:
         `are_exact` come from a program, which was shown nothing.
         """
         meant: dict[str, Any] = {}
+        renamed: list[str] = []
         spelled: dict[str, str] = {}
         unknown: list[str] = []
         for name, value in arguments.items():
             own_name = self.declaration.aliases.get(name, name)
             if not own_name and name:  # an alias that is accepted and has no meaning here
                 continue
+            if own_name == name and (own_name := taken_for(name, self.arguments.model_fields, acts=self.acts)) != name:
+                renamed.append(f"{name} was taken as {own_name}.")
             if self.declaration.risk == "stop" and own_name not in self.arguments.model_fields:
                 unknown.append(name)
                 continue
@@ -221,6 +224,7 @@ class BoundTool:
                 value = _parsed(value, acts=self.acts)  # noqa: PLW2901
             meant[own_name] = value if are_exact else _as_sent(value)
         taken, told = as_meant(self.listed.input_schema, meant, acts=self.acts)
+        told[:0] = renamed
         if unknown:  # what stops is not refused because of them
             told.append(f"{self.name} has no argument {', '.join(map(quoted, unknown[:_MOST_NAMED]))}: ignored.")
         fields = self.arguments.model_fields  # some say themselves what null means, such as no time-out

@@ -40,6 +40,7 @@ _OTHER_NAMES = {tool.also_named: tool.name for tool in TOOLS if tool.also_named}
 _VIEW = "view"
 """The group of the page beside the chat: without being chosen it is listed for clients that show such pages."""
 
+_NOT_ALLOWED = "The policy of this server allows nothing that this tool does (ros2_policy)."
 _BESIDE = {"turn": "drive", "feedback": "goal"}
 """Functions that only programs have, and those of tools without which they are not there either."""
 
@@ -87,6 +88,8 @@ class Toolset:
         absent = {tool.name for tool in TOOLS} - self.by_name.keys()
         for tool in self.by_name.values():
             tool.listed.description = _without(absent, tool.declaration.description)
+            if not tool.declaration.is_of_use(robot.policy):
+                tool.listed.description += f"\n\n{_NOT_ALLOWED}"
             if tool.declaration.runs_programs:
                 tool.listed.description += f"\n\n{short(self.functions())}"
         self.missing = {tool.name: self.why_missing([tool.name]) for tool in TOOLS if tool.name not in self.by_name}

@@ -254,7 +254,7 @@ async def _shown(robot: Robot, seen: Seen | None) -> Content | None:
         "type": seen.type,
         "received_at": iso_time(seen.sample.received_ns),
         "message": rendered.value,
-        "truncated": rendered.truncated,
+        "truncated": list(rendered.truncated),
     }
 
 

@@ -143,6 +143,11 @@ class Graph:
         reply = await self._settled(protocol.ServicesReply, "services", within_s)
         return Rows([ServiceRow(*row) for row in reply["services"]], reply["settled"])
 
+    async def servers(self, service: str) -> list[str]:
+        """The full names of the nodes that serve a service; a name twice where two nodes share it."""
+        reply = await self._settled(protocol.ServersReply, "servers", service=service)
+        return [row.name for row in _nodes(reply["servers"], settled=True)]
+
     async def nodes(self, within_s: float | None = None) -> Rows[NodeRow]:
         """Every node, ours among them."""
         reply = await self._settled(protocol.NodesReply, "nodes", within_s)
@@ -334,6 +339,10 @@ class Graph:
     async def ready(self) -> None:
         """Waits until there is a bridge; raises `LinkError` with the reason where there can be none."""
         await self._bridge.ready()
+
+    async def name_of(self, topic: str) -> str:
+        """The full name of a topic that somebody asks for; raises `BadName` where ROS allows no such name."""
+        return names.absolute(topic)
 
     async def endpoints(self, topic: str, within_s: float | None = None) -> TopicEndpoints:
         """The publishers and subscribers of a topic; empty where the graph does not know it."""

@@ -42,6 +42,7 @@ async def ros2_list_actions(robot: Robot, pattern: Pattern = "") -> ActionList:
 @tool(
     title="Send a goal",
     risk="actuate",
+    does={"goal": ()},
     group="actions",
     program="goal",
     finds="gripper open or close, move the arm, dock, take off, start an action",
@@ -61,6 +62,7 @@ async def ros2_send_action_goal(
             description='Cancel the goal when its feedback, or a topic ("/scan: nearest(-20, 20) < 0.4"), meets this.'
         ),
     ] = "",
+    force: Annotated[Flag, Field(description="Send although several nodes serve it.")] = False,
 ) -> GoalOutcome:
     """Send a goal to an action server. Can move the robot.
 
@@ -75,6 +77,7 @@ async def ros2_send_action_goal(
         goal_fields,
         cancel_when=cancel_when,
         wait_for_result=wait_for_result,
+        force=force,
         timeout_s=60.0 if timeout_sec is None else timeout_sec,
         report=report,
     )

@@ -39,12 +39,13 @@ HISTORY_PLACE = 120
 Bytes = Annotated[Whole, Field(ge=0, le=record.MAX_BYTES)]
 Topics = Annotated[list[str] | None, Field(min_length=1, description="Only these topics.")]
 RecordingId = Annotated[str, Field(description="ID from ros2_record_start. Default: the only running recording.")]
-PlaybackId = Annotated[str, Field(description="ID from ros2_bag_play.")]
+PlaybackId = Annotated[str, Field(description="ID from ros2_bag_play. Default: the only one.")]
 
 
 @tool(
     title="Record topics",
     risk="write",
+    does={"record": ()},
     group="memory",
     by_default=False,
     finds="record a bag, rosbag, save topics to a file",
@@ -146,7 +147,14 @@ async def ros2_bag_read(
     return await bags.read(robot, store, bag, topic_name, chosen, start=start, end=end)
 
 
-@tool(title="Play a bag", risk="actuate", group="memory", by_default=False, finds="replay, play back a bag")
+@tool(
+    title="Play a bag",
+    risk="actuate",
+    does={"play": ()},
+    group="memory",
+    by_default=False,
+    finds="replay, play back a bag",
+)
 async def ros2_bag_play(
     robot: Robot,
     session: Session,
@@ -188,7 +196,7 @@ async def ros2_bag_play_status(
 
 
 @tool(title="Stop playing", risk="write", group="memory", by_default=False, finds="end a playback")
-async def ros2_bag_play_stop(robot: Robot, playback_id: PlaybackId) -> play.PlaybackState:
+async def ros2_bag_play_stop(robot: Robot, playback_id: PlaybackId = "") -> play.PlaybackState:
     """Stop playing a bag."""
     return await play.stop(robot, playback_id)
 

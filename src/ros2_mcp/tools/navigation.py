@@ -7,6 +7,7 @@ from typing import Annotated, Any, cast
 from pydantic import BeforeValidator, Field
 from pydantic_core import PydanticCustomError
 
+from ros2_mcp.model.nav2 import COMPUTE_PATH, NAVIGATE
 from ros2_mcp.model.text import excerpt
 from ros2_mcp.ops.navigation.navigate import Navigated, navigate
 from ros2_mcp.ops.navigation.places import PlaceKept, PlaceList, PlaceRequest, list_places, set_place
@@ -57,6 +58,7 @@ Metres = Annotated[Number | None, Field(description="Metres. Without x and y: th
 @tool(
     title="Navigate",
     risk="actuate",
+    does={"goal": (NAVIGATE,)},
     group="motion",
     program="navigate",
     finds="go to the kitchen, drive to a place or room, navigation, waypoints, Nav2",
@@ -85,6 +87,7 @@ async def ros2_navigate(
 @tool(
     title="Preview a path",
     risk="write",
+    does={"goal": (COMPUTE_PATH,)},
     group="motion",
     by_default=False,
     finds="plan a path without moving, route, is a place reachable",

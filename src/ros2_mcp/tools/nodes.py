@@ -71,6 +71,7 @@ async def ros2_parameter_get(
 @tool(
     title="Set parameters",
     risk="actuate",
+    does={"set": ()},
     group="parameters",
     program="set_parameter",
     finds="change a setting, configure, tune, parameter",
@@ -101,6 +102,7 @@ async def ros2_lifecycle_state(robot: Robot, node_names: NodeNames = None) -> li
 @tool(
     title="Change a lifecycle state",
     risk="actuate",
+    does={"transition": ()},
     group="lifecycle",
     by_default=False,
     finds="activate, deactivate, configure, start a lifecycle node",

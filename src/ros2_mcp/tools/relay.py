@@ -29,7 +29,11 @@ Mapping = Annotated[
 
 
 @tool(
-    title="Start a relay", risk="actuate", group="relay", finds="forward a topic, throttle, republish, convert, filter"
+    title="Start a relay",
+    risk="actuate",
+    does={"relay": ()},
+    group="relay",
+    finds="forward a topic, throttle, republish, convert, filter",
 )
 async def ros2_relay_start(
     robot: Robot,
@@ -76,7 +80,7 @@ async def ros2_relay_list(robot: Robot) -> relay.RelayList:
 
 @tool(title="Stop a relay", risk="write", group="relay", finds="end a relay")
 async def ros2_relay_stop(
-    robot: Robot, relay_id: Annotated[str, Field(description="ID from ros2_relay_start.")]
+    robot: Robot, relay_id: Annotated[str, Field(description="ID from ros2_relay_start. Default: the only one.")] = ""
 ) -> relay.RelayState:
     """Stop a relay; returns its final counts."""
     return await relay.stop(robot, relay_id)

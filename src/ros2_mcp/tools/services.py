@@ -43,7 +43,6 @@ async def ros2_service_list(
     title="Call a service",
     risk="actuate",
     group="services",
-    aliases={"timeout": "timeout_sec"},
     program="call",
     finds="call a service: take off, land, drone, arm, reset, enable, set mode",
 )
@@ -59,7 +58,7 @@ async def ros2_service_call(
     ] = None,
     service_type: Annotated[str, Field(description="Such as std_srvs/srv/SetBool. Default: the service's own.")] = "",
     force_call: Annotated[
-        Flag, Field(description="Call even if request fields are missing; they get defaults.")
+        Flag, Field(description="Call even if fields are missing (they get defaults) or several nodes serve it.")
     ] = False,
     timeout_sec: Annotated[Number, Field(gt=0, le=MAX_DURATION_S, description="Maximum wait in seconds.")] = 10.0,
     *,

@@ -206,6 +206,7 @@ async def ros2_topic_stats(
 @tool(
     title="Publish",
     risk="actuate",
+    does={"publish": ()},
     place=_PUBLISHING_PLACE,
     aliases={"msg_type": "message_type"},
     program="publish",
@@ -235,6 +236,7 @@ async def ros2_topic_publish(
 @tool(
     title="Publish on several topics",
     risk="actuate",
+    does={"publish": ()},
     place=_PUBLISHING_PLACE,
     finds="send on several topics together",
 )

@@ -38,6 +38,7 @@ READING_TYPES = frozenset(
         "lifecycle_msgs/srv/GetAvailableTransitions",
         "lifecycle_msgs/srv/GetState",
         "controller_manager_msgs/srv/ListControllers",
+        "controller_manager_msgs/srv/ListHardwareComponents",
         "type_description_interfaces/srv/GetTypeDescription",
         "lora_msgs/srv/GetMessages",
         "wisevision_msgs/srv/InfluxGetMessages",
@@ -473,6 +474,15 @@ class Rules:
 
     digest: str
     policies: tuple[RuleSet, ...]
+
+    def may(self, verb: Verb, types: Sequence[str] = ()) -> bool:
+        """Whether each policy allows this on some name, whatever the value; with `types`, for one of these at least."""
+
+        def allows(entry: Allowance) -> bool:
+            is_typed = bool(types) and verb not in ("cancel", "record", "set", "transition")
+            return entry.verb == verb and (not is_typed or any(matches(entry.types, one, hidden=True) for one in types))
+
+        return all(policy.allows_all or any(map(allows, policy.allow)) for policy in self.policies)
 
     def ruling(self, verb: Verb, name: str, type_name: str) -> Ruling:
         """What all policies say about it, whatever the value."""

@@ -94,6 +94,7 @@ class Bench:
             graph=object(),  # type: ignore[arg-type]
             velocities=self.velocities,
             limiter=self.limiter,
+            joint_states=object(),  # type: ignore[arg-type]
             request=request,
         )
         if made.velocity is not None:

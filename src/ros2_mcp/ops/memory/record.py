@@ -28,7 +28,7 @@ from ros2_mcp.guard.consent import Auditing
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.commands import SERVER, Principal, Record
-from ros2_mcp.model.errors import BadInput, BridgeLost, LinkError, NotFound, Refused, RobotError
+from ros2_mcp.model.errors import BadInput, BridgeLost, LinkError, Refused, RobotError
 from ros2_mcp.model.graph import TopicRow
 from ros2_mcp.model.qos import QoS
 from ros2_mcp.model.samples import Counts, Sample
@@ -215,6 +215,11 @@ class Recording(Job):
         self._has_calls = False
         self._began_at = monotonic()
         self._started_ns = robot.now_ns()
+
+    @property
+    def about(self) -> str:
+        """The bag's name."""
+        return self._folder.name if self._folder else self._request.name
 
     async def run(self) -> None:
         """Records until a limit is reached or it is told to end; however it ends, the files are closed."""
@@ -481,6 +486,8 @@ def drops_in_words(busy: int, slow: int, *, is_remote: bool = False) -> str:
 class BlackBox(Recording):
     """The recording that the server begins by itself, in a ring of files: the oldest make room for new ones."""
 
+    needs_no_id = False
+
     def __init__(self, robot: Robot, store: BagStore, settings: Settings) -> None:
         topics = [names.absolute(topic) for topic in settings.black_box or ()]
         request = RecordRequest(topics=topics, largest=0 if topics else LARGEST_BYTES)
@@ -545,17 +552,4 @@ async def stop(robot: Robot, recording_id: str = "") -> RecordingState:
         NotFound: if there is none of that id, or there was none.
         BadInput: if several run and no id is given.
     """
-    return (await robot.jobs.stop(Recording, recording_id or _only_one(robot).id)).report()
-
-
-def _only_one(robot: Robot) -> Recording:
-    begun = [job for job in robot.jobs.all(Recording) if not isinstance(job, BlackBox)]
-    running = [job for job in begun if job.is_running]
-    if not begun:
-        raise NotFound("No recording has been started.", "Start one with ros2_record_start.")
-    if not running:
-        return begun[-1]
-    if len(running) > 1:
-        ids = ", ".join(recording.id for recording in running)
-        raise BadInput(f"{len(running)} recordings are running: {ids}.", "Give the recording_id of one.")
-    return running[0]
+    return (await robot.jobs.stop(Recording, recording_id)).report()

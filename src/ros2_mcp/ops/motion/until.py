@@ -15,7 +15,8 @@ from ros2_mcp.model.errors import BadInput, RobotError
 from ros2_mcp.model.poses import Pose
 from ros2_mcp.model.text import named, quoted
 from ros2_mcp.ops.acting.endings import ended_by, guarded, limited
-from ros2_mcp.ops.motion.find import Found, command_input, first_message, header_frame, mount_of, odometry_of
+from ros2_mcp.ops.acting.idle import why_idle
+from ros2_mcp.ops.motion.find import Found, base_frame_of, command_input, first_decoded, located_on, odometry_of
 from ros2_mcp.ops.motion.held import others_on, why_it_stands
 from ros2_mcp.ops.motion.job import run_motion
 from ros2_mcp.ops.results.results import SAID, Report, silent, told_values
@@ -150,7 +151,8 @@ async def move_until(robot: Robot, session: Session, request: UntilRequest, repo
     moved, reason = await run_motion(robot, session, command, report, line)
     held = [await others_on(robot, to.topic)]
     if odometry and moved.sent.sent and moved.outcome != "met" and (moved.report["distance_m"] or 0.0) < _STOOD_M:
-        held += await why_it_stands(robot, to.topic)
+        held += await why_it_stands(robot, to.topic, odometry)
+        held.append(await why_idle(robot, to.topic, odometry.topic, is_in_doubt=True))
     return _result(command, moved, reason, " ".join(filter(None, [turned, *held])))
 
 
@@ -159,13 +161,12 @@ async def _turned(robot: Robot, topic: str, topic_type: str, text: str, odometry
     if topic_type != LASER_SCAN or not odometry or not _ANGLES.search(text):
         return ""
     try:
-        frame = header_frame(await first_message(robot, Found(topic, topic_type)))
-        base = str((await first_message(robot, odometry)).get("child_frame_id", ""))
-        mount = await mount_of(robot, frame, base)
+        frame = str((await first_decoded(robot, Found(topic, topic_type))).header.frame_id)
+        base = await base_frame_of(robot, odometry)
+        located = await located_on(robot, frame, base)
     except RobotError:  # a robot need not tell it
         return ""
-    x, y, z, w = mount["rotation"]
-    return turned_by(Pose(rotation=(x, y, z, w)), frame, base)
+    return turned_by(located.pose, frame, base) if located else ""
 
 
 def turned_by(mount: Pose, frame: str, base: str) -> str:

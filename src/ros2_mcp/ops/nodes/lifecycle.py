@@ -12,6 +12,7 @@ from ros2_mcp.model import names
 from ros2_mcp.model.commands import ChangeState
 from ros2_mcp.model.errors import BadInput, NotFound
 from ros2_mcp.model.text import named
+from ros2_mcp.ops.log.complaints import complaints_from_now
 from ros2_mcp.ops.nodes.own_services import APPEAR_S, TIMEOUT_S, ask_node, fields_of_answer, service_of
 from ros2_mcp.ops.results.results import SAID, or_error
 from ros2_mcp.robot import Robot
@@ -20,6 +21,7 @@ from ros2_mcp_common.policy.rules import CHANGE_STATE
 
 CHANGE_S = 30.0
 """A transition may start hardware: drivers take seconds to configure."""
+_UNANSWERED = "The transition may still take effect: ros2_lifecycle_state shows where it has led."
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +51,9 @@ class LifecycleStates:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Transition:
-    """The result of a transition: the states before and after, and what is possible now."""
+    """The result of a transition: the states before and after, and what is possible now. `note` has the warnings and
+    errors that the robot logged meanwhile, where it failed.
+    """
 
     node: str = field(metadata=SAID)
     transition: str = field(metadata=SAID)
@@ -57,11 +61,13 @@ class Transition:
     state_before: str = field(metadata=SAID)
     state: str = field(metadata=SAID)
     transitions: Sequence[str]
+    note: str = ""
 
     def summary(self) -> str:
         """One line."""
         outcome = "done" if self.successful else "failed"
-        return f"{self.node}: {named(self.transition)} {outcome}; {named(self.state_before)} → {named(self.state)}."
+        states = f"{named(self.state_before)} → {named(self.state)}"
+        return f"{self.node}: {named(self.transition)} {outcome}; {states}. {self.note}".rstrip()
 
 
 async def states(robot: Robot, nodes: Sequence[str] = ()) -> LifecycleStates:
@@ -98,7 +104,8 @@ async def change(robot: Robot, session: Session, node: str, transition: str) -> 
         timeout_s=CHANGE_S,
         wait_s=APPEAR_S,
     )
-    response = await fields_of_answer(robot, node, robot.do(command, session), _not_found, CHANGE_S)
+    complaints = complaints_from_now(robot)
+    response = await fields_of_answer(robot, node, robot.do(command, session), _not_found, CHANGE_S, _UNANSWERED)
     after = await _state(robot, node)
     return Transition(
         node=node,
@@ -107,6 +114,7 @@ async def change(robot: Robot, session: Session, node: str, transition: str) -> 
         state_before=before.state,
         state=after.state,
         transitions=after.transitions,
+        note="" if response["success"] else await complaints.said(node),
     )
 
 

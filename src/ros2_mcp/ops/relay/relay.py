@@ -408,11 +408,12 @@ async def list_relays(robot: Robot) -> RelayList:
     return RelayList(states, len(robot.jobs.running(Relay)))
 
 
-async def stop(robot: Robot, relay_id: str) -> RelayState:
+async def stop(robot: Robot, relay_id: str = "") -> RelayState:
     """Ends a relay; one that has ended already stays as it was.
 
     Raises:
         NotFound: if there is no such relay.
+        BadInput: if several run and no id is given.
     """
     return (await robot.jobs.stop(Relay, relay_id)).report()
 

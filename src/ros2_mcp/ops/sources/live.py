@@ -335,11 +335,11 @@ class Live(Source):
 
     async def lightest(self, topic: str) -> str:
         """Over a network the compressed pictures of a camera, where somebody publishes them."""
-        topic = names.absolute(topic)
+        full = names.absolute(topic)
         if not self._robot.graph.is_remote:
             return topic
         raw, compressed = await asyncio.gather(
-            *(self._robot.graph.endpoints(name) for name in (topic, f"{topic}/compressed"))
+            *(self._robot.graph.endpoints(name) for name in (full, f"{full}/compressed"))
         )
         has_both = IMAGE in raw.types and any(one.type == COMPRESSED_IMAGE for one in compressed.publishers)
         return compressed.topic if has_both else topic

@@ -63,6 +63,11 @@ class RecordedGraph(Graph):
         """The types of the recorded topics, with those that they refer to."""
         return sorted(await recorded_definitions(self._store))
 
+    async def name_of(self, topic: str) -> str:
+        """The name as it stands in the recording; of what is not there, as it was asked for."""
+        source = await open_bag(self._store, self._store.subject_name, may_be_empty=True)
+        return await source.name_of(topic)
+
     async def endpoints(self, topic: str, within_s: float | None = None) -> TopicEndpoints:  # noqa: ARG002 - as above
         """The publishers of a topic, without names; none if the recording does not have it."""
         return (await self._recorded_topics()).get(topic, TopicEndpoints(topic, (), ()))
@@ -99,6 +104,8 @@ async def recorded_definitions(store: BagStore) -> dict[str, DefinitionText]:
 
     found: dict[str, DefinitionText] = {}
     for topic in await asyncio.to_thread(read):
+        if topic.form != "ros2":
+            continue
         with contextlib.suppress(UnknownInterface):
             found |= await definitions_of(topic, None)
     return found

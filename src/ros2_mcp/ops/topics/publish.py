@@ -16,6 +16,7 @@ from ros2_mcp.model.errors import BadInput, LinkError, Stopped
 from ros2_mcp.model.text import counted
 from ros2_mcp.ops.acting.defaults import left_at_default
 from ros2_mcp.ops.acting.endings import ended_by, guarded, limited, reason_of
+from ros2_mcp.ops.acting.idle import COMMAND_TYPES, why_idle
 from ros2_mcp.ops.results.results import HIDDEN, SAID, Report, or_error, silent, unless_all_failed
 from ros2_mcp.ops.topics.info import mismatches
 from ros2_mcp.robot import HOLD_TYPES, MOTION_TYPES, VELOCITY_TYPES, Robot, Sent
@@ -121,8 +122,10 @@ async def publish(robot: Robot, session: Session, request: PublishRequest, repor
     definitions = robot.values.definitions
     subscribers = counted(sent.matched, "subscriber")
     own = f"{sent.ours} of {subscribers} belong to this server (it records, reads or relays the topic)."
+    may_be_idle = sent.matched and to.type in COMMAND_TYPES and not reason  # many may be stopped at once
     notes = (
         await _note(robot, sent, reason),
+        await why_idle(robot, sent.topic) if may_be_idle else "",
         own if sent.ours else "",
         left_at_default(definitions, to.type, request.data),
     )

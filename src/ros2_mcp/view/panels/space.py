@@ -8,7 +8,6 @@ import hashlib
 import json
 import zlib
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import anyio
@@ -16,13 +15,13 @@ import anyio
 from ros2_mcp.model.aside import load
 from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.poses import Pose
-from ros2_mcp.model.text import named
+from ros2_mcp.model.text import counted, named
 from ros2_mcp.ops.pictures.next_message import Next, next_message
 from ros2_mcp.ops.results.results import silent
 from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.ops.space.frames import WORLDS, frames_of
 from ros2_mcp.robot import Robot
-from ros2_mcp.view.look import Chunks, Content, Look, Panel
+from ros2_mcp.view.look import Content, Look, PageContext, Panel
 from ros2_mcp.view.marker_topics import MarkerTopics
 from ros2_mcp.view.mesh_files import MeshFiles
 from ros2_mcp.world.transforms import FrameTree
@@ -43,12 +42,14 @@ class SpacePanel(Panel):
     """Everything that has a place. What is large, a cloud and the robot's shapes, is asked for by its key, once."""
 
     name = "space"
+    shows_types = (_CLOUD,)
+    shows_kind = "pointcloud"
     period_s = 0.2
 
-    def __init__(self, chunks: Chunks, prefixes: Sequence[Path] = ()) -> None:
-        self._chunks = chunks
-        self._files = MeshFiles(chunks, prefixes)
-        self._markers = MarkerTopics(chunks)
+    def __init__(self, page: PageContext) -> None:
+        super().__init__(page)
+        self._files = MeshFiles(page.chunks, page.prefixes)
+        self._markers = MarkerTopics(page.chunks)
         self._urdf: tuple[str, Urdf | str] = ("", "")
         self._described, self._is_read = asyncio.Event(), False
         self._meshes: Mapping[str, Mapping[str, Any] | str] = {}
@@ -118,7 +119,7 @@ class SpacePanel(Panel):
                 missing.append(f"The cloud {named(topic)} is not shown: {error.message}")
                 return None
             key = hashlib.sha256(made.data).hexdigest()[:32]
-            self._chunks.keep(key, made.data, "cloud")
+            self._page.chunks.keep(key, made.data, "cloud")
             self._cloud = (
                 message,
                 {
@@ -155,8 +156,8 @@ class SpacePanel(Panel):
             links = "1 link" if hidden == 1 else f"{hidden} links"
             missing.append(f"The shapes of {links} are missing: outlines are drawn instead.")
         of = hashlib.sha256(json.dumps(shapes).encode()).hexdigest()[:32]
-        if self._model[0] != of or self._chunks.find(of) is None:
-            self._chunks.keep(of, await asyncio.to_thread(_compressed, shapes), "model")
+        if self._model[0] != of or self._page.chunks.find(of) is None:
+            self._page.chunks.keep(of, await asyncio.to_thread(_compressed, shapes), "model")
             meshes = sum(1 for shape in shapes if shape["mesh"])
             self._model = of, {"key": of, "shapes": len(shapes) - hidden, "meshes": meshes}
         return self._model[1]
@@ -166,6 +167,20 @@ class SpacePanel(Panel):
         found = await self._files.read([] if isinstance(urdf, str) else _named_meshes(urdf))
         if self._urdf[1] is urdf:
             self._meshes, self._is_read = found, True
+
+    def words(self, content: Content) -> str:
+        """As the agent reads it."""
+        if "frame" not in content:
+            return ""
+        cloud, model = content.get("cloud"), content.get("model")
+        parts = [
+            f"in {named(str(content['frame']))}",
+            f"{cloud['count']} points of {named(str(cloud['name']))}" if cloud else "no cloud",
+            counted(len(content.get("scans") or ()), "scan"),
+            f"{model['shapes']} shapes of the robot" if model else "",
+            counted(content["markers"]["count"], "marker") if content.get("markers") else "",
+        ]
+        return ", ".join(filter(None, parts))
 
 
 def _parsed(text: str) -> Urdf | str:

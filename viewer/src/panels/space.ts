@@ -1,10 +1,10 @@
 // What is around the robot in three dimensions. It is begun when it is first seen, and drawn only when something is new.
 
 import type { BufferGeometry } from "three";
-import { Frame, Notes, ageText, bytesOf, colour, make } from "./dom.ts";
-import type { Picks } from "./picks.ts";
-import { type Body, type MeshFacts, meshOf } from "./solids.ts";
-import { Stage, type Cloud, type Place, type Shape } from "./stage.ts";
+import { Frame, Notes, ageText, bytesOf, colour, make } from "../dom.ts";
+import type { Kind, Page, Panel } from "../panel.ts";
+import { type Body, type MeshFacts, meshOf } from "../solids.ts";
+import { Stage, type Cloud, type Place, type Shape } from "../stage.ts";
 
 type Whence = { name: string; frame: string; at_s: number; pose: number[] };
 type Space = {
@@ -25,7 +25,7 @@ const LOST = "The graphics of this machine have dropped the picture in 3D. It co
 const GONE = "3D is off: the graphics of this machine have dropped its picture and not given it back. The map shows the same from above; loading the page anew may bring 3D back.";
 const GONE_MS = 8000; // a driver that begins anew takes a second or two
 
-export class SpacePanel {
+export class SpacePanel implements Panel {
   chosen = "";
   /** Whether it can be drawn here; what cannot is not asked for. */
   works = true;
@@ -47,9 +47,8 @@ export class SpacePanel {
   private isLost = false;
   private goneTimer = 0;
   /** Is told when 3D ends while it is shown, and with an empty text when it comes back. */
-  onGone: (why: string) => void = () => undefined;
 
-  constructor(private readonly section: HTMLElement, private readonly askChunk: (key: string) => Promise<Uint8Array<ArrayBuffer>>, private readonly picks: Picks) {
+  constructor(private readonly section: HTMLElement, private readonly page: Page) {
     this.frame = new Frame(section, "3D", true, (topic) => { this.chosen = topic; });
     this.notes = new Notes(this.frame, "things are not drawn, or not whole");
     this.frame.choice.setAttribute("aria-label", "Cloud");
@@ -125,7 +124,7 @@ export class SpacePanel {
     [this.works, this.canvas.hidden, this.names.hidden] = [on, !on, !on];
     this.frame.tell(on ? "" : GONE);
     if (!on) this.notes.tell([]);
-    this.onGone(on ? "" : GONE);
+    this.page.giveUp(this, on ? "" : GONE);
   }
 
   /** Why nothing is seen, if that is so. */
@@ -136,13 +135,13 @@ export class SpacePanel {
   private pick(x: number, y: number, reach: number, beside: boolean): void {
     const seen = this.stage?.nearest(x, y, reach), of = seen && (seen.scan < 0 ? this.drawn : this.shown.scans?.[seen.scan]);
     if (!seen || !of) return;
-    this.picks.pick({ kind: "point", topic: of.name, frame: of.frame, xyz: seen.xyz, in_frame: this.shown.frame ?? "", in: seen.at, at_s: of.at_s, now_s: this.nowS }, beside, this.section);
+    this.page.picks.pick({ kind: "point", topic: of.name, frame: of.frame, xyz: seen.xyz, in_frame: this.shown.frame ?? "", in: seen.at, at_s: of.at_s, now_s: this.nowS }, beside, this.section);
   }
 
   /** Marks what is picked, here and on the map. */
   mark(): void {
-    const points = this.picks.of("point").map(({ one, label }) => ({ frame: one.in_frame, at: one.in, label }));
-    const places = this.picks.of("place").map(({ one, label }) => ({ frame: one.frame, at: [one.x, one.y, 0], label }));
+    const points = this.page.picks.of("point").map(({ one, label }) => ({ frame: one.in_frame, at: one.in, label }));
+    const places = this.page.picks.of("place").map(({ one, label }) => ({ frame: one.frame, at: [one.x, one.y, 0], label }));
     this.stage?.mark([...points, ...places].filter(({ frame }) => frame === this.shown.frame));
   }
 
@@ -184,7 +183,7 @@ export class SpacePanel {
   }
 
   private async unpacked(key: string): Promise<Uint8Array<ArrayBuffer>> {
-    const stream = new Blob([await this.askChunk(key)]).stream().pipeThrough(new DecompressionStream("deflate"));
+    const stream = new Blob([await this.page.part(key)]).stream().pipeThrough(new DecompressionStream("deflate"));
     return new Uint8Array(await new Response(stream).arrayBuffer());
   }
 
@@ -215,3 +214,5 @@ export class SpacePanel {
 function missingIn({ cloud, missing = [] }: Space): string[] {
   return [...(cloud?.cell_m ? [`${cloud.count} of ${cloud.points} points are drawn: one in each ${Number(cloud.cell_m.toPrecision(2))} m.`] : []), ...missing];
 }
+
+export const kind: Kind = { title: "3D", place: "map", order: 2, make: (section, page) => new SpacePanel(section, page) };

@@ -1,8 +1,9 @@
 // The newest picture of a camera, decoded without blob: or data: addresses. A drag picks a box, with Shift one more;
 // with the keyboard Enter begins a box in the middle, arrow keys move it, + and - change its size, Enter picks it.
 
-import { Frame, Sheet, ageText, bytesOf, colour, rateText } from "./dom.ts";
-import type { Picks } from "./picks.ts";
+import { Frame, Sheet, ageText, bytesOf, colour, rateText } from "../dom.ts";
+import type { Kind, Panel } from "../panel.ts";
+import type { Picks } from "../picks.ts";
 
 type Shown = { why?: string; topic?: string; topics?: string[]; at_s?: number; rate_hz?: number | null; mime?: string; width?: number; height?: number; note?: string; bulk?: string; whole?: number[]; frame?: string };
 type Rectangle = [left: number, top: number, right: number, bottom: number];
@@ -13,7 +14,7 @@ const AROUND_PX = 5; // of the picture: half the side of that
 const STEP = 1 / 20;
 const BOX = "#0b6a58";
 
-export class ImagePanel {
+export class ImagePanel implements Panel {
   chosen = "";
   private readonly frame: Frame;
   private readonly sheet: Sheet;
@@ -151,7 +152,11 @@ export class ImagePanel {
     this.frame.tellAge(`${rateText(this.shown.rate_hz, isOld)}${ageText(age)}`, isOld);
   }
 
-  draw(): void {
+  mark(): void {
+    this.draw();
+  }
+
+  private draw(): void {
     this.sheet.clear();
     this.picks.tellWhere(this.section, (one) => one.kind !== "box" || one.topic === this.shown.topic);
     const { pen, width } = this.sheet, picture = this.picture;
@@ -186,3 +191,5 @@ export class ImagePanel {
     pen.fillText(label, at[0] + at[2] + 5, at[1] + 10);
   }
 }
+
+export const kind: Kind = { title: "Image", place: "image", order: 3, folds: true, make: (section, { picks }) => new ImagePanel(section, picks) };

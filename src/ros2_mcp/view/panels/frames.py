@@ -7,7 +7,7 @@ from typing import Any
 
 from ros2_mcp.ops.space.edges import EdgeRow
 from ros2_mcp.ops.space.tf_tree import tf_tree
-from ros2_mcp.view.look import Content, Look, Panel
+from ros2_mcp.view.look import MOST_NAMED, Content, Look, Panel
 
 _MOST_EDGES = 400
 """The largest robots have some 150."""
@@ -36,6 +36,13 @@ class FramesPanel(Panel):
             "notes": notes,
             "at_s": look.now_ns / 1e9,
         }
+
+    def words(self, content: Content) -> str:
+        """As the agent reads it."""
+        if "frames" not in content:
+            return ""
+        problems = [str(text) for text in content.get("problems") or ()]
+        return f"{content['frames']} frames, {' '.join(problems[:MOST_NAMED]) or 'no problem'}"
 
 
 def _told(row: EdgeRow) -> Mapping[str, Any]:

@@ -17,8 +17,8 @@ from ros2_mcp.model.aside import aside
 from ros2_mcp.model.errors import BadData, NotFound
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import counted, named
-from ros2_mcp.view.look import Content, Look, Panel, Shown
-from ros2_mcp.view.values import first_topic
+from ros2_mcp.view.look import Content, Look, PageContext, Panel, Shown
+from ros2_mcp.view.panels.values import first_topic
 
 if TYPE_CHECKING:
     from ros2_mcp.values.cdr import Codec
@@ -101,9 +101,11 @@ class PlotPanel(Panel):
     """The numbers of a topic; the page keeps what it has been told, and draws those that are chosen."""
 
     name = "plot"
+    shows_kind = "plot"
     period_s = _GATHERED_S
 
-    def __init__(self) -> None:
+    def __init__(self, page: PageContext) -> None:
+        super().__init__(page)
         self._shown = Shown()
         self._rows = _Rows()
         self._read_ns = (0, 0)

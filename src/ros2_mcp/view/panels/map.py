@@ -10,9 +10,10 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.model.pictures import OCCUPANCY_GRID
+from ros2_mcp.model.text import listed, named
 from ros2_mcp.ops.space.scene import Gathered, gather
 from ros2_mcp.ops.space.scene_picture import SceneLayer, SceneRequest
-from ros2_mcp.view.look import Chunks, Content, Look, Panel
+from ros2_mcp.view.look import MOST_NAMED, Content, Look, PageContext, Panel
 
 if TYPE_CHECKING:
     from ros2_mcp.pictures.scene import GridLayer, Mark
@@ -27,11 +28,12 @@ class MapPanel(Panel):
     """What is around the robot, seen from above, in metres of one frame."""
 
     name = "map"
+    shows_types = (OCCUPANCY_GRID,)
     period_s = 0.19
     """A robot that drives 1 m/s has moved by less than its own length."""
 
-    def __init__(self, chunks: Chunks) -> None:
-        self._chunks = chunks
+    def __init__(self, page: PageContext) -> None:
+        super().__init__(page)
         self._grid: tuple[object, Mapping[str, Any]] = (None, {})
 
     async def show(self, look: Look) -> Content | None:
@@ -79,7 +81,7 @@ class MapPanel(Panel):
 
             made = await asyncio.to_thread(packed, layer, _MOST_CELLS)
             key = hashlib.sha256(made.data).hexdigest()[:32]
-            self._chunks.keep(key, made.data)
+            self._page.chunks.keep(key, made.data)
             facts: dict[str, Any] = {
                 "key": key,
                 "width": made.width,
@@ -98,6 +100,21 @@ class MapPanel(Panel):
             "y": corner.y_m,
             "yaw": corner.yaw_rad,
         }
+
+    def words(self, content: Content) -> str:
+        """As the agent reads it."""
+        parts: list[str] = []
+        if grid := content.get("grid"):
+            parts.append(named(str(grid["name"])))
+        if at := content.get("robot"):
+            where = f"({at['x']:.2f}, {at['y']:.2f}) m in {named(str(content.get('frame')))}"
+            parts.append(f"the robot at {where}, heading {round(math.degrees(at['yaw']))}°")
+        elif content.get("frame"):
+            parts.append("nobody says where the robot is")
+        for kind in ("goals", "places", "paths"):
+            if names := [str(one["name"]) for one in content.get(kind) or ()]:
+                parts.append(f"{kind} {listed(names, MOST_NAMED)}")
+        return ", ".join(parts)
 
 
 def _reckoned(found: Gathered) -> Mapping[str, float] | None:

@@ -15,7 +15,7 @@ from ros2_mcp.model.text import named
 from ros2_mcp.model.times import iso_time
 from ros2_mcp.ops.pictures.next_message import next_message
 from ros2_mcp.ops.results.results import silent
-from ros2_mcp.view.look import Content, Look, Panel, Shown
+from ros2_mcp.view.look import Content, Look, PageContext, Panel, Shown
 
 _BOUNDS = Bounds(max_side=800, max_bytes=120_000)
 """A panel is some 600 pixels wide, and a chat host passes 130 kB on; JPEG of 640 × 480 has 40 to 90 kB."""
@@ -27,10 +27,13 @@ class ImagePanel(Panel):
     """What a camera, or a depth camera, sees."""
 
     name = "image"
+    shows_types = (IMAGE, COMPRESSED_IMAGE)
+    shows_kind = "image"
     period_s = 0.066
     """15 pictures a second: more no panel of this size needs."""
 
-    def __init__(self) -> None:
+    def __init__(self, page: PageContext) -> None:
+        super().__init__(page)
         self._shown = Shown()
         self._depths: deque[tuple[str, str, Any]] = deque(maxlen=_MOST_DEPTHS)
         """Topic, time and message of those that were shown last."""

@@ -1,27 +1,27 @@
-// The newest message of a topic as a tree, and the log of the robot's nodes.
+// The newest message of a topic as a tree.
 
-import { Frame, ageText, clock, make, rateText, say } from "./dom.ts";
+import { Frame, ageText, make, rateText, say } from "../dom.ts";
+import type { Kind, Panel, Topics } from "../panel.ts";
 
 type Values = { why?: string; topic?: string; type?: string; at_s?: number; rate_hz?: number | null; publishers?: string[]; value?: unknown };
-type Line = { time: string; level: string; node: string; text: string };
 
-export class ValuesPanel {
+export class ValuesPanel implements Panel {
   chosen = "";
   private readonly frame: Frame;
   private readonly tree = make("div", { class: "tree" });
   private readonly leaves = new Map<string, HTMLElement>();
   private shape = "";
   private shown: Values = {};
-  private topics: string[] = [];
+  private topics: Topics = [];
 
   constructor(section: HTMLElement) {
     this.frame = new Frame(section, "Values", false, (topic) => { this.chosen = topic; this.shown = {}; this.tree.replaceChildren(); this.shape = ""; });
     this.frame.body.append(this.tree);
   }
 
-  offer(topics: string[]): void {
+  offer(topics: Topics): void {
     this.topics = topics;
-    this.frame.offer(topics, this.chosen || this.shown.topic || "");
+    this.frame.offer(topics.map(([name]) => name), this.chosen || this.shown.topic || "");
   }
 
   update(values: Values): void {
@@ -161,20 +161,4 @@ function brief(value: number): string {
 /** A joint's number: what moves by less than its last digit stands still here. */
 const fixed = (value: number): string => value.toFixed(JOINT_DIGITS).replace(/^-(0\.0+)$/, "$1");
 
-export class LogPanel {
-  private readonly frame: Frame;
-  private readonly lines = make("ol", { class: "lines" });
-  constructor(section: HTMLElement) {
-    this.frame = new Frame(section, "Log", false);
-    this.frame.body.append(this.lines);
-  }
-  /** The newest first, as in the Agent panel; who has scrolled to an older one stays there. */
-  update(log: { why?: string; lines?: Line[] }): void {
-    const body = this.frame.body, from = body.scrollTop, height = body.scrollHeight;
-    this.frame.tell(log.why ?? (log.lines?.length ? "" : "No node has said anything of level INFO or above since this page listens."));
-    this.lines.replaceChildren(...[...(log.lines ?? [])].reverse().map((line) => make("li", { class: /^[A-Z]+$/.test(line.level) ? line.level : undefined },
-      make("time", {}, clock(line.time)), make("span", { class: "level" }, line.level),
-      make("span", {}, make("span", { class: "node" }, `${line.node}  `), make("span", { class: "text" }, line.text)))));
-    body.scrollTop = from < 30 ? 0 : from + body.scrollHeight - height;
-  }
-}
+export const kind: Kind = { title: "Values", place: "values", order: 5, folds: true, make: (section) => new ValuesPanel(section) };

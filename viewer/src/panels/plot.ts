@@ -1,8 +1,9 @@
 // Numbers over time. What has not come is not drawn: a gap is a gap, and where nothing comes the line ends.
 
 import uPlot from "uplot";
-import { Frame, Notes, ageText, bytesOf, colour, make, rateText, say } from "./dom.ts";
-import type { Picks } from "./picks.ts";
+import { Frame, Notes, ageText, bytesOf, colour, make, rateText, say } from "../dom.ts";
+import type { Kind, Panel, Topics } from "../panel.ts";
+import type { Picks } from "../picks.ts";
 
 type Field = { name: string; unit: string };
 type Told = { why?: string; topic?: string; fields?: Field[]; since_s?: number; first?: number; at_s?: number | null; whole?: boolean; rate_hz?: number | null; notes?: string[]; bulk?: string };
@@ -19,7 +20,7 @@ const DARK = ["#56b4e9", "#f5a623", "#37d6a5", "#ee8fc6", "#e8dc5a", "#a9adff"];
 const TELLING = [/linear\.x$/, /angular\.z$/, /^position\[/, /percentage$/, /voltage$/, /position\.[xy]$/, /^data/, /range$/, /temperature$/];
 const DULL = /Image$|PointCloud2$|OccupancyGrid|TFMessage$|msg\/String$|LaserScan$|MarkerArray$|msg\/Path$|CameraInfo$|rcl_interfaces/;
 
-export class PlotPanel {
+export class PlotPanel implements Panel {
   chosen = "";
   private readonly frame: Frame;
   private readonly fields = make("div", { class: "curves", role: "group", "aria-label": "Curves" });
@@ -59,7 +60,7 @@ export class PlotPanel {
     this.sheet.addEventListener("dblclick", () => this.look(null));
   }
 
-  offer(topics: [string, string?][]): void {
+  offer(topics: Topics): void {
     this.topics = topics.filter(([, type]) => !DULL.test(type ?? "")).map(([name]) => name);
     this.frame.offer(this.topics, this.chosen || this.told.topic || "");
   }
@@ -150,7 +151,11 @@ export class PlotPanel {
 
   // ── drawing ─────────────────────────────────────────────────────────────────────────────────────────────────────
 
-  build(): void {
+  repaint(): void {
+    this.build();
+  }
+
+  private build(): void {
     this.plot?.destroy();
     this.plot = null;
     for (const [name, chip] of this.chips) {
@@ -393,3 +398,5 @@ function short(value: number): string {
   if (size >= 1e6 || size < 1e-4) return value.toExponential(2);
   return String(Number(value.toFixed(size >= 1000 ? 1 : size >= 10 ? 2 : 4)));
 }
+
+export const kind: Kind = { title: "Plot", place: "values", order: 6, make: (section, { picks }) => new PlotPanel(section, picks) };

@@ -1,8 +1,8 @@
 // The map: what is around the robot, from above. Drag moves, the wheel or + and - zoom, 0 shows all; a click picks a
 // place, with Shift one more; Enter picks the middle.
 
-import { Frame, Notes, Sheet, ageText, bytesOf, colour } from "./dom.ts";
-import type { Picks } from "./picks.ts";
+import { Frame, Notes, Sheet, ageText, bytesOf, colour } from "../dom.ts";
+import type { Kind, Page, Panel } from "../panel.ts";
 
 type Mark = { name: string; x: number; y: number; yaw: number | null };
 type Grid = { key: string; name: string; width: number; height: number; resolution: number; costs: boolean; colours?: string; x: number; y: number; yaw: number };
@@ -28,7 +28,7 @@ const RECKONED = { overS: 0.7, stillMps: 0.01, stillRadps: 0.02 }, LOCALISED = {
 const CLICK_PX = 4; // what moves by less is no drag
 const FLAT_M = 0.05; // as ros2_scene: less is no height
 
-export class MapPanel {
+export class MapPanel implements Panel {
   chosen = "";
   private readonly frame: Frame;
   private readonly sheet: Sheet;
@@ -55,7 +55,7 @@ export class MapPanel {
   /** What the page has to say below it. */
   note = "";
 
-  constructor(private readonly section: HTMLElement, private readonly askPart: (key: string) => Promise<Uint8Array<ArrayBuffer>>, private readonly picks: Picks) {
+  constructor(private readonly section: HTMLElement, private readonly page: Page) {
     this.frame = new Frame(section, "Map", true, (topic) => { this.chosen = topic; this.fitted = true; });
     this.notes = new Notes(this.frame, "things are not shown, or not whole");
     this.sheet = new Sheet(this.frame.body, () => this.draw());
@@ -121,7 +121,7 @@ export class MapPanel {
     const { robot, frame, goals = [], places = [] } = this.around;
     const where = robot ? `Robot at ${robot.x.toFixed(2)}, ${robot.y.toFixed(2)} metres in ${frame}${this.height(", ", " high")}, heading ${Math.round((robot.yaw * 180) / Math.PI)} degrees.` : "Nobody says where the robot is.";
     const named = [...goals, ...places].map((mark) => `${mark.name} at ${mark.x.toFixed(1)}, ${mark.y.toFixed(1)}`);
-    const picked = this.picks.of("place").map(({ one }) => `Picked ${one.x.toFixed(2)}, ${one.y.toFixed(2)}.`);
+    const picked = this.page.picks.of("place").map(({ one }) => `Picked ${one.x.toFixed(2)}, ${one.y.toFixed(2)}.`);
     return `Map. ${where} ${named.slice(0, 8).join("; ")} ${picked.join(" ")}`.trim();
   }
 
@@ -168,7 +168,7 @@ export class MapPanel {
   private pick(x: number, y: number, beside: boolean): void {
     const { frame, grid } = this.around;
     if (!frame || this.scale <= 0) return;
-    this.picks.pick({ kind: "place", x, y, frame, at_s: this.nowS, ...(grid ? this.cellAt(grid, x, y) : {}) }, beside, this.section);
+    this.page.picks.pick({ kind: "place", x, y, frame, at_s: this.nowS, ...(grid ? this.cellAt(grid, x, y) : {}) }, beside, this.section);
     this.draw();
   }
 
@@ -186,7 +186,7 @@ export class MapPanel {
     if (this.cells.has(key) || this.asked.has(key)) return;
     this.asked.add(key);
     try {
-      const stream = new Blob([await this.askPart(key)]).stream().pipeThrough(new DecompressionStream("deflate"));
+      const stream = new Blob([await this.page.part(key)]).stream().pipeThrough(new DecompressionStream("deflate"));
       this.cells.set(key, new Uint8Array(await new Response(stream).arrayBuffer()));
       for (const old of [...this.cells.keys()].slice(0, -3)) this.cells.delete(old);
       this.draw();
@@ -265,7 +265,11 @@ export class MapPanel {
 
   // ── drawing ─────────────────────────────────────────────────────────────────────────────────────────────────────
 
-  draw(): void {
+  mark(): void {
+    this.draw();
+  }
+
+  private draw(): void {
     const { pen } = this.sheet;
     this.sheet.clear();
     if (this.fitted && this.sheet.width > 0) this.fit();
@@ -282,12 +286,12 @@ export class MapPanel {
       const x = this.px(scan[at] ?? 0), y = this.py(scan[at + 1] ?? 0);
       if (x > 0 && y > 0 && x < this.sheet.width && y < this.sheet.height) pen.fillRect(x - 1.25, y - 1.25, 2.5, 2.5);
     }
-    for (const mark of this.around.places ?? []) this.mark(mark, isDark ? "#7cb2ff" : "#0050c8", true);
-    for (const mark of this.around.goals ?? []) this.mark(mark, isDark ? "#ea8bf0" : "#a800a8", false);
+    for (const mark of this.around.places ?? []) this.drawMark(mark, isDark ? "#7cb2ff" : "#0050c8", true);
+    for (const mark of this.around.goals ?? []) this.drawMark(mark, isDark ? "#ea8bf0" : "#a800a8", false);
     this.drawRobot(isDark);
     for (const limb of this.around.limbs ?? []) this.drawLimb(limb, isDark);
-    for (const { one, label } of this.picks.of("place")) if (one.frame === this.around.frame) this.drawPick(one.x, one.y, label);
-    for (const { one, label } of this.picks.of("point")) if (one.in_frame === this.around.frame) this.drawPick(one.in[0] ?? 0, one.in[1] ?? 0, label);
+    for (const { one, label } of this.page.picks.of("place")) if (one.frame === this.around.frame) this.drawPick(one.x, one.y, label);
+    for (const { one, label } of this.page.picks.of("point")) if (one.in_frame === this.around.frame) this.drawPick(one.in[0] ?? 0, one.in[1] ?? 0, label);
     if (this.sheet.canvas.matches(":focus-visible")) this.drawCross(this.sheet.width / 2, this.sheet.height / 2, 8, colour("accent"));
     this.drawScale();
   }
@@ -391,7 +395,7 @@ export class MapPanel {
     pen.stroke();
   }
 
-  private mark(mark: Mark, fill: string, square: boolean): void {
+  private drawMark(mark: Mark, fill: string, square: boolean): void {
     const { pen } = this.sheet;
     const x = this.px(mark.x), y = this.py(mark.y);
     if (x < -50 || y < -50 || x > this.sheet.width + 50 || y > this.sheet.height + 50) return;
@@ -504,3 +508,5 @@ function tints(colours: string, isDark: boolean): Uint32Array {
   }
   return table;
 }
+
+export const kind: Kind = { title: "Map", place: "map", order: 1, folds: true, make: (section, page) => new MapPanel(section, page) };

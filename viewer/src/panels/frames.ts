@@ -1,13 +1,14 @@
 // The tree of frames: each below its parent, with who tells it, how often and how long ago, and what is wrong.
 
-import { Frame, make } from "./dom.ts";
+import { Frame, make } from "../dom.ts";
+import type { Kind, Panel } from "../panel.ts";
 
 type Edge = { parent: string; child: string; static: boolean; publisher: string; rate_hz: number | null; age_s: number | null; problem: string };
 type Frames = { why?: string; frames?: number; roots?: string[]; edges?: Edge[]; problems?: string[]; notes?: string[]; at_s?: number };
 
 const STALE_S = 4; // the server tells them each second
 
-export class FramesPanel {
+export class FramesPanel implements Panel {
   private readonly frame: Frame;
   private readonly table = make("table", { class: "frames-table" });
   private readonly problems = make("ul", { class: "troubles" });
@@ -97,3 +98,5 @@ function ageBrief(seconds: number): string {
 function breakable(name: string): (Node | string)[] {
   return name.split(/(?<=_)/).flatMap((part) => [part, make("wbr")]);
 }
+
+export const kind: Kind = { title: "Frames", place: "values", order: 7, make: (section) => new FramesPanel(section) };

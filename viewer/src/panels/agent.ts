@@ -1,6 +1,7 @@
 // The agent: what it does now, what waits for a person, what became of the rest.
 
-import { Frame, clock, make, say } from "./dom.ts";
+import { Frame, clock, make, say } from "../dom.ts";
+import type { Kind, Page, Panel } from "../panel.ts";
 
 type Waiting = { id: string; age_s: number; left_s: number; summary: string[] };
 type Job = { id: string; kind: string; for_s: number; at_most_s: number | null; doing: string };
@@ -22,7 +23,7 @@ const END_LONG = 30; // an end that is longer has its reason among what the act 
 /** Of what has a word of ours; `constructor` and such are names like others. */
 const word = (words: Record<string, string>, name: string): string | undefined => (Object.hasOwn(words, name) ? words[name] : undefined);
 
-export class AgentPanel {
+export class AgentPanel implements Panel {
   private readonly frame: Frame;
   private readonly waits = make("div");
   private readonly jobs = make("ol", { class: "rows" });
@@ -33,14 +34,15 @@ export class AgentPanel {
   private ages: HTMLElement[] = [];
   private foot = "";
 
-  constructor(section: HTMLElement) {
+  constructor(section: HTMLElement, private readonly page: Page) {
     this.frame = new Frame(section, "Agent", false);
     this.frame.body.append(this.waits, this.jobs, this.origin, this.rows, this.none);
     setInterval(() => this.tellLeft(), 1000);
   }
 
   /** `shownS` is the time that is shown of a recording, Unix time in s. */
-  update(state: AgentState, shownS: number | null = null): void {
+  update(state: AgentState): void {
+    const shownS = this.page.shownS();
     this.frame.tell("");
     const servers = state.servers ?? [];
     const waiting = servers.flatMap((server) => server.waiting ?? []);
@@ -151,3 +153,5 @@ function brief(value: unknown): string {
   walk(value, "", 0);
   return leaves.slice(0, 5).join(", ");
 }
+
+export const kind: Kind = { title: "Agent", place: "agent", order: 4, make: (section, page) => new AgentPanel(section, page) };
