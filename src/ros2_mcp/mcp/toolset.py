@@ -14,7 +14,7 @@ from ros2_mcp.guard.audit import called_through
 from ros2_mcp.guard.policy import Policy
 from ros2_mcp.mcp.binding import BoundTool, CallFailed, bind
 from ros2_mcp.mcp.program_functions import function_of
-from ros2_mcp.model.commands import Principal
+from ros2_mcp.model.commands import LOCAL, Principal
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.ops.memory.bag_store import BagStore
@@ -26,6 +26,7 @@ from ros2_mcp.programs.module import FUNCTIONS
 from ros2_mcp.programs.sandbox import is_installed
 from ros2_mcp.programs.stub import short
 from ros2_mcp.robot import Robot
+from ros2_mcp.robot.session import Session
 from ros2_mcp.tools import GROUPS, PAGE_TOOLS, TOOLS, ToolDeclaration
 from ros2_mcp.tools.declare import Risk
 from ros2_mcp.view.viewing import Viewing
@@ -143,9 +144,9 @@ class Toolset:
         groups = dict.fromkeys((*self._groups, *(tool.group for tool in tools)))
         return f"the option --tools {','.join(groups)} is needed"
 
-    def note_refusal(self, name: str, reason: str, principal: Principal, robot: Robot | None = None) -> None:
+    def note_refusal(self, name: str, reason: str, principal: Principal) -> None:
         """A line in the audit about a call of a tool that acts, which did not come as far as the guard."""
-        if self.risk_of(name) in ("write", "actuate") and (audit := (robot or self._robot).guard.audit):
+        if self.risk_of(name) in ("write", "actuate") and (audit := self._robot.guard.audit):
             who = {"principal": principal.name, "transport": principal.transport, "login": principal.login}
             with called_through(_OTHER_NAMES.get(name, name)):
                 audit.note("refused", **who, reason=reason)
@@ -176,7 +177,7 @@ class Toolset:
         name: str,
         arguments: Mapping[str, Any],
         report: Report,
-        robot: Robot | None = None,
+        session: Session | None = None,
         *,
         shows_pages: bool = False,
     ) -> CallToolResult:
@@ -189,14 +190,13 @@ class Toolset:
         with called_through(_OTHER_NAMES.get(name, name)) as call:
             try:
                 if tool:
-                    return await tool.call(arguments, report, robot, shows_pages=shows_pages)
+                    return await tool.call(arguments, report, session, shows_pages=shows_pages)
                 own_name = _OTHER_NAMES.get(name, name)
                 if own_name in self.missing:
                     raise CallFailed(f"{own_name} is not offered: {self.missing[own_name]}.")
             except CallFailed as error:
                 if not call.has_line:  # it has not come as far as the guard
-                    of = robot or self._robot
-                    self.note_refusal(name, str(error), of.principal, of)
+                    self.note_refusal(name, str(error), session.principal if session else LOCAL)
                 raise
         names = [tool.name for tool in TOOLS]
         raise CallFailed(f"There is no tool {name}. {did_you_mean(name, names, 'tools/list has them all.')}")

@@ -33,6 +33,7 @@ from ros2_mcp.model.graph import (
     TopicRow,
 )
 from ros2_mcp.model.qos import Endpoint
+from ros2_mcp.model.times import Outage
 from ros2_mcp.robot.seen import Seen, is_of_robot
 from ros2_mcp_common.wire import protocol
 
@@ -236,6 +237,16 @@ class Graph:
             clock_offset_s=clock.offset_ns / 1e9 if clock.is_known else None,
             link_rtt_s=clock.rtt_s,
         )
+
+    @property
+    def is_remote(self) -> bool:
+        """Whether a network lies between this server and the robot, so that large messages take their time."""
+        return self._bridge.is_remote
+
+    @property
+    def outages(self) -> Sequence[Outage]:
+        """The times in which a robot elsewhere was out of reach."""
+        return self._bridge.outages
 
     async def absence(self, within_s: float | None = None, found: Rows[NodeRow] | None = None) -> str:
         """In words, that no robot is there, in which domain, and what was seen of it earlier; empty where one is there.

@@ -12,6 +12,7 @@ from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.ops.topics import info, publish, stats, subscribe
 from ros2_mcp.ops.topics.list import TopicList, list_topics
 from ros2_mcp.robot import Robot
+from ros2_mcp.robot.session import Session
 from ros2_mcp.tools.arguments import (
     Duration,
     Flag,
@@ -213,6 +214,7 @@ async def ros2_topic_stats(
 )
 async def ros2_topic_publish(
     robot: Robot,
+    session: Session,
     report: Report,
     topic_name: Destination,
     data: Data,
@@ -228,7 +230,7 @@ async def ros2_topic_publish(
     request = publish.PublishRequest(
         topic_name=topic_name, message_type=message_type, data=data, frequency=frequency, duration=duration
     )
-    return await publish.publish(robot, request, report)
+    return await publish.publish(robot, session, request, report)
 
 
 @tool(
@@ -240,9 +242,10 @@ async def ros2_topic_publish(
 )
 async def ros2_publish_multiple_topics(
     robot: Robot,
+    session: Session,
     report: Report,
     topics: Annotated[list[TopicToPublish], _SEVERAL, Field(description="Topics and their messages.")],
 ) -> publish.PublishedSeveral:
     """Publish repeatedly on several topics at the same time, each with its own frequency and duration."""
     requests = [publish.PublishRequest(**dict(topic)) for topic in topics]
-    return await publish.publish_several(robot, requests, report)
+    return await publish.publish_several(robot, session, requests, report)
