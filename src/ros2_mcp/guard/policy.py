@@ -157,7 +157,9 @@ class Policy:
         if ruling.problem:
             return _refused(command, ruling.problem, ruling.rule, self._allowed_instead(verb_of(command)))
         facts = facts or NO_FACTS
-        value = NO_VALUE if facts.value is None else facts.value
+        value: Any = NO_VALUE
+        if facts.value is not None:
+            value = facts.value
         judged = ruling.judge(value, facts.joints, _asked(command, facts.publishers))
         if judged.problem:
             return _refused(command, judged.problem, judged.rule)
