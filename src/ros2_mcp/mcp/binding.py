@@ -70,7 +70,7 @@ class StrictArguments(BaseModel):
 class BoundTool:
     """A declared tool with what it works on: `listed` is how clients see it, `arguments` checks what they send.
 
-    `only_offered` leaves of a hint or a note what names tools that the server offers.
+    `only_offered` says in a hint or a note which tools that it names are not offered.
     """
 
     declaration: ToolDeclaration

@@ -32,8 +32,6 @@ from ros2_mcp.tools.declare import Risk
 from ros2_mcp.view.viewing import Viewing
 
 _TOOL = re.compile(r"\bros2_\w+")
-_CLAUSE = re.compile(r"(?<=[.;:]) ")
-_SENTENCE = re.compile(r"(?<=\.)(\s+)")
 _OTHER_NAMES = {tool.also_named: tool.name for tool in TOOLS if tool.also_named}
 
 
@@ -85,9 +83,8 @@ class Toolset:
         self._allowed = allowed
         self.by_name = {tool.name: self._bind(tool) for tool in chosen}
         self._groups, self._policy = groups or ("default",), robot.policy
-        absent = {tool.name for tool in TOOLS} - self.by_name.keys()
         for tool in self.by_name.values():
-            tool.listed.description = _without(absent, tool.declaration.description)
+            tool.listed.description = tool.declaration.description_beside(self.by_name)
             if not tool.declaration.is_of_use(robot.policy):
                 tool.listed.description += f"\n\n{_NOT_ALLOWED}"
             if tool.declaration.runs_programs:
@@ -159,13 +156,11 @@ class Toolset:
         return "read"
 
     def _only_offered(self, text: str) -> str:
-        """A hint or a note with the clauses left out that name tools which are not offered, and how to have those."""
+        """A hint or a note, with the tools that it names and that are not offered, and how to have those."""
         absent = self.missing.keys() & set(_TOOL.findall(text))
         if not absent:
             return text
-        clauses = [clause for clause in _CLAUSE.split(text) if not absent & set(_TOOL.findall(clause))]
-        kept = f"{' '.join(clauses).rstrip('.,;: ')}. " if clauses else ""
-        return f"{kept}Tools for this are not offered here: {self.why_missing(absent)}."
+        return f"{text.rstrip()} (Not offered here: {', '.join(sorted(absent))}; {self.why_missing(absent)}.)"
 
     def offered(self, name: str) -> BoundTool | None:
         """The tool of that name, or of the one that it has in another server; None if it is not offered."""
@@ -200,17 +195,6 @@ class Toolset:
                 raise
         names = [tool.name for tool in TOOLS]
         raise CallFailed(f"There is no tool {name}. {did_you_mean(name, names, 'tools/list has them all.')}")
-
-
-def _without(absent: Collection[str], description: str) -> str:
-    """A description without the sentences that name tools which are not offered."""
-    parts = _SENTENCE.split(description)  # sentences, and between them what separates them
-    kept = [
-        part + "".join(parts[place + 1 : place + 2])
-        for place, part in enumerate(parts)
-        if place % 2 == 0 and not set(absent) & set(_TOOL.findall(part))
-    ]
-    return "".join(kept).rstrip()
 
 
 def _is_allowed(tool: ToolDeclaration, policy: Policy) -> bool:

@@ -123,6 +123,7 @@ async def ros2_place_list(robot: Robot, pattern: Pattern = "") -> PlaceList:
     risk="write",
     group="space",
     by_default=False,
+    beside={"ros2_navigate": "ros2_navigate drives to one by its name."},
     finds="remember this place, name or save a location",
 )
 async def ros2_place_set(
@@ -135,6 +136,6 @@ async def ros2_place_set(
     frame: Annotated[str, Field(description="Coordinate frame.")] = "map",
     remove: Annotated[Flag, Field(description="Delete the place instead.")] = False,
 ) -> PlaceKept:
-    """Save a pose under a name for ros2_navigate, or delete one. Places outlive this server."""
+    """Save a pose under a name, or delete one. Places outlive this server."""
     request = PlaceRequest(name=name, x_m=x, y_m=y, yaw_deg=yaw_deg, frame=frame, remove=remove)
     return await set_place(robot, session, request)

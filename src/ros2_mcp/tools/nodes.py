@@ -64,7 +64,7 @@ async def ros2_parameter_get(
     names: Annotated[list[str] | None, Field(description="Names of parameters; default: all, to be set back.")] = None,
     whole: Annotated[Flag, Field(description="Also return long values, in full.")] = False,
 ) -> parameters.Dump:
-    """Read parameters of a node as name → value, in the form that ros2_parameter_set takes."""
+    """Read parameters of a node as name → value, in the form in which they can be set."""
     return await parameters.dump(robot, node_name, names, whole=whole)
 
 

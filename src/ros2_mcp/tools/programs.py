@@ -72,6 +72,7 @@ async def ros2_program_run(
     group="programs",
     by_default=False,
     recorded=True,
+    beside={"ros2_program_run": "ros2_program_run runs one by its name."},
     finds="kept programs, scripts that exist already",
 )
 async def ros2_program_list(
@@ -79,7 +80,7 @@ async def ros2_program_list(
     pattern: Pattern = "",
     code: Annotated[Flag, Field(description="Also return their code.")] = False,
 ) -> ProgramList:
-    """List the kept programs with their purposes and inputs. ros2_program_run runs one by its name."""
+    """List the kept programs with their purposes and inputs."""
     return await list_programs(robot, pattern, with_code=code)
 
 
