@@ -25,7 +25,7 @@ from ros2_mcp_bridge.ros import definitions, interfaces
 from ros2_mcp_bridge.stream import Outbox, claim_standard_streams, read_packets
 from ros2_mcp_common.allocation import keep_freed_memory
 from ros2_mcp_common.latch import FILE, Latch, LatchState
-from ros2_mcp_common.policy.rules import meaning
+from ros2_mcp_common.policy.verbs import meaning
 from ros2_mcp_common.wire.packets import PacketError
 from ros2_mcp_common.wire.protocol import BRIDGE_NODE, Empty, Lapsed, PingReply, PolicyReply
 

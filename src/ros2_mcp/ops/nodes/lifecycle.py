@@ -17,7 +17,7 @@ from ros2_mcp.ops.nodes.own_services import APPEAR_S, TIMEOUT_S, ask_node, field
 from ros2_mcp.ops.results.results import SAID, or_error
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.session import Session
-from ros2_mcp_common.policy.rules import CHANGE_STATE
+from ros2_mcp_common.policy.verbs import CHANGE_STATE
 
 CHANGE_S = 30.0
 """A transition may start hardware: drivers take seconds to configure."""

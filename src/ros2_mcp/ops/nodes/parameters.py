@@ -19,7 +19,7 @@ from ros2_mcp.ops.nodes.own_services import APPEAR_S, TIMEOUT_S, ask_node, field
 from ros2_mcp.ops.results.results import EXACT, HIDDEN, IF_ANY, ON_REQUEST, SAID, answer_bytes, list_note, or_error
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.session import Session
-from ros2_mcp_common.policy.rules import SET_PARAMETERS, SET_PARAMETERS_ATOMICALLY
+from ros2_mcp_common.policy.verbs import SET_PARAMETERS, SET_PARAMETERS_ATOMICALLY
 
 _DISCOVERY_S = 6.0
 """How old a bridge is that has discovered the services of every node: they come up to 3 s after the nodes."""
