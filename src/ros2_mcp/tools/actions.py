@@ -15,6 +15,7 @@ from ros2_mcp.ops.actions.status import MAX_MESSAGES, KnownGoals, StatusFrames, 
 from ros2_mcp.ops.results.results import Report
 from ros2_mcp.ops.sources.selection import Selection
 from ros2_mcp.robot import Robot
+from ros2_mcp.robot.session import Session
 from ros2_mcp.tools.arguments import Flag, Number, Pattern, Whole
 from ros2_mcp.tools.declare import tool
 from ros2_mcp.tools.injection import Waits
@@ -46,6 +47,7 @@ async def ros2_list_actions(robot: Robot, pattern: Pattern = "") -> ActionList:
 )
 async def ros2_send_action_goal(
     robot: Robot,
+    session: Session,
     report: Report,
     action_name: ActionName,
     goal_fields: Annotated[dict[str, Any], Field(description="The goal's fields.")],
@@ -67,6 +69,7 @@ async def ros2_send_action_goal(
     """
     return await send_goal(
         robot,
+        session,
         action_name,
         action_type,
         goal_fields,
@@ -81,6 +84,7 @@ async def ros2_send_action_goal(
 @tool(title="Cancel goals", risk="actuate", group="actions", program="cancel", finds="cancel a goal, abort an action")
 async def ros2_cancel_action_goal(
     robot: Robot,
+    session: Session,
     action_name: ActionName,
     goal_id_hex: Annotated[str, Field(description="Required unless cancel_all is true.")] = "",
     cancel_all: Annotated[Flag, Field(description="Cancel every goal.")] = False,
@@ -93,6 +97,7 @@ async def ros2_cancel_action_goal(
     """Ask an action server to cancel a goal, or all goals."""
     return await cancel(
         robot,
+        session,
         action_name,
         goal_id_hex,
         cancel_all=cancel_all,

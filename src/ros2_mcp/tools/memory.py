@@ -13,6 +13,7 @@ from ros2_mcp.ops.results.results import Report
 from ros2_mcp.ops.sources.kinds import Sources
 from ros2_mcp.ops.sources.source import SourceRequest
 from ros2_mcp.robot import Robot
+from ros2_mcp.robot.session import Session
 from ros2_mcp.tools.arguments import (
     BagEnd,
     BagName,
@@ -51,6 +52,7 @@ PlaybackId = Annotated[str, Field(description="ID from ros2_bag_play. Default: t
 )
 async def ros2_record_start(
     robot: Robot,
+    session: Session,
     store: BagStore,
     topics: Annotated[
         list[str] | None, Field(min_length=1, description="Topics to record, also if they appear later.")
@@ -78,7 +80,7 @@ async def ros2_record_start(
         split_bytes=split_bytes,
         name=name,
     )
-    return await record.start(robot, store, request)
+    return await record.start(robot, session, store, request)
 
 
 @tool(title="Recordings", risk="read", group="memory", by_default=False, finds="is it recording, how large is the bag")
@@ -155,6 +157,7 @@ async def ros2_bag_read(
 )
 async def ros2_bag_play(
     robot: Robot,
+    session: Session,
     store: BagStore,
     report: Report,
     bag: BagName,
@@ -181,7 +184,7 @@ async def ros2_bag_play(
     request = play.PlayRequest(
         bag=bag, rate=rate, start=start, end=end, topics=topics or (), remaps=remaps or {}, loop=loop, force=force
     )
-    return await play.play(robot, store, request, wait_sec, report)
+    return await play.play(robot, session, store, request, wait_sec, report)
 
 
 @tool(title="Playbacks", risk="read", group="memory", by_default=False, finds="how far is the playback")

@@ -11,6 +11,7 @@ from ros2_mcp.ops.motion import joints as joint_move
 from ros2_mcp.ops.motion.controllers import FOLLOW
 from ros2_mcp.ops.results.results import Report
 from ros2_mcp.robot import Robot
+from ros2_mcp.robot.session import Session
 from ros2_mcp.tools.arguments import Flag, Number, TopicName
 from ros2_mcp.tools.declare import tool
 from ros2_mcp_common.policy.velocity import HOLD_TYPES, VELOCITY_TYPES
@@ -35,6 +36,7 @@ MetresPerSecond = Annotated[Number, Field(ge=-10, le=10, description="In m/s.")]
 )
 async def ros2_drive(
     robot: Robot,
+    session: Session,
     report: Report,
     distance_m: Annotated[Number | None, Field(description="Metres ahead; negative: back.")] = None,
     angle_deg: Annotated[Number | None, Field(description="Degrees to turn on the spot; positive: left.")] = None,
@@ -63,7 +65,7 @@ async def ros2_drive(
         odometry=odometry,
         scan=scan,
     )
-    return await drive.drive(robot, request, report)
+    return await drive.drive(robot, session, request, report)
 
 
 @tool(
@@ -77,6 +79,7 @@ async def ros2_drive(
 )
 async def ros2_move_until(
     robot: Robot,
+    session: Session,
     report: Report,
     topic_name: TopicName,
     condition: Annotated[str, Field(description='As in ros2_wait_until, such as "nearest(-20, 20) < 0.6" of a scan.')],
@@ -109,7 +112,7 @@ async def ros2_move_until(
         command_topic=command_topic,
         odometry_topic=odometry,
     )
-    return await until.move_until(robot, request, report)
+    return await until.move_until(robot, session, request, report)
 
 
 @tool(
@@ -123,6 +126,7 @@ async def ros2_move_until(
 )
 async def ros2_joint_move(
     robot: Robot,
+    session: Session,
     report: Report,
     joints: Annotated[dict[str, Number], Field(description='Targets in rad, or m: {"elbow_joint": 0.5}.')],
     relative: Annotated[Flag, Field(description="Targets are relative to the current positions.")] = False,
@@ -149,4 +153,4 @@ async def ros2_joint_move(
         tolerance=tolerance,
         controller=controller,
     )
-    return await joint_move.move_joints(robot, request, report)
+    return await joint_move.move_joints(robot, session, request, report)

@@ -10,6 +10,7 @@ from ros2_mcp.ops.results.results import Report
 from ros2_mcp.ops.services.call import ServiceAnswer, call
 from ros2_mcp.ops.services.list import ServiceList, list_services
 from ros2_mcp.robot import Robot
+from ros2_mcp.robot.session import Session
 from ros2_mcp.tools.arguments import Flag, Hidden, Limit, Number, Pattern
 from ros2_mcp.tools.declare import tool
 from ros2_mcp.tools.injection import Waits
@@ -47,6 +48,7 @@ async def ros2_service_list(
 )
 async def ros2_service_call(
     robot: Robot,
+    session: Session,
     report: Report,
     service_name: Annotated[str, Field(description="Such as /set_mode.")],
     fields: Annotated[
@@ -68,6 +70,7 @@ async def ros2_service_call(
     """
     return await call(
         robot,
+        session,
         service_name,
         service_type,
         fields,

@@ -10,10 +10,10 @@ from typing import Any, ClassVar
 
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import named
+from ros2_mcp.ops.sources.newest_samples import Newest, newest_of
 from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.listening import Listening
-from ros2_mcp.robot.newest import Newest
 from ros2_mcp.view.acting import Acting
 
 WAIT_S = 0.5
@@ -125,7 +125,7 @@ class Shown:
         """
         if topic != self.topic:
             self.topic, self.sample = topic, None
-        newest = robot.newest.of(topic)
+        newest = newest_of(robot, topic)
         sample = await newest.newer(self.sample, WAIT_S)
         if sample is None and newest.error:
             raise newest.error.again()

@@ -25,6 +25,7 @@ from ros2_mcp.ops.log.complaints import complaints_from_now
 from ros2_mcp.ops.results.results import SAID, Report, in_words, silent
 from ros2_mcp.robot import Answer, Listening, Robot
 from ros2_mcp.robot.goals import Goal
+from ros2_mcp.robot.session import Session
 from ros2_mcp_common.wire.limits import MAX_DURATION_S
 
 ACCEPT_S = 10.0
@@ -69,6 +70,7 @@ class GoalOutcome:
 
 async def send_goal(
     robot: Robot,
+    session: Session,
     action: str,
     action_type: str,
     goal: Mapping[str, Any],
@@ -99,7 +101,7 @@ async def send_goal(
         await check_one_server(robot, action, "End all but one, or set force to true.")
     several = f"{in_words_of(action, servers)}: each may carry it out." if servers else ""
     command = SendGoal(
-        principal=robot.principal,
+        principal=session.principal,
         name=action,
         type=action_type,
         value=goal,
@@ -109,10 +111,11 @@ async def send_goal(
     )
     watch: ConditionalCancel | None = None
     if cancel_when.strip():
-        watch = await begin(robot, await asked_for(robot, action, action_type, command.goal_id, cancel_when))
+        asked = await asked_for(robot, action, action_type, command.goal_id, cancel_when)
+        watch = await begin(robot, session.principal, asked)
     try:
         if not wait_for_result:
-            return _with_note(await _submit(robot, command, goal), several)
+            return _with_note(await _submit(robot, session, command, goal), several)
         # Subscribed before anything else: the action server must have discovered this subscription when it accepts the
         # goal, or its first feedback is lost.
         async with robot.listen(
@@ -122,7 +125,7 @@ async def send_goal(
             # it, for 1 in 300 goals that publish at once, on a busy machine. A server takes in announcements in their
             # order: when a later subscription has its latched message, the server knows this one too.
             await states_now(robot, action, _ANNOUNCED_S)
-            sent = _with_note(await _submit(robot, command, goal), several)
+            sent = _with_note(await _submit(robot, session, command, goal), several)
             return await _ending(robot, sent, listening, timeout_s, report) if sent.accepted else sent
     except asyncio.CancelledError:
         await asyncio.shield(_give_up(robot, command))
@@ -152,11 +155,11 @@ async def follow(robot: Robot, goal: Goal, report: Report = silent, heard: Heard
         return await _ending(robot, sent, listening, MAX_DURATION_S, report, heard)
 
 
-async def _submit(robot: Robot, command: SendGoal, goal: Mapping[str, Any]) -> GoalOutcome:
+async def _submit(robot: Robot, session: Session, command: SendGoal, goal: Mapping[str, Any]) -> GoalOutcome:
     """Sends the goal; returns when its server has said whether it accepts it."""
     await robot.values.learn(command.type)
     complaints = complaints_from_now(robot)
-    calling = asyncio.ensure_future(robot.do(command))
+    calling = asyncio.ensure_future(robot.do(command, session))
     try:
         accepted, stamp = True, await _accepted_meanwhile(robot, command, calling)
         if stamp is None:

@@ -38,6 +38,7 @@ from ros2_mcp.ops.memory.bag_store import BLACK_BOX, BagStore
 from ros2_mcp.ops.results.results import HIDDEN, IF_ANY, SAID, iso_time
 from ros2_mcp.robot import Listening, Robot
 from ros2_mcp.robot.jobs import Job
+from ros2_mcp.robot.session import Session
 
 if TYPE_CHECKING:
     from ros2_mcp.bags.recorder import Recorder
@@ -199,10 +200,8 @@ class Recording(Job):
     listed_by = "ros2_record_status"
     stopped_by = "ros2_record_stop"
 
-    def __init__(
-        self, robot: Robot, store: BagStore, request: RecordRequest, *, owner: Principal | None = None
-    ) -> None:
-        super().__init__(owner=owner or robot.principal)
+    def __init__(self, robot: Robot, store: BagStore, request: RecordRequest, *, owner: Principal) -> None:
+        super().__init__(owner=owner)
         self._robot = robot
         self._store = store
         self._request = request
@@ -306,7 +305,7 @@ class Recording(Job):
             topics.append(TopicCounts(CALLS, _TEXT, written[CALLS], discarded.get(CALLS, 0), 0))
         absent = "nobody publishes it yet; recording begins within a second after somebody does."
         notes = [*self._notes, *(recorder.notes if recorder else ())]
-        why_dropped = drops_in_words(busy, sum(discarded.values()), is_remote=self._robot.is_remote)
+        why_dropped = drops_in_words(busy, sum(discarded.values()), is_remote=self._robot.graph.is_remote)
         notes += [f"{why_dropped}."] if why_dropped else []
         notes += [f"{name}: {absent}" for name in self._request.topics if name not in self._topics and name != CALLS]
         return RecordingState(
@@ -400,7 +399,7 @@ class Recording(Job):
             try:
                 await self._record_once(name, joined, recorder)
             except LinkError as error:
-                if not self._robot.is_remote:
+                if not self._robot.graph.is_remote:
                     self._note(f"{name}: {error}")
                 elif isinstance(error, BridgeLost):  # which all topics are told at once
                     self._note(str(error))
@@ -447,7 +446,7 @@ class Recording(Job):
 
     def _note_outage(self) -> None:
         """Tells the gap that the recording has, where the robot was out of reach."""
-        for outage in self._robot.outages[-1:]:
+        for outage in self._robot.graph.outages[-1:]:
             if outage is self._told:
                 return  # of another topic
             self._told = outage
@@ -505,7 +504,7 @@ class BlackBox(Recording):
         return folder, Recorder(ring, folder)
 
 
-async def start(robot: Robot, store: BagStore, request: RecordRequest) -> RecordingState:
+async def start(robot: Robot, session: Session, store: BagStore, request: RecordRequest) -> RecordingState:
     """Begins to record; it goes on until a limit is reached, it is stopped, or the server ends.
 
     Raises:
@@ -518,8 +517,9 @@ async def start(robot: Robot, store: BagStore, request: RecordRequest) -> Record
     bounded("split_bytes", request.split_bytes, 0, MAX_BYTES, "bytes")
     request = replace(request, topics=[names.absolute(topic) for topic in request.topics])
     topics, patterns = request.topics, request.patterns
-    await robot.do(Record(principal=robot.principal, name=request.name, topics=topics, patterns=patterns))
-    recording = Recording(robot, store, request)
+    command = Record(principal=session.principal, name=request.name, topics=topics, patterns=patterns)
+    await robot.do(command, session)
+    recording = Recording(robot, store, request, owner=session.principal)
     await robot.jobs.start(recording)
     return recording.report()
 

@@ -20,6 +20,7 @@ from ros2_mcp.ops.motion.held import others_on, why_it_stands
 from ros2_mcp.ops.motion.job import run_motion
 from ros2_mcp.ops.results.results import SAID, Report, silent
 from ros2_mcp.robot import Robot
+from ros2_mcp.robot.session import Session
 from ros2_mcp_common.wire.limits import STEER_MOST
 
 MATCH_S = 1.0
@@ -163,7 +164,7 @@ class Driven:
         return "short" if error * self.asked >= 0 else "too far"
 
 
-async def drive(robot: Robot, request: DriveRequest, report: Report = silent) -> Driven:
+async def drive(robot: Robot, session: Session, request: DriveRequest, report: Report = silent) -> Driven:
     """Drives, and returns when the robot stands.
 
     Raises:
@@ -194,7 +195,7 @@ async def drive(robot: Robot, request: DriveRequest, report: Report = silent) ->
     }
     hears = [odometry.type, *(guard.hears if guard else ())]
     move = Move(
-        principal=robot.principal,
+        principal=session.principal,
         name=to.topic,
         type=to.type,
         value=_fastest(request, to.type, base),
@@ -205,7 +206,7 @@ async def drive(robot: Robot, request: DriveRequest, report: Report = silent) ->
     )
     move = _within_policy(robot, request, move)
     complaints = complaints_from_now(robot)
-    moved, reason = await run_motion(robot, move, report, lambda told: _line(told, request))
+    moved, reason = await run_motion(robot, session, move, report, lambda told: _line(told, request))
     notes = [_looked(request, guard, moved), await others_on(robot, move.name)]
     if moved.outcome in _NOT_MOVED:
         notes.append(await why_idle(robot, move.name, odometry.topic, is_in_doubt=True))

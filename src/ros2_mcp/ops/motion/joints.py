@@ -39,6 +39,7 @@ from ros2_mcp.ops.space.description import described
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.goals import Goal
 from ros2_mcp.robot.jobs import Job
+from ros2_mcp.robot.session import Session
 from ros2_mcp.world.urdf import Joint, Urdf
 
 DEFAULT_SPEED = 0.3
@@ -166,7 +167,7 @@ class Plan:
         return {"joint_names": list(self.all_targets), "points": [point]}
 
 
-async def move_joints(robot: Robot, request: JointRequest, report: Report = silent) -> JointsMoved:
+async def move_joints(robot: Robot, session: Session, request: JointRequest, report: Report = silent) -> JointsMoved:
     """Moves joints, and returns when they have arrived, or what ended it.
 
     Raises:
@@ -184,7 +185,7 @@ async def move_joints(robot: Robot, request: JointRequest, report: Report = sile
             plan = await planned_move(request, wanted, controller, states)
         except NotFound as error:  # nobody tells where the joints are: mostly the controllers stand still, too
             raise await with_reason(robot, error, feedback=states.topics[0], action=controller.action) from error
-        motion = JointMotion(robot, plan, states)
+        motion = JointMotion(robot, session, plan, states)
 
         async def progress() -> None:
             if motion.is_running:
@@ -289,9 +290,9 @@ class JointMotion(Job):
     most_running = 16
     """A robot has few controllers; each takes one motion at a time."""
 
-    def __init__(self, robot: Robot, plan: Plan, states: JointStates) -> None:
-        super().__init__(owner=robot.principal, moves=[plan.controller.way])
-        self._robot = robot
+    def __init__(self, robot: Robot, session: Session, plan: Plan, states: JointStates) -> None:
+        super().__init__(owner=session.principal, moves=[plan.controller.way])
+        self._robot, self._session = robot, session
         self._plan = plan
         self._states = states
         self._goal_id = new_goal_id()
@@ -354,7 +355,7 @@ class JointMotion(Job):
     async def _by_action(self) -> None:
         action, robot = self._plan.controller.action, self._robot
         command = SendGoal(
-            principal=robot.principal,
+            principal=self.owner,
             name=action,
             type=FOLLOW,
             value={"trajectory": self._plan.trajectory},
@@ -368,7 +369,7 @@ class JointMotion(Job):
         self.has_left = True
         complaints = complaints_from_now(robot)
         try:
-            answer = await robot.fields_of(await robot.do(command))
+            answer = await robot.fields_of(await robot.do(command, self._session))
         except (NotFound, TimedOut) as error:
             raise await with_reason(robot, error, action=action) from error
         if not answer["accepted"]:
@@ -413,7 +414,7 @@ class JointMotion(Job):
     async def _by_topic(self) -> None:
         to = await self._robot.types.destination(self._plan.controller.topic, TRAJECTORY)
         command = Publish(
-            principal=self._robot.principal,
+            principal=self.owner,
             name=to.topic,
             type=to.type,
             value=self._plan.trajectory,
@@ -421,7 +422,7 @@ class JointMotion(Job):
             wait_match_s=_MATCH_S,
         )
         self.has_left = True
-        sent = await self._robot.do(command)
+        sent = await self._robot.do(command, self._session)
         if not sent.matched:
             self._end("nobody_listens", f"Nobody received the trajectory on {named(to.topic)}.")
             return

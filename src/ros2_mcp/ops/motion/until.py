@@ -21,6 +21,7 @@ from ros2_mcp.ops.motion.held import others_on, why_it_stands
 from ros2_mcp.ops.motion.job import run_motion
 from ros2_mcp.ops.results.results import SAID, Report, silent, told_values
 from ros2_mcp.robot import Robot
+from ros2_mcp.robot.session import Session
 from ros2_mcp_common.language.scans import LASER_SCAN
 from ros2_mcp_common.wire.limits import MAX_DURATION_S
 
@@ -93,7 +94,7 @@ class MovedUntil:
         return f"{named(self.topic_name)}: {self.condition} {outcome}.{way} {self.note}".rstrip()
 
 
-async def move_until(robot: Robot, request: UntilRequest, report: Report = silent) -> MovedUntil:
+async def move_until(robot: Robot, session: Session, request: UntilRequest, report: Report = silent) -> MovedUntil:
     """Moves until a message meets the condition, a limit is reached, or a topic that is needed goes silent.
 
     Raises:
@@ -119,7 +120,7 @@ async def move_until(robot: Robot, request: UntilRequest, report: Report = silen
     to = await command_input(robot, request.command_topic)
     odometry = await _odometry(robot, request, to.topic)
     command = Move(
-        principal=robot.principal,
+        principal=session.principal,
         name=to.topic,
         type=to.type,
         value=_command(velocity, to.type),
@@ -147,7 +148,7 @@ async def move_until(robot: Robot, request: UntilRequest, report: Report = silen
     turned = await _turned(robot, present.topic, topic_type, text, odometry)
     if ruling := robot.policy.ruling(command):
         command = replace(command, rate_hz=min(_RATE_HZ, ruling.most("rate_hz") or _RATE_HZ))
-    moved, reason = await run_motion(robot, command, report, line)
+    moved, reason = await run_motion(robot, session, command, report, line)
     held = [await others_on(robot, to.topic)]
     if odometry and moved.sent.sent and moved.outcome != "met" and (moved.report["distance_m"] or 0.0) < _STOOD_M:
         held += await why_it_stands(robot, to.topic, odometry)

@@ -7,7 +7,6 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from ros2_mcp.guard.policy import bounded
-from ros2_mcp.model import names
 from ros2_mcp.model.aside import load
 from ros2_mcp.model.pictures import POINT_CLOUD, BirdEyeOptions
 from ros2_mcp.model.times import seconds_in
@@ -92,7 +91,7 @@ async def cloud_picture(source: Source, topic: str, options: BirdEyeOptions, rep
     numbers: dict[str, Any] = asdict(seen.numbers)
     numbers["note"] = " ".join(filter(None, (numbers["note"], upright.note, found.note, chosen)))
     return CloudPicture(
-        topic_name=names.absolute(topic),
+        topic_name=await source.name_of(topic),
         frame_id=upright.frame,
         points=cloud.points,
         not_finite=cloud.not_finite,

@@ -16,6 +16,7 @@ from ros2_mcp.ops.acting.servers import in_words as in_words_of
 from ros2_mcp.ops.acting.servers import servers_of
 from ros2_mcp.ops.results.results import SAID, Report, in_words, reporting, silent
 from ros2_mcp.robot import Robot
+from ros2_mcp.robot.session import Session
 from ros2_mcp_common.policy.rules import only_reads
 from ros2_mcp_common.wire.limits import MAX_DURATION_S
 
@@ -47,6 +48,7 @@ class ServiceAnswer:
 
 async def call(
     robot: Robot,
+    session: Session,
     service: str,
     service_type: str,
     request: Mapping[str, Any] | None,
@@ -99,12 +101,12 @@ async def call(
         )
         return ServiceAnswer(service_name=service, service_type=service_type, called=False, note=note)
     command = ServiceCall(
-        principal=robot.principal, name=service, type=service_type, value=request, timeout_s=timeout_s
+        principal=session.principal, name=service, type=service_type, value=request, timeout_s=timeout_s
     )
     sent_ns = robot.now_ns()
     try:
         async with reporting(report, timeout_s, f"waiting for {service}"):
-            answer = await robot.do(command)
+            answer = await robot.do(command, session)
     except NotFound as error:
         robot.types.forget_service(service)
         await robot.types.service(service, service_type)  # raises TypeConflict if it came back with another type
@@ -124,6 +126,6 @@ async def call(
         result=shown.value,
         missing_fields=missing,
         elapsed=answer.elapsed_s,
-        truncated=shown.truncated,
+        truncated=list(shown.truncated),
         note=" ".join(filter(None, notes)),
     )

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Awaitable, Callable
-from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
 from time import monotonic
 
@@ -13,6 +11,8 @@ import anyio
 
 from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.samples import Sample
+from ros2_mcp.robot import Robot
+from ros2_mcp.robot.kept import Kept
 from ros2_mcp.robot.listening import Listening
 
 _IDLE_S = 5.0
@@ -26,9 +26,6 @@ _FITS_S = 3.0
 _RATE_S = 3.0
 """The time over which a rate is told: short enough to show a drop, long enough for a topic of 1 Hz."""
 _logger = logging.getLogger(__name__)
-
-Listen = Callable[[str], AbstractAsyncContextManager[Listening]]
-Fits = Callable[[Listening], Awaitable[bool]]
 
 
 @dataclass(eq=False)
@@ -72,12 +69,11 @@ class Newest:
         came.set()
 
 
-class NewestSamples:
+class NewestSamples(Kept):
     """The newest message of each topic, from the first look until nobody has looked for ten seconds."""
 
-    def __init__(self, listen: Listen, fits: Fits) -> None:
-        self._listen = listen
-        self._fits = fits
+    def __init__(self, robot: Robot) -> None:
+        self._robot = robot
         self._topics: dict[str, Newest] = {}
 
     def of(self, topic: str) -> Newest:
@@ -101,7 +97,7 @@ class NewestSamples:
     async def _follow(self, newest: Newest) -> None:
         while monotonic() - newest.looked_at < _IDLE_S:
             try:
-                async with self._listen(newest.topic) as listening:
+                async with self._robot.listen(newest.topic, keep="latest") as listening:
                     newest.listening, newest.error, newest.counted = listening, None, []
                     await self._take(newest, listening)
             except RobotError as error:
@@ -123,5 +119,10 @@ class NewestSamples:
                 newest.tell()
             if monotonic() - looked_at > _FITS_S:
                 looked_at = monotonic()
-                if not await self._fits(listening):
+                if not listening.still_fits(await self._robot.graph.endpoints(listening.topic)):
                     return
+
+
+def newest_of(robot: Robot, topic: str) -> Newest:
+    """The newest message of a topic of a robot, which is listened to from now on."""
+    return robot.kept.get(NewestSamples, lambda: NewestSamples(robot)).of(topic)

@@ -11,7 +11,7 @@ import pytest
 from ros2_mcp.model.nav2 import GRID_UPDATE
 from ros2_mcp.model.pictures import OCCUPANCY_GRID
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.robot.last_costmaps import LastCostmap
+from ros2_mcp.ops.navigation.last_costmaps import LastCostmap
 from ros2_mcp.robot.values import Values
 
 pytestmark = pytest.mark.anyio

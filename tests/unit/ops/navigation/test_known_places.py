@@ -6,7 +6,7 @@ import pytest
 
 from ros2_mcp.guard.state import StateFolder
 from ros2_mcp.model.errors import BadData, BadInput, NotFound
-from ros2_mcp.robot.places import MOST_PLACES, NamedPlace, Places
+from ros2_mcp.ops.navigation.known_places import MOST_PLACES, NamedPlace, Places
 
 
 def test_a_place_is_known_to_another_server_and_after_a_restart(tmp_path):

@@ -14,6 +14,8 @@ from ros2_mcp.guard.state import StateFolder
 from ros2_mcp.model.errors import BadData, BadInput, NotFound, RobotError
 from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.model.text import is_unicode, listed, quoted
+from ros2_mcp.robot import Robot
+from ros2_mcp.robot.kept import Kept
 from ros2_mcp_common.files import PLAIN, replace
 
 FILE = "places.json"
@@ -38,7 +40,7 @@ class NamedPlace:
     yaw_rad: float | None = None
 
 
-class Places:
+class Places(Kept):
     """The places of one robot. Without a folder they are kept in memory, as long as this server runs.
 
     The file is read anew each time: other servers of the same user may have written it.
@@ -139,6 +141,11 @@ class Places:
             replace(draft, folder / FILE)
         except OSError as error:
             raise RobotError(f"The places cannot be written: {error}.") from error
+
+
+def places_of(robot: Robot) -> Places:
+    """The places of a robot; in memory alone where it was built without a folder for them."""
+    return robot.kept.get(Places, Places)
 
 
 def _fields(place: NamedPlace) -> dict[str, Any]:

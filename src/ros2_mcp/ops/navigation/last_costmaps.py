@@ -6,7 +6,6 @@ import asyncio
 import logging
 from collections import deque
 from collections.abc import Awaitable, Callable
-from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
 from time import monotonic
 from typing import TYPE_CHECKING, Any
@@ -16,7 +15,8 @@ import anyio
 from ros2_mcp.model.aside import aside, load
 from ros2_mcp.model.errors import BadData, RobotError
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.robot.listening import Listening
+from ros2_mcp.robot import Robot
+from ros2_mcp.robot.kept import Kept
 from ros2_mcp.robot.values import Values
 from ros2_mcp_common.wire.protocol import Keep
 
@@ -33,7 +33,6 @@ _MOST_RECENT = 4
 """Updates that may have overtaken the whole costmap which they belong to."""
 _logger = logging.getLogger(__name__)
 
-Listen = Callable[[str, Keep], AbstractAsyncContextManager[Listening]]
 Take = Callable[[str, Sample], Awaitable[None]]
 
 
@@ -123,13 +122,11 @@ class LastCostmap:
         self._tell()
 
 
-class LastCostmaps:
+class LastCostmaps(Kept):
     """Some costmaps, from the first question on until nobody has asked for a while."""
 
-    def __init__(self, listen: Listen, values: Values, now_ns: Callable[[], int]) -> None:
-        self._listen = listen
-        self._values = values
-        self._now_ns = now_ns
+    def __init__(self, robot: Robot) -> None:
+        self._robot = robot
         self._kept: dict[str, LastCostmap] = {}
 
     async def last(
@@ -142,7 +139,7 @@ class LastCostmaps:
             RobotError: if one of both topics cannot be listened to.
         """
         await load("ros2_mcp.world.cost_updates")  # with numpy: not before it is needed
-        kept, asked_ns = self._kept.get(topic), self._now_ns()
+        kept, asked_ns = self._kept.get(topic), self._robot.now_ns()
         if kept is None or not kept.is_heard:
             kept, newer_s = self._begun(topic, updates_topic), max(first_s, newer_s)
         kept.asked_at = monotonic()
@@ -157,16 +154,21 @@ class LastCostmaps:
         if len(self._kept) >= _MOST:
             oldest = min(self._kept.values(), key=lambda one: one.asked_at)
             self._kept.pop(oldest.topic).end()
-        kept = self._kept[topic] = LastCostmap(topic, self._values, self._now_ns())
+        kept = self._kept[topic] = LastCostmap(topic, self._robot.values, self._robot.now_ns())
         kept.work = (
             asyncio.create_task(self._follow(kept, updates_topic, "all", kept.take_part)),
             asyncio.create_task(self._follow(kept, topic, "latest", kept.take_whole)),
         )
         return kept
 
+    async def close(self) -> None:
+        """Ends listening."""
+        for kept in self._kept.values():
+            kept.end()
+
     async def _follow(self, kept: LastCostmap, topic: str, keep: Keep, take: Take) -> None:
         try:
-            async with self._listen(topic, keep) as listening:
+            async with self._robot.listen(topic, keep=keep) as listening:
                 while monotonic() - kept.asked_at < _IDLE_S:
                     for sample in await listening.take(_TURN_S):
                         await take(listening.type, sample)
@@ -175,6 +177,11 @@ class LastCostmaps:
             kept.error = error
         finally:
             kept.end()
+
+
+def costmaps_of(robot: Robot) -> LastCostmaps:
+    """The costmaps of a robot that are listened to."""
+    return robot.kept.get(LastCostmaps, lambda: LastCostmaps(robot))
 
 
 def sent_ns(sample: Sample) -> int:
