@@ -351,6 +351,10 @@ class Live(Source):
         found = await asyncio.gather(*map(graph.endpoints, rows))
         return sorted(one.topic for one in found if any(end.type in types for end in one.publishers))
 
+    async def absence(self) -> str:
+        """As `Source.absence`."""
+        return await self._robot.graph.absence()
+
     async def graph(self) -> GraphSnapshot:
         """The graph now, without our own nodes."""
         graph = self._robot.graph
