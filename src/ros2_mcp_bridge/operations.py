@@ -119,14 +119,8 @@ class Operations:
         self._clients = Clients(node, self.failsafes, limiter, lifeline)
         loop.after_turn = self._clients.look
         self._joint_states.relied_on = self._velocities.moving_joints
-        create = partial(
-            Publisher,
-            node=node,
-            graph=self._graph,
-            velocities=self._velocities,
-            limiter=limiter,
-            joint_states=self._joint_states,
-        )
+        limits = {"limiter": limiter, "joint_states": self._joint_states}
+        create = partial(Publisher, node=node, graph=self._graph, velocities=self._velocities, **limits)
         self._publishers = Publishers(self._velocities, create, outbox.send)
         motions = Motions(
             node=node,
@@ -145,6 +139,7 @@ class Operations:
                 "topics": self._graph.topics,
                 "counted": self._graph.counted,
                 "services": self._services,
+                "servers": self._graph.servers,
                 "nodes": self._graph.nodes,
                 "node": self._graph.node,
                 "endpoints": self._graph.endpoints,

@@ -127,7 +127,7 @@ def decided(policy: Policy, trial: Trial) -> Decision:
     ruling = policy.ruling(command)
     value = _filled(trial, ruling) if ruling else trial.value
     facts = Facts(value=value, publishers=trial.publishers, joints=_joints_of(value, trial.joints))
-    return policy.decide(command, facts, policy.mode)
+    return policy.judge(command, ruling, facts, policy.mode)
 
 
 def _joints_of(value: Any, given: Mapping[str, float]) -> LookAtJoints:

@@ -203,9 +203,9 @@ class Limiter:
 
     def judge(self, ruling: Ruling, value: Any) -> None:
         """Raise `OperationError` of kind `refused` for a value that breaks a limit."""
-        rule, problem = ruling.judge(value, self.look_at_joints)
-        if problem:
-            raise refused(f"The policy of this robot: {problem} ({rule}).")
+        judged = ruling.judge(value, self.look_at_joints)
+        if judged.problem:
+            raise refused(f"The policy of this robot: {judged.problem} ({judged.rule}).")
 
     def _rules_for(self, name: str) -> Rules:
         """The rules; raises `OperationError` of kind `refused` while they have not come, or for an odd name."""

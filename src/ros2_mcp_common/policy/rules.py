@@ -38,6 +38,7 @@ READING_TYPES = frozenset(
         "lifecycle_msgs/srv/GetAvailableTransitions",
         "lifecycle_msgs/srv/GetState",
         "controller_manager_msgs/srv/ListControllers",
+        "controller_manager_msgs/srv/ListHardwareComponents",
         "type_description_interfaces/srv/GetTypeDescription",
         "lora_msgs/srv/GetMessages",
         "wisevision_msgs/srv/InfluxGetMessages",
@@ -172,6 +173,30 @@ def meaning(service: str, service_type: str) -> Meaning:
 # ── the rules as data ──────────────────────────────────────────────────────────────────────────────────────────────
 
 
+NO_VALUE: Any = object()
+"""Stands for a value that is not known, or that no rule is about: only what is asked for beside it is judged."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What a command asks for beside its value, as far as rules have bounds for it.
+
+    `rate_hz` and `for_s` are None for what happens once; a duration of 0 has no end. `source` is the topic that a relay
+    takes its messages from. `speed` is how many times faster than recorded a velocity is played. `publishers` are the
+    robot's own nodes that publish there, as they are to be named.
+    """
+
+    rate_hz: float | None = None
+    for_s: float | None = None
+    source: str | None = None
+    force: bool = False
+    speed: float = 1.0
+    publishers: Sequence[str] = ()
+
+
+NOTHING_ASKED = Asked()
+
+
 @dataclass(frozen=True)
 class Allowance:
     """One entry of `allow`: what may be done, on which names and types, within which bounds. None: no bound.
@@ -205,8 +230,12 @@ class Allowance:
             return False
         return verb in ("cancel", "record", "set", "transition") or matches(self.types, type_name, hidden=True)
 
-    def problem(self, value: Any, zones: Mapping[str, Zone], look: LookAtJoints = nobody_measures) -> str:
-        """Why it does not allow a value, in words; empty if it does."""
+    def problem(self, asked: Asked, value: Any, zones: Mapping[str, Zone], look: LookAtJoints = nobody_measures) -> str:
+        """Why it does not allow what is asked for, or a value, in words; empty if it does."""
+        if problem := self._problem_beside(asked):
+            return problem
+        if value is NO_VALUE:
+            return ""
         if self.verb == "set" and "**" not in self.parameters:
             others = [name for name in value if name not in self.parameters]
             if others:
@@ -215,6 +244,27 @@ class Allowance:
         if is_bound and (problem := _transition_problem(get(value, "transition"), self.transitions)):
             return problem
         return problem_of(self.checks, value, zones, look)
+
+    def _problem_beside(self, asked: Asked) -> str:
+        """Why it does not allow what is asked for beside the value."""
+        if self.rate_hz is not None and asked.rate_hz is not None and not asked.rate_hz <= self.rate_hz:
+            return f"{asked.rate_hz:g} Hz is asked for, at most {self.rate_hz:g} Hz is allowed"
+        if self.for_s is not None and asked.for_s is not None and not 0 < asked.for_s <= self.for_s:
+            lasts = f"{asked.for_s:g} s is asked for" if asked.for_s else "no end is asked for"
+            return f"{lasts}, at most {self.for_s:g} s is allowed"
+        if asked.source is not None and not self.allows_source(asked.source):
+            return f"messages of {asked.source} may not be relayed there, only those of {', '.join(self.sources)}"
+        if asked.force and not self.force:
+            return "force is not allowed"
+        if not asked.speed <= 1:
+            return f"{asked.speed:g} times the recorded speed is asked for, velocities may be played at 1 at most"
+        if self.sole_publisher and asked.publishers:
+            return f"{', '.join(asked.publishers)} of the robot publishes there itself"
+        return ""
+
+    def allows_source(self, source: str) -> bool:
+        """Whether a relay may take its messages from there."""
+        return matches(self.sources, source)
 
 
 def _transition_problem(transition: Any, labels: Sequence[str]) -> str:
@@ -301,6 +351,17 @@ class RuleSet:
 
 
 @dataclass(frozen=True)
+class Judged:
+    """What is said to a value: `problem` says how it breaks `rule`, both empty where it does not. Then `allowances` has
+    those that allow it, of each policy that has some.
+    """
+
+    rule: str = ""
+    problem: str = ""
+    allowances: Sequence[Sequence[Allowance]] = ()
+
+
+@dataclass(frozen=True)
 class Settled:
     """What became of a value: `problem` says how it breaks `rule`, both empty where it does not; `clamped` that it was
     changed.
@@ -348,7 +409,7 @@ class Ruling:
 
     def allows_source(self, source: str) -> bool:
         """Whether a relay may take its messages from there: each policy has to allow it."""
-        return all(any(matches(entry.sources, source) for entry in each.allow) for each in self.policies if each.allow)
+        return all(any(entry.allows_source(source) for entry in each.allow) for each in self.policies if each.allow)
 
     @property
     def hold_s(self) -> float | None:
@@ -362,21 +423,33 @@ class Ruling:
         return has_names or any(not part.checks.is_empty for part in (*self.allowances, *self.limits))
 
     @property
+    def needs_publishers(self) -> bool:
+        """Whether it matters who else publishes there."""
+        return any(entry.sole_publisher for entry in self.allowances)
+
+    @property
     def curves(self) -> Sequence[str]:
         """The paths of trajectories whose whole curve has limits."""
         parts = (*self.allowances, *self.limits)
         return list(dict.fromkeys(path for part in parts for path in part.checks.curve))
 
-    def judge(self, value: Any, look: LookAtJoints = nobody_measures) -> tuple[str, str]:
-        """Which rule a value breaks, and how, in words; both empty if it is within all limits."""
+    def judge(self, value: Any, look: LookAtJoints = nobody_measures, asked: Asked = NOTHING_ASKED) -> Judged:
+        """Judges a value, and what is asked for beside it, by every policy: of its allowances one has to allow it, of
+        its limits each.
+        """
+        allowing: list[Sequence[Allowance]] = []
         for policy in self.policies:
-            for limit in policy.limits:
-                if found := problem_of(limit.checks, value, policy.rules.zones, look):
-                    return limit.rule, found
-            found = [(entry.rule, entry.problem(value, policy.rules.zones, look)) for entry in policy.allow]
-            if found and all(reason for _, reason in found):
-                return found[0]
-        return "", ""
+            zones = policy.rules.zones
+            tried = [(entry, entry.problem(asked, value, zones, look)) for entry in policy.allow]
+            fitting = [entry for entry, problem in tried if not problem]
+            if tried and not fitting:
+                return Judged(tried[0][0].rule, tried[0][1])
+            if fitting:
+                allowing.append(fitting)
+            for limit in policy.limits if value is not NO_VALUE else ():
+                if problem := problem_of(limit.checks, value, zones, look):
+                    return Judged(limit.rule, problem)
+        return Judged(allowances=allowing)
 
     def settle(self, value: Any, way: Literal["tool", "stream"], look: LookAtJoints = nobody_measures) -> Settled:
         """Judges a value of a tool call, or of a relay, feed or playback; where its limits say `clamp`, it is brought
@@ -388,8 +461,8 @@ class Ruling:
                 clamped = clamp(limit.checks, value) or clamped
         for entry in self.allowances if way == "stream" else ():
             clamped = clamp(entry.checks, value) or clamped
-        rule, found = self.judge(value, look)
-        return Settled(rule, found, clamped)
+        judged = self.judge(value, look)
+        return Settled(judged.rule, judged.problem, clamped)
 
 
 @dataclass(frozen=True)
@@ -401,6 +474,15 @@ class Rules:
 
     digest: str
     policies: tuple[RuleSet, ...]
+
+    def may(self, verb: Verb, types: Sequence[str] = ()) -> bool:
+        """Whether each policy allows this on some name, whatever the value; with `types`, for one of these at least."""
+
+        def allows(entry: Allowance) -> bool:
+            is_typed = bool(types) and verb not in ("cancel", "record", "set", "transition")
+            return entry.verb == verb and (not is_typed or any(matches(entry.types, one, hidden=True) for one in types))
+
+        return all(policy.allows_all or any(map(allows, policy.allow)) for policy in self.policies)
 
     def ruling(self, verb: Verb, name: str, type_name: str) -> Ruling:
         """What all policies say about it, whatever the value."""

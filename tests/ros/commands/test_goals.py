@@ -97,6 +97,7 @@ def test_a_rejected_goal_says_so(agent, robot, wait) -> None:
     sent = send(agent, robot.name("reject"), 3, wait_for_result=wait)
     assert (sent["accepted"], sent["status_code"], sent["status"]) == (False, -1, "NOT_ACCEPTED")
     assert sent["note"].startswith("The action server rejected the goal")
+    assert f"{robot.name('peer')} WARN: «reject: the motors are disabled»" in sent["note"]
     assert sent["goal_id"] not in [goal["goal_id"] for goal in agent.call("ros2_stop")["goals"]]
 
 

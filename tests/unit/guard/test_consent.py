@@ -56,7 +56,7 @@ async def publish(guard: Guard, name: str, x: float = 0.1) -> None:
     given: dict[str, Any] = {"principal": LOCAL, "name": name, "type": TWIST, "value": {"linear": {"x": x}}}
     command = Publish(choice=Choice(QoS("reliable", "volatile", depth=1), ""), wait_match_s=1.0, **given)
 
-    async def facts(_waits: bool) -> Facts:
+    async def facts(*_: Any) -> Facts:
         zero = {"x": 0.0, "y": 0.0, "z": 0.0}
         return Facts(value={"linear": {**zero, "x": x}, "angular": zero})
 
@@ -143,7 +143,7 @@ async def test_of_several_topics_each_says_what_it_waits_for_and_what_is_done_is
     async def publish_on(*topics: str) -> list[str]:
         data = {"linear": {"x": 0.1}}
         requests = [PublishRequest(topic_name=topic, message_type=TWIST, data=data) for topic in topics]
-        return [one.error for one in (await publish_several(robot, requests)).topics]
+        return [one.error for one in (await publish_several(robot, robot.session(), requests)).topics]
 
     free, asked = await publish_on("/free", "/asked")
     [request] = consent.approvals.waiting()

@@ -173,7 +173,7 @@ async def check_health(source: Source, expected: Expectations, report: Report = 
     bounded("min_expected_rate_hz", expected.min_rate_hz, 0.0, MAX_RATE_HZ, "Hz")
     expected = replace(
         expected,
-        topics=[names.absolute(name) for name in expected.topics],
+        topics=[await source.name_of(name) for name in expected.topics],
         services=[names.absolute(name, "service") for name in expected.services],
         nodes=[names.absolute(name, "node") for name in expected.nodes],
     )

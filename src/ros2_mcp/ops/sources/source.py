@@ -12,6 +12,7 @@ from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Generic, Protocol, TypeAlias, TypeVar
 
+from ros2_mcp.model import names
 from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.qos import Endpoint
 from ros2_mcp.model.samples import Counts, Sample
@@ -229,6 +230,10 @@ class Source(ABC):
     @abstractmethod
     def codec(self) -> Codec:
         """Reads its samples; knows the types of the topics that were asked for."""
+
+    async def name_of(self, topic: str) -> str:
+        """The full name of a topic that somebody asks for; raises `BadName` where there can be none of that name."""
+        return names.absolute(topic)
 
     @abstractmethod
     async def type_of(self, topic: str) -> str:
