@@ -239,8 +239,10 @@ def _opened(data: bytes, described: str) -> Image.Image:
             raise BadData(f"The picture is too large to show: {image.width} × {image.height} pixels.")
         image.load()
     except (UnidentifiedImageError, OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        is_unknown = isinstance(error, UnidentifiedImageError)
+        why = "they begin as none does" if is_unknown else "they are damaged, or end too early"
         raise BadData(
-            f"{len(data)} bytes with the format {quoted(described)} are not a whole picture: {quoted(str(error))}.",
+            f"{len(data)} bytes with the format {quoted(described)} are not a whole picture: {why}.",
             f"Formats that can be shown are {', '.join(_READ)}.",
         ) from error
     return image

@@ -143,7 +143,7 @@ async def check_health(
     bounded("min_expected_rate_hz", expected.min_rate_hz, 0.0, MAX_RATE_HZ, "Hz")
     expected = replace(
         expected,
-        topics=[names.absolute(name) for name in expected.topics],
+        topics=[await source.name_of(name) for name in expected.topics],
         services=[names.absolute(name, "service") for name in expected.services],
         nodes=[names.absolute(name, "node") for name in expected.nodes],
     )
