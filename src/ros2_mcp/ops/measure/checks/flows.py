@@ -78,11 +78,18 @@ def _of(evidence: Evidence, row: TopicRow, measured: Flow | None, waits: Mapping
     elif row.state in (*_SILENT, "INTERRUPTED") and topic:
         publishers = nodes_of(topic.publishers)
         problem, advice = _silence(publishers, measured), f"Check the device, parameters and log of {publishers}."
-        if root := waits.get(row.topic_name):
-            problem += _why(evidence, root)
-            missing = evidence.graph.topics[root]
-            advice = f"First find out why {root} is silent." if missing.publishers else f"Start what publishes {root}."
-            cause = only(sorted({one.node for one in missing.publishers})) or root
+        root = evidence.graph.topics.get(waits.get(row.topic_name, ""))
+        if root and not root.publishers:
+            who = listed(sorted({one.node for one in root.subscribers}), MAX_NAMES)
+            problem = f"{who} waits for {root.topic}, which nobody publishes; so {row.topic_name} is silent."
+            yield Finding(severity, root.topic, problem, f"Start what publishes {root.topic}.", root.topic)
+            return
+        if root:
+            problem += (
+                f" The cause may be {root.topic}: what {nodes_of(root.publishers)} publishes there is silent, too."
+            )
+            advice = f"First find out why {root.topic} is silent."
+            cause = only(sorted({one.node for one in root.publishers})) or root.topic
         yield Finding(severity, row.topic_name, problem, advice, cause)
 
 
@@ -95,14 +102,6 @@ def _silence(publishers: str, measured: Flow | None) -> str:
     if silence.is_end:
         return f"It has stopped: no message in the last {for_s}, {since}."
     return f"It was interrupted: no message for {for_s} {since}."
-
-
-def _why(evidence: Evidence, root: str) -> str:
-    topic = evidence.graph.topics[root]
-    if not topic.publishers:
-        who = listed(sorted({one.node for one in topic.subscribers}), MAX_NAMES)
-        return f" The cause: {who} waits for {root}, which nobody publishes."
-    return f" The cause may be {root}, which {nodes_of(topic.publishers)} publishes, and which is silent, too."
 
 
 CHECK = Check((), _find)
