@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import OrderedDict
 from struct import error as StructError
 from threading import Lock
@@ -19,6 +20,7 @@ Message: TypeAlias = object
 
 _PADDING = 3
 """Bytes. DDS pads a message to a multiple of four."""
+_OF_LIBRARY = re.compile(r"buffer|unpack|broadcast|reshape|array|codec", re.IGNORECASE)
 _REMEMBERED = 24
 """Messages: each layer of a map, and some more."""
 
@@ -42,9 +44,15 @@ class Codec:
             if len(rest) > _PADDING and any(rest) and len(rest) > _PADDING + 4 * self._estimates(type_name, message):
                 raise ValueError(f"{len(rest)} bytes are left over")
             return message
-        except (ValueError, StructError, SerdeError) as error:
+        except (ValueError, StructError, SerdeError, IndexError, MemoryError, OverflowError) as error:
+            # What these libraries say is about their buffers; what this package raises is about the message.
+            why = (
+                str(error)
+                if type(error) is ValueError and not _OF_LIBRARY.search(str(error))
+                else "it is too short for its fields"
+            )
             raise BadData(
-                f"A message of {len(data)} bytes is not a {type_name}: {error}.",
+                f"A message of {len(data)} bytes is not a {type_name}: {why}.",
                 "Its publisher may have been built with another version of this type.",
             ) from error
 
