@@ -87,15 +87,16 @@ def _converted(path: str, value: Any, kind: str) -> Any:
             raise BadValue(path, f"{excerpt(value)} is not an array.", f"The parameter is declared as {kind}.")
         element = {"byte_array": "integer"}.get(kind, kind.removesuffix("_array"))
         items = cast("list[Any]", value)
-        converted = [_converted(f"{path}[{index}]", item, element) for index, item in enumerate(items)]
+        converted = [_scalar(f"{path}[{index}]", item, element, kind) for index, item in enumerate(items)]
         for index, item in enumerate(converted if kind == "byte_array" else ()):
             if not 0 <= item <= 255:
                 raise BadValue(f"{path}[{index}]", f"{excerpt(item)} is not a byte.", "Give 0 to 255.")
         return converted
-    return _scalar(path, value, kind)
+    return _scalar(path, value, kind, kind)
 
 
-def _scalar(path: str, value: Any, kind: str) -> Any:
+def _scalar(path: str, value: Any, kind: str, declared: str) -> Any:
+    """The value of a scalar, or of an element of a list, whose parameter is `declared` so."""
     is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
     if kind == "bool" and isinstance(value, bool):
         return value
@@ -105,7 +106,10 @@ def _scalar(path: str, value: Any, kind: str) -> Any:
         return value
     whole = _whole(value) if kind == "integer" else None
     if whole is None:
-        raise BadValue(path, f"{excerpt(value)} is not of type {kind}.", f"The parameter is declared as {kind}.")
+        hint = f"The parameter is declared as {declared}."
+        if declared == "byte_array":
+            hint += " rclpy takes an empty list that is declared without a type for one."
+        raise BadValue(path, f"{excerpt(value)} is not of type {kind}.", hint)
     if not -(2**63) <= whole < 2**63:
         raise BadValue(path, f"{excerpt(value)} does not fit an integer of 64 bits.")
     return whole

@@ -283,7 +283,7 @@ def _unreadable(data: bytes, described: str) -> BadData:
         what = f"{codec or 'H.264 or H.265'} is a video: a message alone is no whole picture"
         return BadData(f"{what} ({len(data)} bytes, format {quoted(described)}).", _VIDEO_HINT)
     is_begun = any(data.startswith(start) for start in _STARTS)
-    why = "they are cut off or damaged" if is_begun else "they do not begin like one"
+    why = "they are damaged, or end too early" if is_begun else "they begin as none does"
     return BadData(f"{len(data)} bytes with the format {quoted(described)} are not a whole picture: {why}.", _FORMATS)
 
 

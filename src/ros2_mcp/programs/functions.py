@@ -130,7 +130,7 @@ async def picture(use: Use, topic_name: str, timeout: float = 5.0, bag: str = ""
 @function(risk="act", recorded=False)
 async def turn(use: Use, angle_deg: float, speed: float | None = None) -> Driven:
     """Turns on the spot by odometry; positive: left."""
-    return await drive(use.robot, DriveRequest(angle_deg=angle_deg, speed=speed), use.report)
+    return await drive(use.robot, use.session, DriveRequest(angle_deg=angle_deg, speed=speed), use.report)
 
 
 @function(risk="act", recorded=False)

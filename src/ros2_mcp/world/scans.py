@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +14,7 @@ from ros2_mcp.model.errors import BadData
 from ros2_mcp.model.meanings import SECTOR_RAD, SECTORS, ScanMeaning
 from ros2_mcp.model.poses import Pose, rotated
 from ros2_mcp.model.text import counted
+from ros2_mcp.world.footprint import Point, beyond
 
 _COVERED = 0.5
 """A sector is told as free only where the valid beams cover this share of it: of less, too little is known."""
@@ -116,6 +118,25 @@ def scan_meaning(message: Any, mount: Pose | None = None, base: str = "") -> Sca
         invalid=points.invalid,
         note=_note(points, pose, mount is not None),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class Nearest:
+    """What is nearest to an outline: how far from it, m, and its bearing from the base's origin, °, left positive."""
+
+    gap_m: float
+    bearing_deg: float
+
+
+def nearest_to(points: Sequence[Point], message: Any, mount: Pose) -> Nearest | None:
+    """What of a scan is nearest to a robot's outline outside of it; None where nothing is in its field of view.
+
+    Raises:
+        BadData: as `scan_points`.
+    """
+    hits = moved(scan_points(message).hits, mount)[:, :2]
+    gaps = [(beyond(points, x, y), math.degrees(math.atan2(y, x))) for x, y in hits.tolist()]
+    return min((Nearest(*gap) for gap in gaps if gap[0] > 0), key=lambda one: one.gap_m, default=None)
 
 
 def moved(xy: NDArray[np.float64], pose: Pose) -> NDArray[np.float64]:

@@ -8,6 +8,7 @@ import time
 import pytest
 
 from support.agent import until
+from support.peer_process import reachable
 from support.standstill import undisturbed
 
 ALL = {
@@ -43,7 +44,7 @@ def as_it_was(agent, robot):
 
 
 @pytest.mark.promise(
-    "ros2_parameter_get", "Read parameters of a node as name → value, in the form that ros2_parameter_set takes"
+    "ros2_parameter_get", "Read parameters of a node as name → value, in the form in which they can be set"
 )
 @pytest.mark.promise("ros2_parameter_set", "Set parameters of a node")
 def test_a_whole_node_is_read_in_a_form_that_can_be_set_back(agent, robot) -> None:
@@ -89,6 +90,7 @@ def test_parameters_of_several_nodes_are_listed_at_once_with_what_their_descript
         "constraints": "",
         "left_out": "",
     }
+    assert "not_set" not in found["speed"]
     assert found["steps"]["range"] == {"from": 0, "to": 10, "step": 5}
     assert (found["serial"]["read_only"], found["serial"]["range"]) == (True, None)
     assert opened["error"] == ""
@@ -213,6 +215,71 @@ def test_a_node_that_allows_undeclared_parameters_takes_new_ones(agent, robot) -
     assert [one["value"] for one in answer["parameters"]] == [3, [1.0, 2.5]]
 
 
+@pytest.fixture(scope="module")
+def unset(nursery, agent):
+    peer = reachable(agent, nursery, "unset")
+    yield peer
+    peer.leave()
+
+
+UNSET = {
+    "a_first": "integer",
+    "gain_07_name": "string",
+    "loose": "dynamic",
+    "plugins": "string_array",
+    "z_last": "bool",
+}
+
+
+def test_parameters_that_are_declared_and_not_set_take_nothing_from_the_others(agent, unset) -> None:
+    (node,) = agent.call("ros2_parameter_list", node_names=[unset.name("mapper")])["nodes"]
+    found = {one["name"]: one for one in node["parameters"]}
+    assert {name: one["type"] for name, one in found.items() if one.get("not_set")} == UNSET
+    assert [found[f"gain_{number:02d}"]["value"] for number in range(20)] == [float(number) for number in range(20)]
+    assert found["gain_07_name"]["description"] == "Of the seventh" and found["z_last"]["read_only"]
+    dump = agent.call("ros2_parameter_get", node_name=unset.name("mapper"))
+    assert dump["not_set"] == UNSET and dump["parameters"]["gain_19"] == 19.0
+    assert agent.call("ros2_parameter_get", node_name=unset.name("mapper"), names=["plugins", "gain_03"])[
+        "parameters"
+    ] == {"gain_03": 3.0}
+
+
+def test_a_parameter_that_is_not_set_is_set_by_its_declared_type(agent, unset) -> None:
+    node = unset.name("mapper")
+    said = agent.refusal("ros2_parameter_set", node_name=node, values={"gain_07_name": 7})
+    assert said.startswith("BadValue: gain_07_name: 7 is not of type string.")
+    found = agent.whole("ros2_parameter_set", {"node_name": node, "values": {"gain_07_name": "seven"}})
+    assert "gain_07_name = «seven» (was not set)" in found.content[0].text
+    got = agent.call("ros2_parameter_get", node_name=node, names=["gain_07_name"])
+    assert (got["parameters"], got["not_set"]) == ({"gain_07_name": "seven"}, {})
+
+
+def test_a_node_that_answers_for_fewer_than_it_is_asked_for_is_asked_for_each(agent, unset) -> None:
+    dump = agent.call("ros2_parameter_get", node_name=unset.name("terse"))
+    assert (dump["parameters"], dump["not_set"]) == ({"here": 7, "there": 0.5}, {"gone": "string"})
+
+
+def test_a_hint_is_never_what_was_asked_for(agent, unset) -> None:
+    said = agent.refusal("ros2_parameter_get", node_name=unset.name("mapper"), names=["gain_99"])
+    assert said.startswith(f"NotFound: {unset.name('mapper')} has no parameter gain_99. Did you mean gain_")
+    assert "gain_99?" not in said
+
+
+def test_an_empty_list_tells_how_it_is_declared(agent, unset) -> None:
+    node = unset.name("mapper")
+    assert agent.call("ros2_parameter_get", node_name=node)["empty_lists"] == {"untyped_list": "byte_array"}
+    said = agent.refusal("ros2_parameter_set", node_name=node, values={"untyped_list": ["a"]})
+    assert "declared as byte_array" in said and "declared as integer" not in said
+
+
+def test_a_value_whose_node_does_not_answer_may_still_take_effect_and_that_is_said(agent, unset) -> None:
+    node = unset.name("slow_to_set")
+    said = agent.refusal("ros2_parameter_set", node_name=node, values={"gain": 5.0})
+    assert said.startswith(f"TimedOut: {node} did not answer") and "may still take effect" in said
+    unset.release()
+    until(lambda: agent.call("ros2_parameter_get", node_name=node, names=["gain"])["parameters"] == {"gain": 5.0})
+
+
 @pytest.mark.promise(
     "ros2_node_info",
     "Show what a node publishes, subscribes to, serves and calls, its lifecycle state and number of parameters",
@@ -269,6 +336,7 @@ def test_a_lifecycle_node_is_moved_by_name_and_says_what_is_possible(agent, robo
     assert done["transitions"] == ["activate", "cleanup", "shutdown"]
     failed = change("activate")
     assert (failed["successful"], failed["state"]) == (False, "inactive")
+    assert failed["note"] == f"The robot logged meanwhile: {node} ERROR: «the valve sticks»."
     assert change("activate")["state"] == "active"
     said = agent.refusal("ros2_lifecycle_change", node_name=node, transition="configure")
     possible = "Possible now: deactivate, shutdown."

@@ -25,12 +25,20 @@ from action_msgs.msg import GoalStatus, GoalStatusArray
 from action_msgs.srv import CancelGoal
 from geometry_msgs.msg import Twist
 from lifecycle_msgs.srv import GetState
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    ParameterValue,
+    SetParametersResult,
+)
+from rcl_interfaces.srv import DescribeParameters, GetParameters, GetParameterTypes, ListParameters
 from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.service import Service
 from rclpy.signals import SignalHandlerOptions
@@ -313,6 +321,8 @@ def _action(
     def judge(_request: Any) -> Any:
         peer.counts[name] += 1
         time.sleep(hesitation_s)
+        if goal is GoalResponse.REJECT:
+            peer.node.get_logger().warn(f"{name}: the motors are disabled")
         return goal or GoalResponse.ACCEPT
 
     def judge_cancel(_request: Any) -> Any:
@@ -424,13 +434,62 @@ def tuned(peer: Peer) -> None:
     peer.nodes += [node, Node("open", namespace=peer.node.get_namespace(), allow_undeclared_parameters=True)]
 
 
+def unset(peer: Peer) -> None:
+    """Nodes with parameters that are declared and not set; `terse` answers for what it likes, as some of C++ do, and
+    `slow_to_set` takes its time for a value.
+    """
+    namespace = peer.node.get_namespace()
+    mapper = Node("mapper", namespace=namespace)
+    mapper.declare_parameter("a_first", Parameter.Type.INTEGER)
+    for number in range(20):
+        mapper.declare_parameter(f"gain_{number:02d}", float(number))
+    mapper.declare_parameter("gain_07_name", Parameter.Type.STRING, ParameterDescriptor(description="Of the seventh"))
+    mapper.declare_parameter("loose", None, ParameterDescriptor(dynamic_typing=True))
+    mapper.declare_parameter("plugins", Parameter.Type.STRING_ARRAY)
+    mapper.declare_parameter("untyped_list", [])
+    mapper.declare_parameter("z_last", Parameter.Type.BOOL, ParameterDescriptor(read_only=True))
+    terse = Node("terse", namespace=namespace, start_parameter_services=False)
+    values = {"here": ParameterValue(type=2, integer_value=7), "there": ParameterValue(type=3, double_value=0.5)}
+
+    def names(_request: Any, response: Any) -> Any:
+        response.result.names = ["gone", "here", "there"]
+        return response
+
+    def known(request: Any, response: Any) -> Any:
+        response.values = [values[name] for name in request.names if name in values]
+        return response
+
+    def types(request: Any, response: Any) -> Any:
+        response.types = bytes(4 if name == "gone" else values[name].type for name in request.names)
+        return response
+
+    for kind, service, answer in (
+        (ListParameters, "list_parameters", names),
+        (GetParameters, "get_parameters", known),
+        (GetParameterTypes, "get_parameter_types", types),
+        (DescribeParameters, "describe_parameters", lambda _request, response: response),
+    ):
+        peer.keep(terse.create_service(kind, f"terse/{service}", answer))
+    slow = Node("slow_to_set", namespace=namespace)
+    slow.declare_parameter("gain", 1.0)
+
+    def wait_for_release(_parameters: Any) -> SetParametersResult:
+        peer.released.wait(PATIENCE_S)
+        return SetParametersResult(successful=True)
+
+    slow.add_on_set_parameters_callback(wait_for_release)
+    peer.nodes += [mapper, terse, slow]
+
+
 class Valve(LifecycleNode):
-    """A lifecycle node whose activation fails the first time."""
+    """A lifecycle node whose activation fails the first time, and says why."""
 
     tries = 0
 
     def on_activate(self, state: Any) -> Any:
         self.tries += 1
+        if self.tries == 1:
+            self.get_logger().error("the valve sticks")
         return TransitionCallbackReturn.FAILURE if self.tries == 1 else super().on_activate(state)
 
 

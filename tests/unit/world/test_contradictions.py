@@ -94,9 +94,9 @@ def test_sixteen_bits_as_png_are_distances_or_labels_by_what_they_are() -> None:
         ("hevc", bytes(9), "H.265 is a video"),
         ("", b"\0\0\1\x09" + bytes(50), "H.264 or H.265 is a video"),
         ("jpeg", b"", "it is empty"),
-        ("jpeg", b"\xff\xd8\xff\xe0" + bytes(20), "cut off or damaged"),
-        ("png", b"\x89PNG\r\n\x1a\n" + bytes(3), "cut off or damaged"),
-        ("webp", b"nonsense", "do not begin like one"),
+        ("jpeg", b"\xff\xd8\xff\xe0" + bytes(20), "damaged, or end too early"),
+        ("png", b"\x89PNG\r\n\x1a\n" + bytes(3), "damaged, or end too early"),
+        ("webp", b"nonsense", "begin as none does"),
     ],
 )
 def test_what_is_no_picture_is_told_without_words_of_a_library(described: str, data: bytes, words: str) -> None:

@@ -13,6 +13,7 @@ from ros2_mcp.model import names
 from ros2_mcp.model.meanings import Meaning
 from ros2_mcp.model.text import counted, named
 from ros2_mcp.model.times import recorded_time
+from ros2_mcp.model.values import summarised
 from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.results.results import IF_ANY, ON_REQUEST, SAID, beside, iso_time
 from ros2_mcp.ops.sources.bag import has_definition, open_bag
@@ -199,7 +200,7 @@ async def read(
     stream = collected.stream
     fitted = await asyncio.to_thread(fit, stream.codec, stream.type, collected.samples, selection)
     start, times_s = message_times(source, fitted.samples)
-    notes = [stream.note, collected.more, fitted.note]
+    notes = [stream.note, collected.more, fitted.note, summarised(fitted.truncated)]
     if not collected.samples:
         first_ns, last_ns = source.covers
         notes.append(
@@ -213,7 +214,7 @@ async def read(
         start=start,
         times_s=times_s,
         count=len(fitted.values),
-        truncated=fitted.truncated,
+        truncated=list(fitted.truncated),
         problems=await asyncio.to_thread(read_problems),
         meaning=await meaning_of_newest(source, stream, fitted),
         note=" ".join(filter(None, notes)),

@@ -13,6 +13,7 @@ from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadData, BadName, BadValue, NotFound, RobotError
 from ros2_mcp.model.meanings import Meaning
 from ros2_mcp.model.text import counted
+from ros2_mcp.model.values import summarised
 from ros2_mcp.ops.memory.bag_store import BLACK_BOX, BagStore
 from ros2_mcp.ops.results.results import IF_ANY, ON_REQUEST, SAID, Report, beside, iso_time, reporting, silent
 from ros2_mcp.ops.sources.bag import end_note
@@ -161,7 +162,7 @@ def _show(
         notes.append(f"The messages are {stream.type}, not {type_name}.")
     if dropped := found.collected.dropped:
         notes.append(f"{counted(dropped, 'earlier message')} did not fit in memory.")
-    notes.append(fitted.note)
+    notes += [fitted.note, summarised(fitted.truncated)]
     if not samples:
         notes.append("No message in that time." if request.start or request.end else "It has no message of this topic.")
     return StoredMessages(
@@ -174,6 +175,6 @@ def _show(
         messages=fitted.values,
         count=len(fitted.values),
         found=len(samples),
-        truncated=fitted.truncated,
+        truncated=list(fitted.truncated),
         note=" ".join(filter(None, notes)),
     )

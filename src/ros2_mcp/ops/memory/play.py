@@ -27,6 +27,7 @@ from ros2_mcp.ops.results.results import IF_ANY, Report, iso_time, silent
 from ros2_mcp.ops.sources.bag import find_topic, span_in
 from ros2_mcp.robot import MOTION_TYPES, Robot
 from ros2_mcp.robot.jobs import Job
+from ros2_mcp.robot.session import Session
 
 if TYPE_CHECKING:
     from ros2_mcp.bags.bag import Bag
@@ -118,6 +119,7 @@ class Playback(Job):
     def __init__(
         self,
         robot: Robot,
+        session: Session,
         request: PlayRequest,
         *,
         store: BagStore,
@@ -126,8 +128,8 @@ class Playback(Job):
         topics: Mapping[str, StoredTopic],
     ) -> None:
         self._destinations = {name: request.remaps.get(name, name) for name in topics}
-        super().__init__(owner=robot.principal, moves=list(self._destinations.values()))
-        self._robot = robot
+        super().__init__(owner=session.principal, moves=list(self._destinations.values()))
+        self._robot, self._session = robot, session
         self._store = store
         self._bag = bag
         self._request = request
@@ -151,6 +153,11 @@ class Playback(Job):
         self._progress = 0.0
         self._loops = 0
         self._late_s = 0.0
+
+    @property
+    def about(self) -> str:
+        """The name of the bag."""
+        return self._request.bag
 
     async def run(self) -> None:
         """Opens the publishers and plays. They are requests to the bridge that stay open: losing one ends it all."""
@@ -245,7 +252,7 @@ class Playback(Job):
             speed=self._request.rate,
             wait_match_s=_MATCH_S,
         )
-        self._ended[name] = await self._robot.do(play)
+        self._ended[name] = await self._robot.do(play, self._session)
 
     async def _until_ready(self, name: str) -> None:
         """Returns when the topic's publisher can be fed; only a feed, even of no message, tells that."""
@@ -315,11 +322,16 @@ class Playback(Job):
             relay_id=self._relay_id(topic),
             messages=messages,
         )
-        return await self._robot.do(feed)
+        return await self._robot.do(feed, self._session)
 
 
 async def play(
-    robot: Robot, store: BagStore, request: PlayRequest, wait_s: float = 40.0, report: Report = silent
+    robot: Robot,
+    session: Session,
+    store: BagStore,
+    request: PlayRequest,
+    wait_s: float = 40.0,
+    report: Report = silent,
 ) -> PlaybackState:
     """Plays a bag, or a part of it; after `wait_s` it goes on by itself. Where the call is cancelled, it stops.
 
@@ -334,7 +346,7 @@ async def play(
     robot.jobs.require_room(Playback)
     request = replace(request, remaps={recorded: names.absolute(name) for recorded, name in request.remaps.items()})
     request, bag, span, topics = await to_thread.run_sync(_prepare, store, request)
-    playback = Playback(robot, request, store=store, bag=bag, span=span, topics=topics)
+    playback = Playback(robot, session, request, store=store, bag=bag, span=span, topics=topics)
 
     async def tell() -> None:
         state = playback.report()
@@ -355,8 +367,8 @@ async def status(robot: Robot, playback_id: str = "") -> PlaybackStates:
     return PlaybackStates([playback.report() for playback in robot.jobs.chosen(Playback, playback_id)])
 
 
-async def stop(robot: Robot, playback_id: str) -> PlaybackState:
-    """Stops a playback."""
+async def stop(robot: Robot, playback_id: str = "") -> PlaybackState:
+    """Stops a playback; raises as `Jobs.one`."""
     return (await robot.jobs.stop(Playback, playback_id)).report()
 
 

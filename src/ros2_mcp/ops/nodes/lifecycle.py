@@ -12,13 +12,16 @@ from ros2_mcp.model import names
 from ros2_mcp.model.commands import ChangeState
 from ros2_mcp.model.errors import BadInput, NotFound
 from ros2_mcp.model.text import named
+from ros2_mcp.ops.log.complaints import complaints_from_now
 from ros2_mcp.ops.nodes.own_services import APPEAR_S, TIMEOUT_S, ask_node, fields_of_answer, service_of
 from ros2_mcp.ops.results.results import SAID, or_error
 from ros2_mcp.robot import Robot
-from ros2_mcp_common.policy.rules import CHANGE_STATE
+from ros2_mcp.robot.session import Session
+from ros2_mcp_common.policy.verbs import CHANGE_STATE
 
 CHANGE_S = 30.0
 """A transition may start hardware: drivers take seconds to configure."""
+_UNANSWERED = "The transition may still take effect: ros2_lifecycle_state shows where it has led."
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,15 +43,18 @@ class LifecycleStates:
     """The states of several lifecycle nodes."""
 
     nodes: Sequence[LifecycleState]
+    note: str = field(default="", metadata=SAID)
 
     def summary(self) -> list[str]:
         """A line for each node."""
-        return [node.summary() for node in self.nodes] or ["No lifecycle node is running."]
+        return [node.summary() for node in self.nodes] or [f"No lifecycle node is running. {self.note}".rstrip()]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Transition:
-    """The result of a transition: the states before and after, and what is possible now."""
+    """The result of a transition: the states before and after, and what is possible now. `note` has the warnings and
+    errors that the robot logged meanwhile, where it failed.
+    """
 
     node: str = field(metadata=SAID)
     transition: str = field(metadata=SAID)
@@ -56,21 +62,24 @@ class Transition:
     state_before: str = field(metadata=SAID)
     state: str = field(metadata=SAID)
     transitions: Sequence[str]
+    note: str = ""
 
     def summary(self) -> str:
         """One line."""
         outcome = "done" if self.successful else "failed"
-        return f"{self.node}: {named(self.transition)} {outcome}; {named(self.state_before)} → {named(self.state)}."
+        states = f"{named(self.state_before)} → {named(self.state)}"
+        return f"{self.node}: {named(self.transition)} {outcome}; {states}. {self.note}".rstrip()
 
 
 async def states(robot: Robot, nodes: Sequence[str] = ()) -> LifecycleStates:
     """The states of the named nodes, or of every lifecycle node; the `error` of one does not end the others."""
     chosen = [names.absolute(node, "node") for node in nodes] or await _lifecycle_nodes(robot)
     asking = [or_error(_state(robot, node), partial(LifecycleState, node, "unknown", ())) for node in chosen]
-    return LifecycleStates(await asyncio.gather(*asking))
+    found = await asyncio.gather(*asking)
+    return LifecycleStates(found, "" if found else await robot.graph.absence())
 
 
-async def change(robot: Robot, node: str, transition: str) -> Transition:
+async def change(robot: Robot, session: Session, node: str, transition: str) -> Transition:
     """Makes a transition that is possible now, such as `configure` or `activate`.
 
     Raises:
@@ -87,7 +96,7 @@ async def change(robot: Robot, node: str, transition: str) -> Transition:
     # If it has become impossible in between, the node itself refuses: it goes by the label before the id.
     chosen = labelled[0] if labelled else {"id": 0, "label": transition}
     command = ChangeState(
-        principal=robot.principal,
+        principal=session.principal,
         name=node,
         through=service_of(node, CHANGE_STATE),
         type=CHANGE_STATE,
@@ -97,7 +106,8 @@ async def change(robot: Robot, node: str, transition: str) -> Transition:
         timeout_s=CHANGE_S,
         wait_s=APPEAR_S,
     )
-    response = await fields_of_answer(robot, node, robot.do(command), _not_found, CHANGE_S)
+    complaints = complaints_from_now(robot)
+    response = await fields_of_answer(robot, node, robot.do(command, session), _not_found, CHANGE_S, _UNANSWERED)
     after = await _state(robot, node)
     return Transition(
         node=node,
@@ -106,6 +116,7 @@ async def change(robot: Robot, node: str, transition: str) -> Transition:
         state_before=before.state,
         state=after.state,
         transitions=after.transitions,
+        note="" if response["success"] else await complaints.said(node),
     )
 
 

@@ -34,8 +34,11 @@ async def fields_of_answer(
     answering: Awaitable[Answer],
     not_found: Callable[[Robot, str], Awaitable[NotFound]],
     timeout_s: float = TIMEOUT_S,
+    unanswered: str = "",
 ) -> dict[str, Any]:
     """The fields of a node's answer, with errors that speak of the node: the user asked for it, not for a service.
+
+    `unanswered` says what may follow where no answer came in time: what writes may have been done all the same.
 
     Raises:
         NotFound: made by `not_found`, if the node is not there or has no such service.
@@ -46,4 +49,4 @@ async def fields_of_answer(
     except NotFound as error:
         raise await not_found(robot, node) from error
     except TimedOut as error:
-        raise TimedOut(f"{node} did not answer within {timeout_s:g} s: it is busy, or it hangs.") from error
+        raise TimedOut(f"{node} did not answer within {timeout_s:g} s: it is busy, or it hangs.", unanswered) from error

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, cast
@@ -16,9 +16,10 @@ from ros2_mcp.model.errors import BadInput, BadValue, NotFound
 from ros2_mcp.model.text import counted, in_quotes, listed, named, quoted
 from ros2_mcp.ops.nodes.list import list_nodes
 from ros2_mcp.ops.nodes.own_services import APPEAR_S, TIMEOUT_S, ask_node, fields_of_answer, service_of
-from ros2_mcp.ops.results.results import EXACT, HIDDEN, IF_ANY, SAID, list_note, or_error
+from ros2_mcp.ops.results.results import EXACT, HIDDEN, IF_ANY, ON_REQUEST, SAID, answer_bytes, list_note, or_error
 from ros2_mcp.robot import Robot
-from ros2_mcp_common.policy.rules import SET_PARAMETERS, SET_PARAMETERS_ATOMICALLY
+from ros2_mcp.robot.session import Session
+from ros2_mcp_common.policy.verbs import SET_PARAMETERS, SET_PARAMETERS_ATOMICALLY
 
 _DISCOVERY_S = 6.0
 """How old a bridge is that has discovered the services of every node: they come up to 3 s after the nodes."""
@@ -35,13 +36,25 @@ _OVERRIDES = "qos_overrides."
 of them are at their defaults."""
 _MAX_TEXT = 500
 """Characters of a description, constraints, or a node's reason."""
+_NO_DESCRIPTOR: Mapping[str, Any] = {
+    "type": 0,
+    "dynamic_typing": False,
+    "description": "",
+    "read_only": False,
+    "floating_point_range": (),
+    "integer_range": (),
+    "additional_constraints": "",
+}
+"""Of a parameter that its node does not describe."""
+_UNANSWERED = "The change may still take effect: read it with ros2_parameter_get before you set it again."
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Parameter:
     """One parameter with what its descriptor says; `range` is null where any value is allowed.
 
-    `left_out` says of a value that is too long to be shown (and is null here) how long it is.
+    `left_out` says of a value that is too long to be shown (and is null here) how long it is. `not_set`: it is declared
+    and has no value yet (and is null here).
     """
 
     name: str
@@ -52,6 +65,7 @@ class Parameter:
     range: dict[str, Any] | None = None
     constraints: str = ""
     left_out: str = ""
+    not_set: bool | None = field(default=None, metadata=ON_REQUEST)
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +95,7 @@ class Dump:
     """All parameters of a node as name → value, in the form that setting takes.
 
     `left_out` says of values that are too long to be shown how long they are: setting the others back leaves these
-    as they are.
+    as they are. `not_set` has the declared types of parameters without a value, `empty_lists` those of empty lists.
     """
 
     node: str = field(metadata=SAID)
@@ -89,13 +103,14 @@ class Dump:
     read_only: Sequence[str]
     left_out: dict[str, str] = field(metadata=IF_ANY)
     note: str = ""
+    not_set: dict[str, str] = field(default_factory=dict[str, str])
+    empty_lists: dict[str, str] = field(default_factory=dict[str, str])
 
     def summary(self) -> str:
         """One line."""
-        line = (
-            f"{self.node}: {counted(len(self.parameters), 'parameter')}, {len(self.read_only)} read-only. {self.note}"
-        )
-        line = line.rstrip()
+        count = counted(len(self.parameters), "parameter")
+        declared = f" {len(self.not_set)} declared, but not set." if self.not_set else ""
+        line = f"{self.node}: {count}, {len(self.read_only)} read-only.{declared} {self.note}".rstrip()
         if not self.left_out:
             return line
         long = ", ".join(f"{named(name)} ({size})" for name, size in list(self.left_out.items())[:_MAX_NAMED])
@@ -131,7 +146,7 @@ class SetResult:
         """One line, and one for each refusal."""
         taken = [one for one in self.parameters if one.successful]
         changes = [
-            f"{named(one.name)} = {one.left_out or in_quotes(one.value)} (was {in_quotes(one.before)})" for one in taken
+            f"{named(one.name)} = {one.left_out or in_quotes(one.value)} (was {_before(one.before)})" for one in taken
         ]
         more = f" and {len(taken) - _MAX_NAMED} more" if len(taken) > _MAX_NAMED else ""
         now = f": {', '.join(changes[:_MAX_NAMED])}{more}" if changes else ""
@@ -144,6 +159,10 @@ class SetResult:
             f"{self.node}: {len(taken)} of {counted(len(self.parameters), 'parameter')} set{now}. {self.note}".rstrip(),
             *refused,
         ]
+
+
+def _before(value: Any) -> str:
+    return "not set" if value is None else in_quotes(value)
 
 
 class _Room:
@@ -189,7 +208,8 @@ async def describe(robot: Robot, nodes: Sequence[str], pattern: str = "", limit:
 
     async def described(node: str) -> NodeParameters:
         nonlocal left_out
-        found = await _read(robot, node, names.matching(await _names(robot, node), pattern))
+        declared = await _names(robot, node)
+        found = await _read(robot, node, names.matching(declared, pattern), declared)
         meant = [one for one in found if pattern or not _is_usual(one)]
         left_out += len(found) - len(meant)
         return NodeParameters(node, meant)
@@ -198,7 +218,7 @@ async def describe(robot: Robot, nodes: Sequence[str], pattern: str = "", limit:
     found = await asyncio.gather(*(or_error(described(node), partial(NodeParameters, node)) for node in chosen))
     total = sum(len(node.parameters) for node in found)
     shown: list[NodeParameters] = []
-    left, room = limit, _Room(robot.result_bytes)
+    left, room = limit, _Room(answer_bytes(robot))
     for node in found:
         if pattern and not (nodes or node.parameters or node.error):
             continue  # nobody asked for this node, and it has no such parameter
@@ -230,16 +250,27 @@ async def dump(robot: Robot, node: str, asked: Sequence[str] | None = None, *, w
     for name in asked or ():
         if name not in declared:
             raise NotFound(f"{node} has no parameter {name}.", _near(name, declared))
-    found = await _read(robot, node, declared if asked is None else asked)
-    room = _Room(robot.result_bytes)
+    found = await _read(robot, node, declared if asked is None else asked, declared)
+    room = _Room(answer_bytes(robot))
     shown = found if whole else [room.shown(parameter) for parameter in found]
-    values = {one.name: one.value for one in shown if one.type != "not_set" and not one.left_out}
+    values = {one.name: one.value for one in shown if not (one.not_set or one.left_out)}
     left_out = {one.name: one.left_out for one in shown if one.left_out}
-    read_only = [parameter.name for parameter in found if parameter.read_only]
-    return Dump(node, values, read_only, left_out, await shared_names(robot, [node]))
+    return Dump(
+        node,
+        values,
+        [parameter.name for parameter in found if parameter.read_only],
+        left_out,
+        await shared_names(robot, [node]),
+        not_set={one.name: one.type for one in found if one.not_set},
+        empty_lists={
+            one.name: one.type for one in found if one.type.endswith("_array") and not (one.value or one.not_set)
+        },
+    )
 
 
-async def set_values(robot: Robot, node: str, values: Mapping[str, Any], *, atomic: bool = False) -> SetResult:
+async def set_values(
+    robot: Robot, session: Session, node: str, values: Mapping[str, Any], *, atomic: bool = False
+) -> SetResult:
     """Sets parameters, after each value has been converted to the declared type; reads them back.
 
     A read-only parameter with the value that it has is no error: what `dump` has read can be set back as a whole.
@@ -258,7 +289,7 @@ async def set_values(robot: Robot, node: str, values: Mapping[str, Any], *, atom
         raise BadValue("", error.message, f"{error.hint} Nothing was set.".lstrip()) from error
     kind = SET_PARAMETERS_ATOMICALLY if atomic else SET_PARAMETERS
     command = SetParameters(
-        principal=robot.principal,
+        principal=session.principal,
         name=node,
         through=service_of(node, kind),
         type=kind,
@@ -267,11 +298,11 @@ async def set_values(robot: Robot, node: str, values: Mapping[str, Any], *, atom
         timeout_s=TIMEOUT_S,
         wait_s=await _time_to_appear(robot),
     )
-    response = await fields_of_answer(robot, node, robot.do(command), _not_found)
+    response = await fields_of_answer(robot, node, robot.do(command, session), _not_found, unanswered=_UNANSWERED)
     results = [response["result"]] * len(messages) if atomic else response["results"]
     result_of = {message["name"]: result for message, result in zip(messages, results, strict=True)}
-    room = _Room(robot.result_bytes)
-    now = {parameter.name: room.shown(parameter) for parameter in await _read(robot, node, list(values))}
+    room = _Room(answer_bytes(robot))
+    now = {parameter.name: room.shown(parameter) for parameter in await _read(robot, node, list(values), ())}
     # What was left out of the request: a node would refuse a read-only parameter even with the value that it has.
     kept = {"successful": True, "reason": "it is read-only and has this value"}
     ones: list[SetOne] = []
@@ -290,7 +321,8 @@ async def _messages(
     and the values that they have now.
     """
     declared = await _names(robot, node)
-    current = {found.name: found for found in await _read(robot, node, [name for name in values if name in declared])}
+    known = [name for name in values if name in declared]
+    current = {found.name: found for found in await _read(robot, node, known, declared)}
     messages: list[dict[str, Any]] = []
     for name, value in values.items():
         parameter = current.get(name)
@@ -334,20 +366,47 @@ async def _names(robot: Robot, node: str) -> list[str]:
     return sorted(response["result"]["names"])
 
 
-async def _read(robot: Robot, node: str, asked: Sequence[str]) -> list[Parameter]:
+async def _read(robot: Robot, node: str, asked: Sequence[str], declared: Collection[str]) -> list[Parameter]:
+    """The parameters that the node knows; those that are `declared` also where it tells nothing of them."""
     if not asked:
         return []
-    request = {"names": list(asked)}
     values, descriptors = await asyncio.gather(
-        _response(robot, node, "GetParameters", request), _response(robot, node, "DescribeParameters", request)
+        _of_each(robot, node, "GetParameters", "values", asked),
+        _of_each(robot, node, "DescribeParameters", "descriptors", asked),
     )
-    # A node may answer with fewer than it was asked for: what it does not know is left out.
-    found = zip(asked, values["values"], descriptors["descriptors"], strict=False)
-    return [_parameter(name, value, descriptor) for name, value, descriptor in found]
+    known = [name for name in asked if name in values or name in descriptors or name in declared]
+    untold = [name for name in known if name not in values and not descriptors.get(name, _NO_DESCRIPTOR)["type"]]
+    types = await _of_each(robot, node, "GetParameterTypes", "types", untold)
+    return [
+        _parameter(name, values.get(name), descriptors.get(name, _NO_DESCRIPTOR), int(types.get(name, 0)))
+        for name in known
+    ]
 
 
-def _parameter(name: str, value: Mapping[str, Any], descriptor: Mapping[str, Any]) -> Parameter:
-    declared = parameters.type_name(int(value["type"]) or int(descriptor["type"]))
+async def _of_each(robot: Robot, node: str, kind: str, key: str, asked: Sequence[str]) -> dict[str, Any]:
+    """What a node answers for each name; without those for which it has no answer.
+
+    One parameter that is declared and not set makes rclcpp and rclpy answer for none (or leave out what follows it), so
+    a list that is shorter than the question is asked for again in halves.
+    """
+    if not asked:
+        return {}
+    answers = (await _response(robot, node, kind, {"names": list(asked)}))[key]
+    if len(answers) == len(asked):
+        return dict(zip(asked, answers, strict=True))
+    if len(asked) == 1:
+        return {}
+    middle = len(asked) // 2
+    first = await _of_each(robot, node, kind, key, asked[:middle])  # in turn: the node is asked one question at a time
+    return first | await _of_each(robot, node, kind, key, asked[middle:])
+
+
+def _parameter(
+    name: str, value: Mapping[str, Any] | None, descriptor: Mapping[str, Any], type_code: int = 0
+) -> Parameter:
+    """Of a parameter that is not set `value` is None, and its type that of its declaration."""
+    value = value or {"type": 0}
+    declared = parameters.type_name(int(value["type"]) or int(descriptor["type"]) or type_code)
     # A descriptor has at most one range, of either kind.
     ranges = (*descriptor["floating_point_range"], *descriptor["integer_range"])
     allowed = [{"from": entry["from_value"], "to": entry["to_value"], "step": entry["step"]} for entry in ranges]
@@ -355,6 +414,7 @@ def _parameter(name: str, value: Mapping[str, Any], descriptor: Mapping[str, Any
         name=name,
         type="dynamic" if descriptor["dynamic_typing"] else declared,
         value=parameters.value_of(value),
+        not_set=None if int(value["type"]) else True,
         description=descriptor["description"],
         read_only=descriptor["read_only"],
         range=allowed[0] if allowed else None,

@@ -320,6 +320,10 @@ class Source(ABC):
         topics = (await self.graph()).topics
         return sorted(name for name, found in topics.items() if any(one.type in types for one in found.publishers))
 
+    async def absence(self) -> str:
+        """That no robot is there, as a sentence; empty where one is, and of what was kept."""
+        return ""
+
     def words_after(self, took_s: float) -> str:  # noqa: ARG002 - what was kept is read in no time
         """`words`, where reading may have ended before the source's time did: `live, 0.26 s of at most 5 s`."""
         return self.words

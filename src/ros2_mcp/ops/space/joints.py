@@ -51,9 +51,10 @@ def joints_now(urdf: Urdf | None, positions: Mapping[str, float], reports: str =
     joints = sorted(joints, key=lambda joint: joint.name not in reports)
     joints += [joint for joint in urdf.joints.values() if joint.mimic and joint.name in positions] if urdf else []
     others = [name for name in positions if urdf is None or name not in urdf.joints]
+    known = {name: at for name, at in positions.items() if math.isfinite(at)}  # drivers send NaN for what they lack
     return [
-        *(_joint(joint, positions.get(joint.name)) for joint in joints),
-        *(JointNow(name, kind="", at=positions[name]) for name in others),
+        *(_joint(joint, known.get(joint.name)) for joint in joints),
+        *(JointNow(name, kind="", at=known.get(name)) for name in others),
     ]
 
 

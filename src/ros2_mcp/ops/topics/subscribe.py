@@ -338,7 +338,7 @@ async def _shown(source: Source, collected: Collected, selection: Selection) -> 
         images, said = await asyncio.to_thread(pictures_of, stream.type, fitted)
     start, times_s = message_times(source, fitted.samples)
     # Who sees the picture needs no advice on how to read its bytes.
-    hint = summarised([path for path in fitted.truncated if not images or path != "data"])
+    hint = summarised({path: by for path, by in fitted.truncated.items() if not images or path != "data"})
     # Fewer than were asked for, and there are more: they were too much to keep.
     cut = collected.more if len(collected.samples) < (selection.enough or 0) else ""
     if collected.dropped and collected.samples and not collected.left_behind:
@@ -360,7 +360,7 @@ async def _shown(source: Source, collected: Collected, selection: Selection) -> 
         lost=collected.lost,
         publishers=stream.nodes,
         qos=stream.qos,
-        truncated=fitted.truncated,
+        truncated=list(fitted.truncated),
         note=" ".join(filter(None, notes)),
         source=source.words_after(collected.covered_s),
         meaning=await meaning_of_newest(source, stream, fitted),

@@ -43,7 +43,7 @@ async def store(tmp_path: Path, bridge: MadeBridge) -> AsyncIterator[BagStore]:
 @pytest.fixture
 def play(robot: Robot, store: BagStore) -> Play:
     async def play(request: PlayRequest, wait_s: float = 5.0) -> PlaybackState:
-        return await playing.play(robot, store, request, wait_s)
+        return await playing.play(robot, robot.session(), store, request, wait_s)
 
     return play
 
