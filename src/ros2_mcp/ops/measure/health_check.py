@@ -231,7 +231,7 @@ def _lacks(graph: GraphSnapshot, expected: Expectations) -> bool:
 def _nothing_measured(evidence: Evidence) -> list[Finding]:
     """That nothing says that the robot is well, where nothing says that it is not."""
     is_expected_there = any(row.expected and row.state == "OK" for row in evidence.rows)
-    controllers = [one for manager in (evidence.managers or {}).values() for one in manager.controllers]
+    controllers = [one for control in (evidence.ros2_control or {}).values() for one in control.controllers]
     parts = (any(flow.count for flow in evidence.flows.values()), evidence.diagnostics.rows, evidence.lifecycle)
     if is_expected_there or controllers or any(parts):
         return []

@@ -34,9 +34,9 @@ class Controller:
     state: str = ""
 
 
-async def listed_hardware(robot: Robot, manager: str) -> Sequence[Mapping[str, Any]] | None:
+async def listed_hardware(robot: Robot, node: str) -> Sequence[Mapping[str, Any]] | None:
     """What a controller manager says of its hardware components; None where it does not tell."""
-    service, kind = f"{manager}/list_hardware_components", "controller_manager_msgs/srv/ListHardwareComponents"
+    service, kind = f"{node}/list_hardware_components", "controller_manager_msgs/srv/ListHardwareComponents"
     try:
         asked = robot.ask_service(service, kind, {}, timeout_s=_ANSWER_S)
         return (await robot.fields_of(await asyncio.wait_for(asked, _ANSWER_S)))["component"]

@@ -7,21 +7,21 @@ from typing import Any
 
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.measure.checks.check import FIRST, Check
-from ros2_mcp.ops.measure.evidence import Evidence, Manager
+from ros2_mcp.ops.measure.evidence import Evidence, Ros2Control
 from ros2_mcp.ops.measure.findings import Finding
 
 
 def _find(evidence: Evidence) -> Iterator[Finding]:
-    for node, manager in (evidence.managers or {}).items():
-        yield from _idle_controllers(node, manager)
-        yield from _idle_hardware(node, manager)
+    for node, control in (evidence.ros2_control or {}).items():
+        yield from _idle_controllers(node, control)
+        yield from _idle_hardware(node, control)
 
 
-def _idle_controllers(node: str, manager: Manager) -> Iterator[Finding]:
+def _idle_controllers(node: str, control: Ros2Control) -> Iterator[Finding]:
     """One of several for the same joints is meant to wait: those whose interfaces an active one has claimed."""
-    active = [one for one in manager.controllers if one["state"] == "active"]
+    active = [one for one in control.controllers if one["state"] == "active"]
     claimed = {str(name) for one in active for name in one.get("claimed_interfaces", ())}
-    for one in manager.controllers:
+    for one in control.controllers:
         needed = [str(name) for name in one.get("required_command_interfaces", ())]
         if one["state"] == "active" or (needed and claimed.issuperset(needed)):
             continue
@@ -32,9 +32,9 @@ def _idle_controllers(node: str, manager: Manager) -> Iterator[Finding]:
         yield Finding("warning", name, problem, advice, name)
 
 
-def _idle_hardware(node: str, manager: Manager) -> Iterator[Finding]:
-    active = [one for one in manager.controllers if one["state"] == "active"]
-    for component in manager.hardware or ():
+def _idle_hardware(node: str, control: Ros2Control) -> Iterator[Finding]:
+    active = [one for one in control.controllers if one["state"] == "active"]
+    for component in control.hardware or ():
         state = str(component["state"]["label"] or component["state"]["id"])
         if state == "active":
             continue
@@ -58,4 +58,4 @@ def _full(node: str, controller: Mapping[str, Any]) -> str:
     return f"{node.rpartition('/')[0]}/{controller['name']}"
 
 
-CHECK = Check(("managers",), _find, place=FIRST)
+CHECK = Check(("ros2_control",), _find, place=FIRST)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import operator
 import re
 from collections.abc import Iterator
 
@@ -56,13 +57,13 @@ def outside(parameter: Parameter) -> str:
             is_outside = not float(found["low"]) <= value <= float(found["high"])
             return f"outside {found['low']} to {found['high']}" if is_outside else ""
     for pattern, group, is_outside, words in (
-        (_LOWEST, "low", lambda bound: value < bound, "below"),
-        (_HIGHEST, "high", lambda bound: value > bound, "above"),
-        (_ABOVE, "low", lambda bound: value <= bound, "not above"),
-        (_BELOW, "high", lambda bound: value >= bound, "not below"),
+        (_LOWEST, "low", operator.lt, "below"),
+        (_HIGHEST, "high", operator.gt, "above"),
+        (_ABOVE, "low", operator.le, "not above"),
+        (_BELOW, "high", operator.ge, "not below"),
     ):
         found = pattern.search(text)
-        if found and not _NEGATED.search(text[: found.start()]) and is_outside(float(found[group])):
+        if found and not _NEGATED.search(text[: found.start()]) and is_outside(value, float(found[group])):
             return f"{words} {found[group]}"
     if (found := _POSITIVE.search(text)) and (value < 0 or (value == 0 and not found["not"])):
         return "not positive"
