@@ -57,6 +57,8 @@ class OpenedBag:
         self._path = path
         self._mark: tuple[int, int] | None = None
         self._codec: RecordedCodec | None = None
+        self.read_as: dict[str, str] = {}
+        """The older distribution whose definition was taken for a type."""
 
     @property
     def codec(self) -> RecordedCodec:
@@ -66,6 +68,7 @@ class OpenedBag:
             from ros2_mcp.values.json_messages import RecordedCodec
 
             self._codec = RecordedCodec(Definitions())
+            self.read_as = {}
         return self._codec
 
     @contextmanager

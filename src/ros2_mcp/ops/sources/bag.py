@@ -30,6 +30,7 @@ from ros2_mcp.model.text import named
 from ros2_mcp.model.times import recorded_time
 from ros2_mcp.ops.memory.bag_store import BLACK_BOX, BagStore, OpenedBag
 from ros2_mcp.ops.results.results import Report, iso_time, silent
+from ros2_mcp.ops.sources import older_types
 from ros2_mcp.ops.sources.selection import MAX_BYTES
 from ros2_mcp.ops.sources.source import (
     Capture,
@@ -249,6 +250,7 @@ class BagSource(Source):
             topic=stored.name,
             type=stored.type,
             codec=self._codec,
+            note=older_types.told(self.opened, stored.type),
             publishers=publishers,
             qos=f"{publishers[0].qos.durability}, as it was recorded",
             start_ns=self.span.start_ns,
@@ -280,6 +282,8 @@ class BagSource(Source):
         # Another topic of the bag may have brought another definition of the type, or of one that it contains.
         elif topic.definition or not self._codec.definitions.knows(topic.type):
             await learn(self._codec.definitions, topic, self.robot)
+            if not topic.definition:
+                await asyncio.to_thread(older_types.take, self.opened, self._codec, topic)
         return topic
 
     def _learn_json(self, type_name: str) -> None:
