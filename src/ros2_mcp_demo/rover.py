@@ -41,6 +41,8 @@ def build(seed, namespace):
 
         classes.append(GripperDriver)
     parts = [part(simulation, namespace) for part in classes]
+    if optional.lifecycle:
+        parts[-1].start()
     return simulation, [*parts, Health(simulation, namespace, parts)]
 
 

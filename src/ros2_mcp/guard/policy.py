@@ -11,9 +11,10 @@ from ros2_mcp.model import commands
 from ros2_mcp.model.commands import SERVER, Command, ServiceBorne
 from ros2_mcp.model.errors import BadValue
 from ros2_mcp.model.text import named
-from ros2_mcp_common.policy.rules import NO_VALUE, NOTHING_ASKED, Asked, Rules, RuleSet, Ruling, Verb, meaning
+from ros2_mcp_common.policy.rules import NO_TERMS, NO_VALUE, Rules, RuleSet, Ruling, Terms
 from ros2_mcp_common.policy.trajectory_limits import LookAtJoints, nobody_measures
 from ros2_mcp_common.policy.velocity import VELOCITY_TYPES
+from ros2_mcp_common.policy.verbs import Verb, meaning
 
 MODES: Sequence[Mode] = ("observe", "confirm", "autonomous")
 """From the strictest to the one that asks least."""
@@ -160,7 +161,7 @@ class Policy:
         value: Any = NO_VALUE
         if facts.value is not None:
             value = facts.value
-        judged = ruling.judge(value, facts.joints, _asked(command, facts.publishers))
+        judged = ruling.judge(value, facts.joints, _terms(command, facts.publishers))
         if judged.problem:
             return _refused(command, judged.problem, judged.rule)
         # The mildest one counts, so that the order of the rules does not matter.
@@ -190,13 +191,13 @@ def _refused(command: Command[Any], problem: str, rule: str, instead: str = "") 
     return Decision(verdict="refused", rule=rule, reason=reason, instead=instead or _TOLD_BY_POLICY)
 
 
-def _asked(command: Command[Any], publishers: Sequence[str]) -> Asked:
+def _terms(command: Command[Any], publishers: Sequence[str]) -> Terms:
     """What a command asks for beside its value; messages for a relay that is open ask for nothing more."""
     if isinstance(command, commands.Feed):
-        return NOTHING_ASKED
+        return NO_TERMS
     lasts = isinstance(command, commands.Repeat | commands.Move | commands.Relay | commands.Play)
     play = command if isinstance(command, commands.Play) else None
-    return Asked(
+    return Terms(
         rate_hz=command.rate_hz,
         for_s=command.duration_s or 0.0 if lasts else None,
         source=command.source if isinstance(command, commands.Relay) else None,

@@ -22,9 +22,10 @@ from ros2_mcp.model.qos import Choice, QoS
 from ros2_mcp_common.policy.checks import Checks
 from ros2_mcp_common.policy.curves import State
 from ros2_mcp_common.policy.field_values import number_of
-from ros2_mcp_common.policy.rules import CHANGE_STATE, SET_PARAMETERS, Ruling, Verb, judged_part, meaning
+from ros2_mcp_common.policy.rules import Ruling, judged_part
 from ros2_mcp_common.policy.stamps import trajectories_in
 from ros2_mcp_common.policy.trajectory_limits import Joints, LookAtJoints
+from ros2_mcp_common.policy.verbs import CHANGE_STATE, SET_PARAMETERS, Verb, meaning
 
 DECISIONS: Mapping[str, str] = {"allowed": "allow", "refused": "refuse", "consent": "consent"}
 """What tables call the verdicts."""

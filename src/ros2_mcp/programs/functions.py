@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
-from ros2_mcp.model.errors import BadInput
+from ros2_mcp.model.errors import BadData, BadInput
 from ros2_mcp.model.pictures import LASER_SCAN
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.motion.drive import Driven, DriveRequest, drive
@@ -98,6 +98,8 @@ async def scan(use: Use, topic_name: str = "", timeout: float = 5.0, bag: str = 
     message = await latest(use=use, topic_name=topic_name, timeout=timeout, bag=bag)
     if "angle_increment" not in message:
         raise BadInput(f"{named(topic_name)} is not a laser scan.", "robot.topics() shows the types.")
+    if not message["angle_increment"] and len(message["ranges"]) > 1:
+        raise BadData(f"The scan of {named(topic_name)} has no bearings: angle_increment is 0.")
     least, most = message["range_min"], message["range_max"]
     beams: list[list[float]] = []
     for index, metres in enumerate(message["ranges"]):

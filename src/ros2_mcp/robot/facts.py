@@ -13,9 +13,10 @@ from ros2_mcp.robot.joints import RobotJoints
 from ros2_mcp.robot.prepared import Prepared
 from ros2_mcp.robot.seen import is_of_robot
 from ros2_mcp.robot.told_of_trajectories import told_of
-from ros2_mcp_common.policy.rules import Ruling, judged_part, meaning
+from ros2_mcp_common.policy.rules import Ruling, judged_part
 from ros2_mcp_common.policy.stamps import trajectories_in
 from ros2_mcp_common.policy.trajectory_limits import MAX_JOINTS
+from ros2_mcp_common.policy.verbs import meaning
 
 
 async def facts_of(

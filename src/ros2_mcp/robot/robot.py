@@ -32,7 +32,7 @@ from ros2_mcp.robot.session import Session
 from ros2_mcp.robot.transforms import TransformListener
 from ros2_mcp.robot.translation import as_meant
 from ros2_mcp.robot.values import Values
-from ros2_mcp_common.policy.rules import only_reads
+from ros2_mcp_common.policy.verbs import only_reads
 from ros2_mcp_common.wire.protocol import Keep, StoppedTopic, StopReply
 
 if TYPE_CHECKING:

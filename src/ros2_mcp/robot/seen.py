@@ -53,6 +53,18 @@ class Seen:
         self._publishers: dict[str, set[str]] = {}
         self._types: dict[str, str] = {}
         self._subscribers: dict[str, frozenset[str]] = {}
+        self._ran: dict[str, None] = {}
+
+    def note_stream(self, topic: str) -> None:
+        """Notes that messages come on a topic all the time."""
+        self._ran.setdefault(topic)
+        if len(self._ran) > _MOST:
+            del self._ran[next(iter(self._ran))]
+
+    @property
+    def ran(self) -> Collection[str]:
+        """The topics that were a stream at some time of this session."""
+        return self._ran.keys()
 
     def knows(self, node: str) -> bool:
         """Whether the node was seen before, or is one that is never noted."""

@@ -8,7 +8,7 @@ from ros2_mcp.model.commands import Answer, CancelGoals, ChangeState, SendGoal, 
 from ros2_mcp.robot.core import Core
 from ros2_mcp.robot.prepared import Prepared
 from ros2_mcp_common.policy.flight import vehicle_of
-from ros2_mcp_common.policy.rules import only_reads
+from ros2_mcp_common.policy.verbs import only_reads
 
 
 async def call(core: Core, prepared: Prepared[Any]) -> Answer:

@@ -13,7 +13,7 @@ from ros2_mcp.model.commands import ServiceBorne, ServiceCall
 from ros2_mcp.model.errors import BadValue
 from ros2_mcp.model.goals import goal_id_hex
 from ros2_mcp.robot.prepared import Prepared
-from ros2_mcp_common.policy.rules import meaning
+from ros2_mcp_common.policy.verbs import meaning
 
 
 async def as_meant(prepared: Prepared[Any]) -> Prepared[Any]:

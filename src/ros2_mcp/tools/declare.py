@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 from ros2_mcp.guard.policy import Policy
 from ros2_mcp.tools.injection import Call, Makers, arguments_of, made_by, values_for
-from ros2_mcp_common.policy.rules import Verb
+from ros2_mcp_common.policy.verbs import Verb
 
 Risk = Literal["read", "write", "actuate", "stop"]
 """`read` changes nothing; `write` changes the software's state; `actuate` can move the robot; `stop` ends what was set

@@ -13,6 +13,7 @@ from ros2_mcp.ops.measure import wait_until as waiting
 from ros2_mcp.ops.results.results import Report
 from ros2_mcp.ops.sources.selection import Selection
 from ros2_mcp.ops.sources.source import Source
+from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import Flag, Number, NumericFields, TopicName
 from ros2_mcp.tools.declare import tool
 from ros2_mcp.tools.injection import Numbers
@@ -67,6 +68,7 @@ async def ros2_wait_until(
     finds="why does it not move, what is wrong, diagnose, broken, silent sensors, battery",
 )
 async def ros2_health_check(
+    robot: Robot,
     report: Report,
     expected_topics: Names = None,
     expected_services: Names = None,
@@ -86,7 +88,7 @@ async def ros2_health_check(
     expected = health.Expectations(
         expected_topics or (), expected_services or (), expected_nodes or (), check_rates, min_expected_rate_hz
     )
-    return await health.check_health(source.lasting(rate_check_duration_sec), expected, report)
+    return await health.check_health(source.lasting(rate_check_duration_sec), expected, report, robot)
 
 
 @tool(

@@ -300,7 +300,7 @@ def _add_angle(scan: dict[str, Any]) -> None:
     """Writes the angle of the smallest range into the summary of a scan's ranges; a strange definition may lack all."""
     ranges: Any = scan.get("ranges") or ()
     start, step = scan.get("angle_min"), scan.get("angle_increment")
-    if isinstance(start, (int, float)) and isinstance(step, (int, float)) and "min_at" in ranges:
+    if isinstance(start, (int, float)) and isinstance(step, (int, float)) and step and "min_at" in ranges:
         ranges["min_at_angle"] = _json_number("float64", round(float(start + ranges["min_at"] * step), _ANGLE_DIGITS))
 
 

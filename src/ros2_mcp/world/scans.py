@@ -20,6 +20,8 @@ _COVERED = 0.5
 """A sector is told as free only where the valid beams cover this share of it: of less, too little is known."""
 _TILTED_DEG = 10.0
 """A scan plane that is tilted more than that meets the floor: at a height of 0.3 m in less than 2 m."""
+_MOST_TURN_RAD = 2 * math.tau
+"""No scanner tells more than two turns in one message; one whose steps are in degrees would tell 57."""
 _MOST_BEAMS = 1_000_000
 """More than any scanner has in a turn; so large a message is broken."""
 
@@ -51,12 +53,24 @@ def scan_points(message: Any) -> ScanPoints:
     and what is less than `range_min` invalid. Many drivers write 0 where they saw nothing: that is invalid, too.
 
     Raises:
-        BadData: if its angles are no numbers, or it has too many beams.
+        BadData: if its angles are no numbers or the same for all beams, if they are of many turns, or if it has too
+            many beams.
     """
     ranges = np.asarray(message.ranges, np.float64)
     angle, step = float(message.angle_min), float(message.angle_increment)
     if len(ranges) > _MOST_BEAMS or not (math.isfinite(angle) and math.isfinite(step)):
         raise BadData(f"The scan has {len(ranges)} beams from {angle} rad in steps of {step} rad.")
+    if step == 0 and len(ranges) > 1:
+        raise BadData(
+            f"The scan has no bearings: angle_increment is 0 for {len(ranges)} ranges.",
+            "Its driver has not filled it in; the ranges themselves can be read.",
+        )
+    if abs(step) * (len(ranges) - 1) > _MOST_TURN_RAD:
+        raise BadData(
+            f"The scan has no bearings: {len(ranges)} ranges in steps of {step:.4g} rad are "
+            f"{abs(step) * len(ranges) / math.tau:.3g} turns.",
+            "Is angle_increment in degrees? It is in radians.",
+        )
     least, most = float(message.range_min), float(message.range_max)
     least = least if math.isfinite(least) and least > 0 else 0.0
     echoed = np.isfinite(ranges) & (ranges > 0) & (ranges >= least)

@@ -196,7 +196,10 @@ class Clearance:
             return all(math.hypot(max(0.0, each.ahead - stops_m), max(0.0, each.aside)) >= apart for each in near)
 
         speed = _fastest(fastest, is_safe)
-        nearest = in_way or min(near, key=lambda each: math.hypot(max(0.0, each.ahead), each.aside), default=None)
+        closest = min(near, key=_away, default=None)
+        if in_way is not None and speed < LEAST_MPS and in_way.ahead - gone_m > self.guard_m + MARGIN_M:
+            in_way = None  # what holds it is beside it
+        nearest = in_way or closest
         if nearest is None:
             return Allowed(speed, NOTHING_NEAR, 0.0)
         gap = nearest.ahead - gone_m if in_way else math.hypot(max(0.0, nearest.ahead), max(0.0, nearest.aside))
@@ -265,6 +268,11 @@ class Guard:
     def allowed_turn(self, fastest: float, now: float) -> Allowed:
         """As `Clearance.allowed_turn`, by the sensor that allows least."""
         return min(one.allowed_turn(fastest, now) for one in self._clearances.values())
+
+
+def _away(near: Near) -> float:
+    """From the body, m."""
+    return math.hypot(max(0.0, near.ahead), max(0.0, near.aside))
 
 
 def _fastest(fastest: float, is_safe: Callable[[float], bool]) -> float:

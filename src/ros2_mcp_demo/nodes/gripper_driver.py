@@ -19,7 +19,7 @@ RATE = 10.0
 
 
 class GripperDriver(LifecyclePart):
-    """Starts unconfigured; configure and activate it, then /gripper/close and /gripper/joint_states work."""
+    """While it is active, as it is from the start on, /gripper/close and /gripper/joint_states work."""
 
     def __init__(self, robot, namespace):
         super().__init__("gripper_driver", robot, namespace)

@@ -112,6 +112,8 @@ def test_the_gripper_publishes_only_while_its_lifecycle_node_is_active(peer):
         wanted = Transition(id=transition)
         return peer.call("/gripper_driver/change_state", "lifecycle_msgs/srv/ChangeState", transition=wanted).success
 
+    assert change(Transition.TRANSITION_DEACTIVATE)
+    assert change(Transition.TRANSITION_CLEANUP)
     states = peer.subscribe("/gripper/joint_states", "sensor_msgs/msg/JointState")
     assert not change(Transition.TRANSITION_ACTIVATE)
     assert change(Transition.TRANSITION_CONFIGURE)
@@ -125,6 +127,7 @@ def test_the_gripper_publishes_only_while_its_lifecycle_node_is_active(peer):
     assert change(Transition.TRANSITION_DEACTIVATE)
     assert change(Transition.TRANSITION_CLEANUP)
     assert change(Transition.TRANSITION_CONFIGURE)
+    assert change(Transition.TRANSITION_ACTIVATE)
 
 
 def test_an_obstacle_put_down_is_seen_by_laser_and_camera(peer):

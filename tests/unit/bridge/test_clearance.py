@@ -77,6 +77,15 @@ def test_what_is_behind_it_stops_it_only_backwards() -> None:
     assert (ahead(clearance), ahead(clearance, -1) < FAST) == (FAST, True)
 
 
+def test_what_holds_it_is_told_and_not_what_is_far_ahead() -> None:
+    """Something at 0.25 m beside its middle: 0.05 m from its side."""
+    beside = heard(scan({0: 2.0, 90: 0.25}))
+    held = beside.allowed(FAST, 0.0, 1, 0.0, 0.0)
+    assert held.speed < 0.02
+    assert held.gap == pytest.approx(0.05)
+    assert math.degrees(held.bearing) == pytest.approx(90.0)
+
+
 def test_a_scanner_that_lies_on_its_back_sees_left_on_the_left() -> None:
     turned = Mount.of((0.1, 0.0, 0.3), (1.0, 0.0, 0.0, 0.0))  # half a turn about x
     clearance = heard(scan({90: 0.5}), mount=turned)

@@ -120,7 +120,10 @@ def test_a_person_reads_what_the_policy_bounds_of_what_waits(tmp_path: Path) -> 
                 await publish(guard, name)
         free, slow = (request.summary() for request in consent.approvals.waiting())
         assert free[2] == "The policy bounds nothing of it."
-        assert slow[2] == ("The policy bounds at most 5 Hz; linear.x from 0 to 0.2; the length of angular at most 0.5.")
+        assert slow[2] == (
+            "The policy bounds at most 5 Hz; linear.x from 0 to 0.2 m/s; "
+            "the length of angular at most 0.5 rad/s (29 °/s)."
+        )
 
     run(tmp_path, "confirm", work)
 

@@ -67,7 +67,7 @@ async def opened(tmp_path: Path, anyio_backend: str) -> AsyncIterator[Open]:
     def open_tools(subject: Path | None = None) -> Tools:
         store = BagStore(tmp_path / "records", tmp_path, subject)
         stores.append(store)
-        robot: Robot = recorded_robot(store, 32_000) if subject else robot_of(MadeBridge())
+        robot: Robot = recorded_robot(store) if subject else robot_of(MadeBridge())
         viewing = Viewing(Sources(robot, store, SOURCE_KINDS), "", Acting(StateFolder(tmp_path / "state")))
         return Tools(tmp_path, Toolset(robot, store, ["all"], SOURCE_KINDS, viewing=viewing), store)
 

@@ -153,7 +153,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 async def tools(folder: Path, name: str) -> AsyncGenerator[Toolset, None]:
     if name == "ros2_get_messages":  # it names no bag: there the recording stands for the robot
         store = BagStore(folder, subject=folder / "odd")
-        robot = recorded_robot(store, 32_000)
+        robot = recorded_robot(store)
     else:
         store = BagStore(folder)
         robot = robot_of(MadeBridge())

@@ -87,7 +87,9 @@ def test_numbers_that_json_lacks_are_strings(definitions: Definitions) -> None:
 
 
 def test_a_long_array_becomes_length_first_values_and_statistics_of_the_finite(definitions: Definitions) -> None:
-    result = shown(definitions, SCAN, {"ranges": [1.0, 2.0, 3.0, "nan", "inf", "-inf"]}, max_array=2)
+    result = shown(
+        definitions, SCAN, {"angle_increment": 0.5, "ranges": [1.0, 2.0, 3.0, "nan", "inf", "-inf"]}, max_array=2
+    )
     assert result.value["ranges"] == {
         "$summary": "float32[]", "length": 6, "first": [1.0, 2.0], "omitted": 4,
         "min": 1.0, "min_at": 0, "min_at_angle": 0, "max": 3.0, "mean": 2.0, "nan": 1, "inf": 2,
@@ -120,7 +122,7 @@ def test_an_array_without_a_finite_value_has_no_statistics(definitions: Definiti
 
 
 def test_a_summary_cannot_be_published(definitions: Definitions) -> None:
-    result = shown(definitions, SCAN, {"ranges": [1.0] * 100}).value
+    result = shown(definitions, SCAN, {"angle_increment": 0.5, "ranges": [1.0] * 100}).value
     with pytest.raises(BadValue, match="ranges: this is a summary"):
         check(definitions, SCAN, result)
 

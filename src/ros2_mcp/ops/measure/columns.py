@@ -48,13 +48,14 @@ class Room:
 class Arrivals:
     """When the messages of one topic came. `times_ns` are those of the first messages, as many as there is room for.
 
-    Those that `is_replayed` names were sent earlier and kept for late subscribers: they are `replayed`, and say nothing
-    of counts, bytes, times and rates.
+    Those that `is_replayed` names were sent earlier and kept for late subscribers: they are `replayed`, the newest at
+    `replayed_ns` (0: none) by its publisher's clock, and say nothing of counts, bytes, times and rates.
     """
 
     def __init__(self, room: Room, is_replayed: Callable[[Sample], bool] = lambda _: False) -> None:
         self.count = 0
         self.replayed = 0
+        self.replayed_ns = 0
         self.bytes = 0
         self.first_ns = self.last_ns = 0
         self._room = room
@@ -63,9 +64,11 @@ class Arrivals:
 
     def add(self, samples: Sequence[Sample]) -> None:
         """Takes in messages, in the order of time."""
-        whole = len(samples)
-        samples = [sample for sample in samples if not self._is_replayed(sample)]
-        self.replayed += whole - len(samples)
+        old = [sample for sample in samples if self._is_replayed(sample)]
+        if old:
+            self.replayed += len(old)
+            self.replayed_ns = max(self.replayed_ns, *(sample.source_ns or sample.received_ns for sample in old))
+            samples = [sample for sample in samples if not self._is_replayed(sample)]
         if not samples:
             return
         self.first_ns = self.first_ns if self.count else samples[0].received_ns

@@ -6,8 +6,7 @@ The parts that judge are pure functions on what a source knows; nothing here ask
 from __future__ import annotations
 
 import asyncio
-from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal
 
@@ -15,23 +14,40 @@ from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadData, UnknownInterface
 from ros2_mcp.model.graph import OF_EVERY_NODE
-from ros2_mcp.model.qos import Endpoint
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.model.text import listed, named, quoted
+from ros2_mcp.model.text import listed, named
 from ros2_mcp.model.times import both_times
+from ros2_mcp.ops.measure.checks import NEEDS, findings_in
 from ros2_mcp.ops.measure.diagnostics import DIAGNOSTICS, Diagnostic, DiagnosticTable
+from ros2_mcp.ops.measure.evidence import (
+    LARGE_TYPES,
+    LEAST_LISTENED_S,
+    ONCE_A_SECOND,
+    STEADY_TYPES,
+    Evidence,
+    Expectations,
+    Flow,
+    State,
+    TopicRow,
+    is_latched,
+    streams,
+)
 from ros2_mcp.ops.measure.findings import Finding, joined
-from ros2_mcp.ops.measure.flow import Silence, is_burst, periods_s, silence_in
+from ros2_mcp.ops.measure.flow import is_burst, periods_s, silence_in
+from ros2_mcp.ops.measure.readers import read as read_parts
+from ros2_mcp.ops.measure.rivals import Rivals
 from ros2_mcp.ops.results.results import IF_ANY, SAID, Report, four_digits, microseconds, silent
 from ros2_mcp.ops.sources.selection import undecodable
 from ros2_mcp.ops.sources.source import Capture, GraphSnapshot, Missing, Source, Stream
-from ros2_mcp.ops.topics.info import mismatches
-from ros2_mcp.robot import TopicEndpoints
+from ros2_mcp.robot import Robot, TopicEndpoints
+from ros2_mcp.robot.transforms import TF, TF_STATIC
 from ros2_mcp_common.wire.limits import MAX_RATE_HZ
 
 if TYPE_CHECKING:
     from ros2_mcp.ops.measure.finite import Finite
-    from ros2_mcp.ops.topics.arrivals import AgedArrivals, Ages
+    from ros2_mcp.ops.topics.arrivals import AgedArrivals
+
+__all__ = ["Expectations", "Health", "check_health", "flow", "to_measure"]
 
 # Topics that are listened to, and of those images and clouds: a check must not overload a weak robot.
 MAX_MEASURED = 60
@@ -46,67 +62,36 @@ MAX_NAMES = 30
 # Names in the note: which topics were not measured, and which could not be.
 _MAX_SKIPPED = 8
 _MAX_FAILED = 5
-# Names that several nodes share: a robot's nodes, so that it is seen whether all of them are there twice.
-_MAX_SHARED = 12
+# Topics of joint states with several publishers that are read in full, to see whether they contradict each other.
+_MOST_RIVALS = 4
+# Types of topics that were a stream for a while and may end: orders, plans, and what is drawn of them.
+_FOR_A_WHILE = frozenset(
+    {
+        "ackermann_msgs/msg/AckermannDrive",
+        "ackermann_msgs/msg/AckermannDriveStamped",
+        "geometry_msgs/msg/PointStamped",
+        "geometry_msgs/msg/PoseStamped",
+        "geometry_msgs/msg/Twist",
+        "geometry_msgs/msg/TwistStamped",
+        "nav_msgs/msg/Path",
+        "sensor_msgs/msg/Joy",
+        "trajectory_msgs/msg/JointTrajectory",
+        "visualization_msgs/msg/Marker",
+        "visualization_msgs/msg/MarkerArray",
+    }
+)
 # A topic is slow below this share of the rate that is expected of it: a few seconds are not whole periods.
 RATE_TOLERANCE = 0.9
 # A stream is interrupted if nothing came for this many of its usual periods, and for this long.
 STOPPED_PERIODS = 10
 STOPPED_S = 1.0
 
-LARGE_TYPES = frozenset({"sensor_msgs/msg/Image", "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/CompressedImage"})
-# Types of sensors that stream as long as they live. On any other topic silence may be intended.
-STREAM_TYPES = LARGE_TYPES | {
-    "sensor_msgs/msg/CameraInfo",
-    "sensor_msgs/msg/Imu",
-    "sensor_msgs/msg/JointState",
-    "sensor_msgs/msg/LaserScan",
-    "sensor_msgs/msg/MagneticField",
-    "sensor_msgs/msg/MultiEchoLaserScan",
-    "sensor_msgs/msg/PointCloud",
-    "sensor_msgs/msg/Range",
-    "nav_msgs/msg/Odometry",
-}
-_OPTIONAL_TRANSPORT = "/compressedDepth"  # image_transport offers it for every image, and sends it for depth only
+_JOINT_STATE = "sensor_msgs/msg/JointState"
 _DIAGNOSTICS_TYPE = "diagnostic_msgs/msg/DiagnosticArray"
 
 Verdict = Literal["HEALTHY", "DEGRADED", "CRITICAL"]
-State = Literal[
-    "OK", "MISSING", "SILENT", "STOPPED", "INTERRUPTED", "SLOW", "OLD STAMPS", "NOT FINITE", "QUIET", "NOT MEASURED"
-]
 Presence = Literal["OK", "MISSING", "UNKNOWN"]
 _NO_FAULT: Sequence[State] = ("OK", "QUIET", "NOT MEASURED")
-
-
-@dataclass(frozen=True, slots=True)
-class Expectations:
-    """What the caller expects to be there, and how fast."""
-
-    topics: Sequence[str] = ()
-    services: Sequence[str] = ()
-    nodes: Sequence[str] = ()
-    check_rates: bool = True
-    min_rate_hz: float = 1.0
-
-
-@dataclass(frozen=True, slots=True)
-class TopicRow:
-    """A topic that is expected, or not as it should be. `QUIET` is silence that is no fault by itself: of commands,
-    events, latched data.
-
-    `INTERRUPTED`: messages came, then none for over a second and ten periods; `STOPPED` if none came after that.
-    `OLD STAMPS`: all stamps of a sensor are more than a second from the time of receipt. `age_s` is their mean age.
-    `NOT FINITE`: poses, velocities or an IMU's values are NaN or infinite.
-    """
-
-    topic_name: str
-    topic_type: str
-    publishers: int
-    subscribers: int
-    state: State
-    rate_hz: float | None
-    age_s: float | None
-    expected: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,8 +101,10 @@ class Health:
     `CRITICAL`: no robot is there, or nothing comes of it and none of its nodes answers; something expected is missing
     or silent, what was published earlier in this session has no publisher any more, or diagnostics report an error.
     `DEGRADED`: a sensor is silent, has stopped, was interrupted, is slow, has old stamps or values of motion that are
-    not finite, a node has left, endpoints cannot match, nodes share a name, a type is unknown where the bridge runs, or
-    diagnostics warn; of a recording also if they reported something that was over before its end. Topics that nobody
+    not finite, a node has left, endpoints cannot match, nodes share a name or offer the same service, a type is unknown
+    where the bridge runs, diagnostics warn or name an inactive part, frames, lifecycle nodes, controllers, parameters
+    or clocks are not as they should be, or nothing could be measured at all; of a recording also if diagnostics
+    reported something that was over before its end. Topics that nobody
     listens to, or nobody publishes on, are listed but are no fault by themselves. What is wrong with one node and its
     topics is one finding. A `rate_hz` of null: too few messages came. `services` and `nodes` are those that are
     expected. `counts` says how many there are where a list is cut; the worst come first. `in_short` has the other
@@ -143,28 +130,11 @@ class Health:
         return [f"{self.verdict}. {self.note}".rstrip(), *lines]
 
 
-@dataclass(frozen=True, slots=True)
-class Flow:
-    """What came on one topic in the time of measuring.
-
-    `most_hz` is the highest rate that its silences allow. `silence` is where a stream stopped or was interrupted.
-    `finite` counts the messages whose values are not, of types of motion.
-    `ages` are those of its stamps, None where it has none of this clock. Times count from `zero_ns`; `until_ns`
-    is up to when silences were looked for, where the times of all messages were too many to keep.
-    """
-
-    count: int
-    rate_hz: float | None
-    most_hz: float
-    silence: Silence | None = None
-    ages: Ages | None = None
-    finite: Finite | None = None
-    zero_ns: int = 0
-    until_ns: int = 0
-
-
-async def check_health(source: Source, expected: Expectations, report: Report = silent) -> Health:
-    """Looks at the graph, listens to topics and to diagnostics at the same time, and judges.
+async def check_health(
+    source: Source, expected: Expectations, report: Report = silent, robot: Robot | None = None
+) -> Health:
+    """Looks at the graph, listens to topics and to diagnostics at the same time, reads what the checks need of the
+    `robot`, and judges.
 
     Raises:
         BadName: for an expected name that ROS does not allow.
@@ -186,16 +156,20 @@ async def check_health(source: Source, expected: Expectations, report: Report = 
 
     room = Room()
     of_motion = [name for name in chosen if MOTION_TYPES.issuperset(graph.topics[name].types)][:MAX_OF_MOTION]
+    contested = [name for name in chosen if _is_contested(graph.topics[name])][:_MOST_RIVALS]
 
-    def in_full(stream: Stream) -> Finite | _Statuses:
-        return Finite(stream) if stream.type in MOTION_TYPES else _Statuses(stream, source.began_ns)
+    def in_full(stream: Stream) -> Finite | Rivals | _Statuses:
+        if stream.type in MOTION_TYPES:
+            return Finite(stream)
+        return Rivals(stream) if stream.topic in contested else _Statuses(stream, source.began_ns)
 
-    measured, read = await asyncio.gather(
+    measured, read, (parts, not_read) = await asyncio.gather(
         source.captures(chosen, lambda stream: AgedArrivals(stream, room), report, times_only=True),
-        source.captures([*([DIAGNOSTICS] if has_diagnostics else []), *of_motion], in_full),
+        source.captures([*([DIAGNOSTICS] if has_diagnostics else []), *of_motion, *contested], in_full),
+        read_parts(NEEDS, robot, source, graph),
     )
-    if any(_missing(graph, expected)):  # it may only just have appeared
-        graph = await source.graph()
+    if any(name not in graph.topics for name in expected.topics) or _lacks(graph, expected):
+        graph = await source.graph()  # it may only just have appeared
     kept = {capture.topic: capture.kept for capture in read if isinstance(capture, Capture)}
     finite = {topic: found for topic, found in kept.items() if isinstance(found, Finite)}
     statuses = kept.get(DIAGNOSTICS)
@@ -212,30 +186,59 @@ async def check_health(source: Source, expected: Expectations, report: Report = 
 
     flows = await asyncio.to_thread(flowed)  # of millions of messages it takes half a second
     failed = [missing for missing in measured if isinstance(missing, Missing)]
-    rows = [_row(graph, name, flows.get(name), expected) for name in sorted({*graph.topics, *expected.topics})]
-    moving = [flow.count for name, flow in flows.items() if not _is_latched(graph.topics[name])]
+    rows = [_row(graph, name, flows, expected) for name in sorted({*graph.topics, *expected.topics})]
+    moving = [flow.count for name, flow in flows.items() if not is_latched(graph.topics[name])]
     is_quiet = not (any(moving) or diagnostics.rows)
-    found = [
-        *_gone(graph, expected),
-        *_hung(await source.hung(graph.nodes or ()) if is_quiet else (), expected),
-        *_missing(graph, expected),
-        *_nothing(graph, source),
-        *(finding for row in rows for finding in _flow_finding(graph, row, flows.get(row.topic_name), expected)),
-        *_graph_findings(graph),
-        *_type_conflicts(graph, expected),
-        *_unknown_types(failed),
-        *_diagnostic_findings(graph, diagnostics, with_past=not source.is_live),
-    ]
+    evidence = Evidence(
+        graph=graph,
+        expected=expected,
+        is_live=source.is_live,
+        source_title=source.title,
+        rows=rows,
+        flows=flows,
+        not_measured=failed,
+        diagnostics=diagnostics,
+        rivals={topic: found for topic, found in kept.items() if isinstance(found, Rivals)},
+        hung=await source.hung(graph.nodes or ()) if is_quiet else (),
+        **parts,
+    )
+    missed = f"Not read: {', '.join(not_read)}." if not_read else ""
     return _report(
         graph,
-        joined(found),
+        joined(findings_in(evidence)) or _nothing_measured(evidence),
         rows,
         diagnostics,
         expected=expected,
         measured=len(flows),
         source=source.words,
-        note=" ".join(filter(None, (_note(graph, skipped, failed), trouble, _bounds(flows)))),
+        note=" ".join(filter(None, (_note(graph, skipped, failed), missed, trouble, _bounds(flows)))),
     )
+
+
+def _is_contested(topic: TopicEndpoints) -> bool:
+    """Whether several nodes publish joint states on it."""
+    return _JOINT_STATE in topic.types and len({publisher.node for publisher in topic.publishers}) > 1
+
+
+def _lacks(graph: GraphSnapshot, expected: Expectations) -> bool:
+    """Whether something that is expected is not there."""
+    topics = [name for name in expected.topics if not graph.topics[name].publishers]
+    services = [name for name in expected.services if name not in (graph.services or expected.services)]
+    nodes = [name for name in expected.nodes if name not in (graph.nodes or expected.nodes)]
+    return bool(topics or services or nodes)
+
+
+def _nothing_measured(evidence: Evidence) -> list[Finding]:
+    """That nothing says that the robot is well, where nothing says that it is not."""
+    is_expected_there = any(row.expected and row.state == "OK" for row in evidence.rows)
+    controllers = [one for control in (evidence.ros2_control or {}).values() for one in control.controllers]
+    parts = (any(flow.count for flow in evidence.flows.values()), evidence.diagnostics.rows, evidence.lifecycle)
+    if is_expected_there or controllers or any(parts):
+        return []
+    what = "no topic was listened to" if not evidence.expected.check_rates else "no message came on any topic"
+    problem = f"Nothing was measured: {what}, and no component told of itself. That it is healthy is not known."
+    advice = "Name what must be there in expected_topics, expected_services and expected_nodes."
+    return [Finding("warning", "robot", problem, advice)]
 
 
 def _report(
@@ -295,7 +298,7 @@ def to_measure(graph: GraphSnapshot, expected: Expectations) -> tuple[list[str],
 
     first = [name for name in expected.topics if name in graph.topics and graph.topics[name].publishers]
     others = [name for name in sorted(graph.topics) if name not in first and is_measurable(graph.topics[name])]
-    others.sort(key=lambda name: not _streams(graph.topics[name]))
+    others.sort(key=lambda name: not streams(graph.topics[name]))
     large = [name for name in others if LARGE_TYPES.intersection(graph.topics[name].types)]
     chosen = [*first, *(name for name in others if name not in large[MAX_LARGE:])]
     return chosen[:MAX_MEASURED], [*large[MAX_LARGE:], *chosen[MAX_MEASURED:]]
@@ -316,30 +319,45 @@ def flow(capture: Capture[AgedArrivals]) -> Flow:
     if is_burst(kept.count, rate, capture.duration_s):
         rate = None
     until_ns = 0 if kept.all_kept else max(end_ns, 1)
-    most_hz = 1 / longest_s if longest_s > 0 else 0.0
-    return Flow(kept.seen, rate, most_hz, silence, kept.ages, zero_ns=capture.zero_ns, until_ns=until_ns)
+    return Flow(
+        kept.count,
+        rate,
+        1 / longest_s if longest_s > 0 else 0.0,
+        silence,
+        kept.ages,
+        zero_ns=capture.zero_ns,
+        until_ns=until_ns,
+        replayed=kept.replayed,
+        replayed_s=max((capture.end_ns - kept.replayed_ns) / 1e9, 0.0) if kept.replayed_ns else None,
+        duration_s=capture.duration_s,
+    )
 
 
 def _in_short(row: TopicRow) -> str:
+    if row.from_before:
+        return f"{row.state}, {row.from_before}"
     return row.state if row.rate_hz is None else f"{row.state}, {row.rate_hz:g} Hz"
 
 
-def _row(graph: GraphSnapshot, name: str, measured: Flow | None, expected: Expectations) -> TopicRow:
-    topic = graph.topics.get(name, TopicEndpoints(name, (), ()))
+def _row(graph: GraphSnapshot, name: str, flows: Mapping[str, Flow], expected: Expectations) -> TopicRow:
+    topic, measured = graph.topics.get(name, TopicEndpoints(name, (), ())), flows.get(name)
     is_expected = name in expected.topics
-    must_flow = is_expected or _streams(topic)
+    is_stream = is_expected or streams(topic) or (name in graph.ran and not _FOR_A_WHILE.intersection(topic.types))
+    is_kept = is_latched(topic) and not STEADY_TYPES.intersection(topic.types)
     state: State = "OK"
     if is_expected and not topic.publishers:
         state = "MISSING"
     elif measured is None:
         state = "NOT MEASURED"
+    elif not measured.count and is_kept and measured.replayed:
+        state = "OK"
     elif not measured.count:
-        state = "SILENT" if must_flow else "QUIET"
-    elif must_flow and not _is_latched(topic):
+        state = "SILENT" if is_stream or _is_late(graph, topic, flows) else "QUIET"
+    elif is_stream and not is_kept:
         highest_hz = measured.most_hz if measured.rate_hz is None else measured.rate_hz
         if measured.silence:
             state = "STOPPED" if measured.silence.is_end else "INTERRUPTED"
-        elif highest_hz < RATE_TOLERANCE * expected.min_rate_hz:
+        elif highest_hz < RATE_TOLERANCE * expected.min_rate_hz and (is_expected or streams(topic)):
             state = "SLOW"
         elif measured.ages and measured.ages.trouble:
             state = "OLD STAMPS"
@@ -354,171 +372,25 @@ def _row(graph: GraphSnapshot, name: str, measured: Flow | None, expected: Expec
         rate_hz=four_digits(measured.rate_hz) if measured else None,
         age_s=microseconds(measured.ages.mean_s) if measured and measured.ages else None,
         expected=is_expected,
+        from_before=measured.from_before if measured else "",
     )
 
 
-# ── what is wrong ────────────────────────────────────────────────────────────────────────────────────────────────
+def _is_late(graph: GraphSnapshot, topic: TopicEndpoints, flows: Mapping[str, Flow]) -> bool:
+    """Whether what comes once a second at the slowest did not come.
 
-
-def _gone(graph: GraphSnapshot, expected: Expectations) -> Iterator[Finding]:
-    """That no robot is there; or what of it was there earlier in this session, and has left.
-
-    A sensor that has left is critical, and what is expected. Anything else may have been closed on purpose: a display,
-    a remote control, one of several ways to localise. While discovery is under way, all of it may still come.
+    A state publisher whose joints are all fixed has its publisher on /tf all the same, and is heard on /tf_static.
     """
-    if graph.absence:
-        severity = "critical" if graph.settled else "warning"
-        yield Finding(severity, "robot", graph.absence, "Start the robot, or start this server in the robot's domain.")
-        return
-    silenced: dict[tuple[str, ...], list[str]] = {}
-    for topic, publishers in graph.left.topics.items():
-        silenced.setdefault(tuple(publishers), []).append(topic)
-    for publishers, topics in silenced.items():
-        gone = [node for node in publishers if node in graph.left.nodes]
-        who = f"{listed(gone, MAX_NAMES)} has left:" if gone else f"{listed(publishers, MAX_NAMES)} is there, but"
-        problem = f"{who} nobody publishes any longer on {listed(sorted(topics), MAX_NAMES)}."
-        advice = "Start the node again; ros2_log_read may show why it ended."
-        is_needed = any(graph.left.types.get(name) in STREAM_TYPES or name in expected.topics for name in topics)
-        severity = "critical" if is_needed and graph.settled else "warning"
-        yield Finding(severity, publishers[0], problem, advice, _only(publishers))
-    missed = {node for publishers in silenced for node in publishers}
-    for node in sorted(set(graph.left.nodes) - missed):
-        problem = "It was running earlier in this session, and has left."
-        yield Finding("warning", node, problem, "Start the node again if it is needed.", node)
-
-
-def _nothing(graph: GraphSnapshot, source: Source) -> Iterator[Finding]:
-    """That a recording is empty: nothing in it is wrong, and nothing right."""
-    if graph.nodes is None and not graph.topics:  # a recording knows no nodes
-        yield Finding(
-            "warning", source.title, "The recording has no messages, so nothing can be judged.", "Record again."
-        )
-
-
-def _hung(nodes: Sequence[str], expected: Expectations) -> Iterator[Finding]:
-    """That nothing at all comes of a robot whose nodes do not answer either."""
-    if nodes:
-        who = f"one of {listed(nodes, MAX_NAMES)} answers."
-        problem = f"Nothing came on any topic, and n{who}" if expected.check_rates else f"N{who}"
-        yield Finding(
-            "critical", "robot", problem, "Check whether the robot is switched on, connected and not hanging."
-        )
-
-
-def _missing(graph: GraphSnapshot, expected: Expectations) -> Iterator[Finding]:
-    """What is expected and not there; what a source does not know of (services, nodes) is not missing."""
-    for name in expected.topics:
-        cause = _only(graph.left.topics.get(name, ()))
-        if name not in graph.topics:
-            hint = names.did_you_mean(name, list(graph.topics), "Start the node that publishes it.")
-            yield Finding("critical", name, "The expected topic does not exist.", hint, cause)
-        elif not graph.topics[name].publishers:
-            yield Finding("critical", name, "Nobody publishes on the expected topic.", "Start its publisher.", cause)
-    kinds = (("service", expected.services, graph.services), ("node", expected.nodes, graph.nodes))
-    for kind, expected_names, present in kinds:
-        for name in expected_names if present is not None else ():
-            if name not in (present or ()):
-                hint = names.did_you_mean(name, list(present or ()), "Start its node, or correct the name.")
-                cause = name if kind == "node" else ""
-                yield Finding("critical", name, f"The expected {kind} is missing.", hint, cause)
-
-
-def _flow_finding(
-    graph: GraphSnapshot, row: TopicRow, measured: Flow | None, expected: Expectations
-) -> Iterator[Finding]:
-    """What is wrong with the flow of one topic, if anything is."""
-    topic = graph.topics.get(row.topic_name)
-    cause = _only(sorted({one.node for one in topic.publishers})) if topic else ""
-    if measured and (finite := measured.finite) and finite.found:
-        first = both_times(finite.first_ns, measured.zero_ns)
-        bad = f"{finite.found} of {finite.looked_at} messages have NaN or infinite values"
-        problem = f"{bad}, in {', '.join(finite.fields)}, first at {first}."
-        advice = "Check its publisher's inputs and parameters; nodes that compute with these values produce NaN too."
-        yield Finding("critical" if row.expected else "warning", row.topic_name, problem, advice, cause)
-    if row.state == "SLOW":
-        rate = "too few messages came to measure its rate" if row.rate_hz is None else f"{row.rate_hz:.2f} Hz"
-        problem = f"Slow: {rate}, at least {expected.min_rate_hz:g} Hz expected."
-        advice = "Check its publisher's load and rate parameter, or lower min_expected_rate_hz."
-        yield Finding("warning", row.topic_name, problem, advice, cause)
-    elif row.state == "OLD STAMPS" and measured and measured.ages:
-        advice = "Compare the machines' clocks (chrony, NTP), and check its publisher's load and network."
-        yield Finding("warning", row.topic_name, measured.ages.trouble, advice, cause)
-    elif row.state in ("SILENT", "STOPPED", "INTERRUPTED"):
-        publishers = _nodes_of(graph.topics[row.topic_name].publishers)
-        problem = f"{publishers} publishes it, but no message came."
-        if measured and (silence := measured.silence):
-            since, for_s = f"from {both_times(silence.from_ns, measured.zero_ns)} on", f"{silence.duration_s:.1f} s"
-            problem = f"It was interrupted: no message for {for_s} {since}."
-            if silence.is_end:
-                problem = f"It has stopped: no message in the last {for_s}, {since}."
-        advice = f"Check the device, parameters and log of {publishers}."
-        yield Finding("critical" if row.expected else "warning", row.topic_name, problem, advice, cause)
-
-
-def _type_conflicts(graph: GraphSnapshot, expected: Expectations) -> Iterator[Finding]:
-    """Topics on which several types are published: who subscribes to one never gets the other."""
-    for name, topic in graph.topics.items():
-        by_type: dict[str, list[Endpoint]] = {}
-        for publisher in topic.publishers:
-            by_type.setdefault(publisher.type, []).append(publisher)
-        if len(by_type) > 1:
-            who = "; ".join(f"{_nodes_of(found)} publishes {type_name}" for type_name, found in by_type.items())
-            severity = "critical" if name in expected.topics else "warning"
-            advice = "Stop or remap the wrong publisher; the topic cannot be measured until then."
-            yield Finding(severity, name, f"Several types on one topic: {who}.", advice)
-
-
-def _unknown_types(failed: Sequence[Missing]) -> Iterator[Finding]:
-    """What cannot be read for want of its type, whoever publishes it: one finding for each type."""
-    topics: dict[str, list[Missing]] = {}
-    for missing in failed:
-        if isinstance(missing.error, UnknownInterface):
-            topics.setdefault(missing.error.message, []).append(missing)
-    for problem, (first, *others) in topics.items():
-        also = f" The same holds for {listed([other.topic for other in others], MAX_NAMES)}." if others else ""
-        yield Finding(
-            "warning", first.topic, f"The topic cannot be measured or read. {problem}{also}", first.error.hint
-        )
-
-
-def _graph_findings(graph: GraphSnapshot) -> Iterator[Finding]:
-    """Endpoints that cannot match, sensors that nodes wait for, names that nodes share."""
-    for name, topic in graph.topics.items():
-        for sentence in dict.fromkeys(mismatches(topic.publishers, topic.subscribers)):
-            yield Finding(
-                "warning",
-                name,
-                sentence,
-                "Give both the same type and compatible QoS; no message passes between them now.",
-            )
-        if _streams(topic) and topic.subscribers and not topic.publishers:
-            problem = f"{_nodes_of(topic.subscribers)} subscribes to it, but nobody publishes."
-            cause = _only(graph.left.topics.get(name, ()))
-            yield Finding("warning", name, problem, "Start the sensor's driver, or correct a remapping.", cause)
-    shared = {name: count for name, count in Counter(graph.nodes or ()).items() if count > 1}
-    if len(shared) > 1:  # most likely two robots, or one that was started twice: one fault
-        problem = f"{len(shared)} names are shared by several nodes each: {listed(list(shared), _MAX_SHARED)}."
-        yield Finding("warning", "nodes", problem, "If two robots share this domain, separate them, or stop one.")
-    for name, count in shared.items() if len(shared) == 1 else ():
-        yield Finding("warning", name, f"{count} nodes have this name.", "Rename or stop all but one.")
-
-
-def _diagnostic_findings(graph: GraphSnapshot, table: DiagnosticTable, *, with_past: bool) -> Iterator[Finding]:
-    """What components report; `with_past` also what was over before the end, of a recording.
-
-    By convention (`diagnostic_updater`) a component is named after its node: `lidar: status`.
-    """
-    nodes = {*(graph.nodes or ()), *graph.left.nodes}
-    for row in table.rows:
-        if row.level != "OK":
-            problem = f"Diagnostics report {row.level}: {quoted(row.message)}."
-            node = row.name.partition(":")[0].strip("/ ")
-            cause = _only([name for name in nodes if name.strip("/") == node or name.endswith(f"/{node}")])
-            severity = "critical" if row.level == "ERROR" else "warning"
-            yield Finding(severity, row.name, problem, "Check its values.", cause)
-    for row in table.past if with_past else ():
-        problem = f"Diagnostics reported {row.level} at {row.received_at}: {quoted(row.message)}."
-        yield Finding("warning", row.name, problem, "It has become better since.")
+    if not ONCE_A_SECOND.intersection(topic.types) or is_latched(topic):
+        return False
+    if flows[topic.topic].duration_s < LEAST_LISTENED_S:
+        return False
+    static = f"{topic.topic.removesuffix(TF)}{TF_STATIC}"
+    present, heard = graph.topics.get(static), flows.get(static)
+    if not topic.topic.endswith(TF) or present is None or heard is None:
+        return True
+    fixed = {one.node for one in present.publishers} if heard.count or heard.replayed else set[str]()
+    return not {one.node for one in topic.publishers} <= fixed
 
 
 class _Statuses:
@@ -564,21 +436,3 @@ def _bounds(flows: Mapping[str, Flow]) -> str:
     """Up to when topics were looked at for silences, where that is not the end."""
     cut = [f"{name} up to {both_times(flow.until_ns, flow.zero_ns)}" for name, flow in flows.items() if flow.until_ns]
     return f"Silences were searched only in: {', '.join(cut)}; later times did not fit in memory." if cut else ""
-
-
-def _nodes_of(endpoints: Sequence[Endpoint]) -> str:
-    return ", ".join(sorted({endpoint.node for endpoint in endpoints}))
-
-
-def _only(nodes: Sequence[str]) -> str:
-    """The one node, if it is one and has a name: what it may be the cause of is one finding."""
-    return nodes[0] if len(nodes) == 1 and nodes[0].startswith("/") else ""
-
-
-def _streams(topic: TopicEndpoints) -> bool:
-    is_stream = STREAM_TYPES.intersection(topic.types) and not topic.topic.endswith(_OPTIONAL_TRANSPORT)
-    return bool(is_stream) and not _is_latched(topic)
-
-
-def _is_latched(topic: TopicEndpoints) -> bool:
-    return bool(topic.publishers) and all(row.qos.durability == "transient_local" for row in topic.publishers)

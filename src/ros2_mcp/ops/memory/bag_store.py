@@ -109,7 +109,13 @@ class BagStore:
         return self.subject.name if self.subject else ""
 
     def writes(self, folder: Path, is_growing: Callable[[], bool], now_ns: Callable[[], int] = time.time_ns) -> None:
-        """Notes a bag that this server begins to write, what tells whether it still does, and whose clock it has."""
+        """Notes a bag that this server begins to write, what tells whether it still does, and whose clock it has.
+
+        Of those that have ended nothing but the folder is kept: what tells it holds a whole recording.
+        """
+        for name, one in self.own.items():
+            if not one.is_growing():
+                self.own[name] = OwnBag(one.folder, _grows_no_more, time.time_ns)
         self.own[folder.name] = OwnBag(folder, is_growing, now_ns)
 
     async def close(self) -> None:
@@ -295,3 +301,7 @@ def _mark(path: Path) -> tuple[int, int]:
                 facts = file.stat()
                 size, newest_ns = size + facts.st_size, max(newest_ns, facts.st_mtime_ns)
     return size, newest_ns
+
+
+def _grows_no_more() -> bool:
+    return False

@@ -24,7 +24,7 @@ from ros2_mcp.model.times import seconds_in
 from ros2_mcp.ops.acting.endings import ended_by, guarded, held_back, limited, reason_of
 from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.results.results import IF_ANY, Report, iso_time, silent
-from ros2_mcp.ops.sources.bag import find_topic, span_in
+from ros2_mcp.ops.sources.bag import find_topic, latched_before, span_in
 from ros2_mcp.robot import MOTION_TYPES, Robot
 from ros2_mcp.robot.jobs import Job
 from ros2_mcp.robot.session import Session
@@ -298,6 +298,9 @@ class Playback(Job):
 
     async def _play_once(self, begun: float) -> None:
         """The messages of the span, in their recorded rhythm counted from `begun`; what is late is not waited for."""
+        for topic, sample in await to_thread.run_sync(self._latched):
+            self._published[topic] = await self._feed(topic, [sample.data])
+            self._fed[topic] += 1
         rate, messages = self._request.rate, self._bag.messages(self._span)
         while batch := await to_thread.run_sync(_next_batch, messages):
             for group in _together(batch, rate):
@@ -312,6 +315,11 @@ class Playback(Job):
                     self._fed[topic] += len(bodies)
                 self._progress = min(max(since_start_ns / self._length_ns, 0.0), 1.0)
         self._progress = 1.0
+
+    def _latched(self) -> list[tuple[str, Sample]]:
+        """What a late subscriber would still have got at the beginning: it was latched before that part of the bag."""
+        span = replace(self._span, start_ns=self._start_ns)
+        return [(name, one) for name, topic in self._topics.items() for one in latched_before(self._bag, topic, span)]
 
     async def _feed(self, topic: str, messages: Sequence[bytes]) -> int:
         """Hands messages to the bridge; how many it has published so far on that topic."""

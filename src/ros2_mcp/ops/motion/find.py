@@ -49,6 +49,11 @@ async def command_input(robot: Robot, given: str = "") -> Destination:
     if not given:
         rows = await robot.graph.topics()
         found = [row.name for row in rows if row.subscribers and set(row.types) & set(DRIVEN_TYPES)]
+        if not found:
+            raise await robot.graph.missing(
+                f"Nobody listens to a topic of type {' or '.join(DRIVEN_TYPES)}.",
+                "Start the base's driver, or give the topic as topic_name; ros2_topic_list shows the topics.",
+            )
         given = _only("command input", "topic_name", found, _INPUTS)
     destination = await robot.types.destination(given, "")
     if destination.type not in DRIVEN_TYPES:

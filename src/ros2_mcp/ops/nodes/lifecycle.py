@@ -17,7 +17,7 @@ from ros2_mcp.ops.nodes.own_services import APPEAR_S, TIMEOUT_S, ask_node, field
 from ros2_mcp.ops.results.results import SAID, or_error
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.session import Session
-from ros2_mcp_common.policy.rules import CHANGE_STATE
+from ros2_mcp_common.policy.verbs import CHANGE_STATE
 
 CHANGE_S = 30.0
 """A transition may start hardware: drivers take seconds to configure."""
@@ -43,10 +43,11 @@ class LifecycleStates:
     """The states of several lifecycle nodes."""
 
     nodes: Sequence[LifecycleState]
+    note: str = field(default="", metadata=SAID)
 
     def summary(self) -> list[str]:
         """A line for each node."""
-        return [node.summary() for node in self.nodes] or ["No lifecycle node is running."]
+        return [node.summary() for node in self.nodes] or [f"No lifecycle node is running. {self.note}".rstrip()]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,7 +75,8 @@ async def states(robot: Robot, nodes: Sequence[str] = ()) -> LifecycleStates:
     """The states of the named nodes, or of every lifecycle node; the `error` of one does not end the others."""
     chosen = [names.absolute(node, "node") for node in nodes] or await _lifecycle_nodes(robot)
     asking = [or_error(_state(robot, node), partial(LifecycleState, node, "unknown", ())) for node in chosen]
-    return LifecycleStates(await asyncio.gather(*asking))
+    found = await asyncio.gather(*asking)
+    return LifecycleStates(found, "" if found else await robot.graph.absence())
 
 
 async def change(robot: Robot, session: Session, node: str, transition: str) -> Transition:

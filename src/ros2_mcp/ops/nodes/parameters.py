@@ -19,7 +19,7 @@ from ros2_mcp.ops.nodes.own_services import APPEAR_S, TIMEOUT_S, ask_node, field
 from ros2_mcp.ops.results.results import EXACT, HIDDEN, IF_ANY, ON_REQUEST, SAID, answer_bytes, list_note, or_error
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.session import Session
-from ros2_mcp_common.policy.rules import SET_PARAMETERS, SET_PARAMETERS_ATOMICALLY
+from ros2_mcp_common.policy.verbs import SET_PARAMETERS, SET_PARAMETERS_ATOMICALLY
 
 _DISCOVERY_S = 6.0
 """How old a bridge is that has discovered the services of every node: they come up to 3 s after the nodes."""
@@ -231,6 +231,12 @@ async def describe(robot: Robot, nodes: Sequence[str], pattern: str = "", limit:
         usual = ", ".join((*(f"{name} at its default" for name in _OF_EVERY_NODE), f"{_OVERRIDES}*"))
         notes.append(f"Left out: {left_out} standard parameters ({usual}); give a pattern to show them.")
     return ParameterList(shown, " ".join(filter(None, notes)))
+
+
+async def all_of(robot: Robot, node: str) -> Sequence[Parameter]:
+    """All parameters of one node, with values of any length; raises as `dump`."""
+    declared = await _names(robot, node)
+    return await _read(robot, node, declared, declared)
 
 
 def _is_usual(parameter: Parameter) -> bool:

@@ -72,9 +72,8 @@ async def cloud_picture(source: Source, topic: str, options: BirdEyeOptions, rep
         BadData: if its data does not fit its layout, or no point is left to show.
         BadValue: if the resolution is out of range.
     """
-    await load(
-        "ros2_mcp.pictures.bird_eye", "ros2_mcp.world.clouds", "ros2_mcp.world.scans"
-    )  # with numpy: not before it is needed
+    # with numpy: not before it is needed
+    await load("ros2_mcp.pictures.bird_eye", "ros2_mcp.world.clouds", "ros2_mcp.world.scans")
     from ros2_mcp.pictures.bird_eye import bird_eye
     from ros2_mcp.world.clouds import cloud_of
     from ros2_mcp.world.scans import moved

@@ -21,8 +21,8 @@ from ros2_mcp.robot import Robot
 from ros2_mcp.robot.resolution import is_infrastructure
 from ros2_mcp.robot.seen import is_of_robot
 from ros2_mcp.world.urdf import Joint, Limits
-from ros2_mcp_common.policy.rules import is_meta, only_reads
 from ros2_mcp_common.policy.velocity import VELOCITY_TYPES
+from ros2_mcp_common.policy.verbs import is_meta, only_reads
 
 _SAFETY = re.compile(r"collision|safety|e_?stop|emergency|mux|smoother|watchdog|deadman|twist_stamper|speed_limit")
 """In the names of nodes, topics and services that watch over a robot."""

@@ -17,7 +17,7 @@ from ros2_mcp.ops.acting.servers import servers_of
 from ros2_mcp.ops.results.results import SAID, Report, in_words, reporting, silent
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.session import Session
-from ros2_mcp_common.policy.rules import only_reads
+from ros2_mcp_common.policy.verbs import only_reads
 from ros2_mcp_common.wire.limits import MAX_DURATION_S
 
 _LEAST_TIMEOUT_S = 0.01

@@ -224,7 +224,7 @@ class BagSource(Source):
             with self.opened.reading() as bag:
                 for part in parts:
                     part.stream.bag = bag
-                    part.add(_latched_before(bag, part.stored, replace(self.span, topics=(part.stored.name,))))
+                    part.add(latched_before(bag, part.stored, replace(self.span, topics=(part.stored.name,))))
                 return bag.messages(wanted)
 
         def further() -> int | None:
@@ -304,7 +304,7 @@ class BagSource(Source):
         def begin() -> Iterator[tuple[str, Sample]]:
             with self.opened.reading() as bag:
                 stream.bag = bag
-                before = [(stored.name, one) for one in _latched_before(bag, stored, span)] if latched else []
+                before = [(stored.name, one) for one in latched_before(bag, stored, span)] if latched else []
                 messages = bag.messages(span, newest_first=stream.from_end)
                 ordered = chain(messages, before[::-1]) if stream.from_end else chain(before, messages)
                 if limit is None:
@@ -560,7 +560,7 @@ def _batch(messages: Iterator[tuple[str, Sample]]) -> list[tuple[str, Sample]]:
     return found
 
 
-def _latched_before(bag: Bag, topic: StoredTopic, span: Span) -> list[Sample]:
+def latched_before(bag: Bag, topic: StoredTopic, span: Span) -> list[Sample]:
     """What a late subscriber of a latched topic would still have got at the beginning, the oldest first."""
     from ros2_mcp.bags.qos import is_latched  # with rosbags: not before it is needed
 

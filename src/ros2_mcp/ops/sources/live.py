@@ -47,6 +47,8 @@ _PROMPT_S = 0.002
 """As short as the bridge allows."""
 _BURST_NS = 1_000_000_000
 """What was kept for late subscribers comes at once when they match; even large maps within a second."""
+_STREAM_MESSAGES, _STREAM_NS = 5, 1_500_000_000
+"""So many messages over so long are a stream, whose silence later in the session is told: not one press of a button."""
 _TURN_S = 1.0
 """The longest single wait for samples; the empty batch after it is the sign of life that a stream gives."""
 _APPEARING_S = 1.0
@@ -94,9 +96,13 @@ class _LiveStream(Stream):
     asked_ns: int
     _received_ns: tuple[int, int] | None = field(default=None, init=False)
     _least_age_ns: int | None = field(default=None, init=False)
+    _first_ns: int = field(default=0, init=False)
+    _count: int = field(default=0, init=False)
 
     def look_at(self, samples: Sequence[Sample]) -> Sequence[Sample]:
-        """Learns from samples that have come how far the publisher's clock is from ours."""
+        """Learns from samples how far the publisher's clock is from ours, and whether they are a stream."""
+        if samples and not self.thinned:
+            self._note_flow(samples)
         for sample in samples if self.is_latched else ():
             first_ns = self._received_ns[0] if self._received_ns else sample.received_ns
             self._received_ns = first_ns, sample.received_ns
@@ -104,6 +110,15 @@ class _LiveStream(Stream):
             if sample.source_ns and (self._least_age_ns is None or age_ns < self._least_age_ns):
                 self._least_age_ns = age_ns
         return samples
+
+    def _note_flow(self, samples: Sequence[Sample]) -> None:
+        new = [sample.received_ns for sample in samples if not self.is_replayed(sample)]
+        if not new:
+            return
+        self._first_ns = self._first_ns or new[0]
+        self._count += len(new)
+        if self._count >= _STREAM_MESSAGES and new[-1] - self._first_ns >= _STREAM_NS:
+            self.robot.graph.seen.note_stream(self.topic)
 
     @property
     def is_latched(self) -> bool:
@@ -351,6 +366,10 @@ class Live(Source):
         found = await asyncio.gather(*map(graph.endpoints, rows))
         return sorted(one.topic for one in found if any(end.type in types for end in one.publishers))
 
+    async def absence(self) -> str:
+        """As `Source.absence`."""
+        return await self._robot.graph.absence()
+
     async def graph(self) -> GraphSnapshot:
         """The graph now, without our own nodes."""
         graph = self._robot.graph
@@ -379,6 +398,7 @@ class Live(Source):
             topics.settled and nodes.settled,
             absence=await graph.absence(),
             left=graph.seen.left(others, by_name),
+            ran=graph.seen.ran,
         )
 
     async def hung(self, nodes: Sequence[str]) -> Sequence[str]:

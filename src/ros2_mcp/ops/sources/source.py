@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 from abc import ABC, abstractmethod
-from collections.abc import AsyncGenerator, Awaitable, Callable, Mapping, Sequence
+from collections.abc import AsyncGenerator, Awaitable, Callable, Collection, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Generic, Protocol, TypeAlias, TypeVar
@@ -176,7 +176,8 @@ class GraphSnapshot:
     """What a source knows of the graph. `nodes` has a name as often as nodes share it, `services` the types of each;
     None is not known.
 
-    `absence` says in words that no robot is there; `left` is what was seen of it earlier in this session.
+    `absence` says in words that no robot is there; `left` is what was seen of it earlier in this session, and `ran` the
+    topics that were a stream then.
     """
 
     topics: Mapping[str, TopicEndpoints]
@@ -185,6 +186,7 @@ class GraphSnapshot:
     settled: bool = True
     absence: str = ""
     left: Left = field(default_factory=Left)
+    ran: Collection[str] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -319,6 +321,10 @@ class Source(ABC):
         """The names of the topics of one of these types that somebody publishes, or has published, in order."""
         topics = (await self.graph()).topics
         return sorted(name for name, found in topics.items() if any(one.type in types for one in found.publishers))
+
+    async def absence(self) -> str:
+        """That no robot is there, as a sentence; empty where one is, and of what was kept."""
+        return ""
 
     def words_after(self, took_s: float) -> str:  # noqa: ARG002 - what was kept is read in no time
         """`words`, where reading may have ended before the source's time did: `live, 0.26 s of at most 5 s`."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -17,6 +18,8 @@ LIST_CONTROLLERS = "/list_controllers"
 _LIST = "controller_manager_msgs/srv/ListControllers"
 _ANSWER_S = 1.0
 """One that is alive answers within milliseconds, and the whole answer is to be there in two seconds."""
+_SPAWNER = re.compile(r"(ros2_control_|hardware_)?(un)?spawner_")
+"""Nodes of the scripts that load controllers, as the package controller_manager names them."""
 _TELLS = ("broadcaster", "status")
 """In the type of a controller that moves nothing: it only publishes."""
 
@@ -34,6 +37,16 @@ class Controller:
         """`/arm_controller JointTrajectoryController is inactive`."""
         kind = f" {named(self.type)}" if self.type else ""
         return f"{named(self.name)}{kind}{f' is {named(self.state)}' if self.state else ''}"
+
+
+async def listed_hardware(robot: Robot, node: str) -> Sequence[Mapping[str, Any]] | None:
+    """What a controller manager says of its hardware components; None where it does not tell."""
+    service, kind = f"{node}/list_hardware_components", "controller_manager_msgs/srv/ListHardwareComponents"
+    try:
+        asked = robot.ask_service(service, kind, {}, timeout_s=_ANSWER_S)
+        return (await robot.fields_of(await asyncio.wait_for(asked, _ANSWER_S)))["component"]
+    except (RobotError, asyncio.TimeoutError):
+        return None
 
 
 async def listed_controllers(robot: Robot, graph: GraphSnapshot) -> Mapping[str, Sequence[Mapping[str, Any]]]:
@@ -65,7 +78,7 @@ def controllers_of(
     """Those that move something first; without a manager's answer what the graph tells."""
     moved = {name for name in _movers(graph) if graph.nodes is None or name in graph.nodes}
     if not managed:
-        own = {name for name in graph.nodes or () if is_controlled and name.endswith(("_controller", "_broadcaster"))}
+        own = {name for name in graph.nodes or () if is_controlled and _is_controller(name)}
         return [Controller(name) for name in sorted(moved | own)]
     found: list[tuple[int, Controller]] = []
     for listed_by, controllers in managed.items():
@@ -95,6 +108,12 @@ def idle_nodes(managed: Mapping[str, Sequence[Mapping[str, Any]]]) -> set[str]:
         for one in controllers
         if one["state"] != "active"
     }
+
+
+def _is_controller(node: str) -> bool:
+    """By its name; a spawner is none, which waits for the manager: `spawner_arm_controller`."""
+    last = node.rpartition("/")[2]
+    return last.endswith(("_controller", "_broadcaster")) and not _SPAWNER.match(last)
 
 
 def _movers(graph: GraphSnapshot) -> set[str]:

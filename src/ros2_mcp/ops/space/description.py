@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 
 from ros2_mcp.model import names, parameters
-from ros2_mcp.model.errors import BadInput, NotFound, RobotError
+from ros2_mcp.model.errors import BadInput, RobotError
 from ros2_mcp.model.text import listed
 from ros2_mcp.ops.nodes.own_services import ask_node
 from ros2_mcp.robot import Robot
@@ -41,7 +41,7 @@ async def description_text(robot: Robot, topic: str = "") -> str:
     if text := await _parameter(robot):
         return text
     heard = f"no message came on {topic}" if topic else f"nobody publishes {DESCRIPTION}"
-    raise NotFound(
+    raise await robot.graph.missing(
         f"No robot description (URDF): {heard}, and no {_PUBLISHER} has it as a parameter.",
         "Start robot_state_publisher with the URDF.",
     )

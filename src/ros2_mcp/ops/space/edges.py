@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 from ros2_mcp.model.text import named, quoted
-from ros2_mcp.ops.results.results import four_digits, microseconds
+from ros2_mcp.ops.results.results import HIDDEN, four_digits, microseconds
 from ros2_mcp.ops.space.tellers import GONE, Tellers
 from ros2_mcp.robot.transforms import TF, TF_STATIC
 from ros2_mcp.world.frame_edges import Edge
@@ -30,6 +31,9 @@ _NOW_S = -5e-4
 """No clock of another machine is set better; what is stamped later is stamped ahead."""
 _LATE_PAUSES = 2
 """An edge that comes in bursts has stopped when none came for so many of its usual pauses."""
+_STALE, _PROBABLY = "is stale", "probably "
+_MOST_EDGES = 4
+"""Stale edges that are named in a sentence; the tree marks all of them."""
 _TWO_PARENTS, _ON_BOTH = "has two parents at the same time", f"is published on {TF}"
 
 
@@ -48,6 +52,10 @@ class EdgeRow:
     rate_hz: float | None = None
     age_s: float | None = None
     problem: str = ""
+    stale_s: float | None = field(default=None, metadata=HIDDEN)
+    """How long ago it was last told, where that alone is wrong: what one publisher has left stale is said once."""
+    of: str = field(default="", metadata=HIDDEN)
+    """The one node that tells it, where that is known."""
 
     def words(self) -> str:
         """It in brackets, behind a name."""
@@ -88,8 +96,11 @@ def edge_row(
     is_with_others = edge.moving and tree.advanced_ns - edge.moving[-1].received_ns <= _LEAST_STALE_NS
     publisher = tellers.of(edge) if tellers else ""
     problems = [*_who_tells(tree, edge, tellers), *_how_told(edge, at_ns, publisher), *_leaps(edge, at_ns)]
+    stale = ""
     if not (time_stands and is_with_others):
-        problems += _when_told(tree, edge, at_ns, publisher, is_other_clock=is_other_clock)
+        late = _when_told(tree, edge, at_ns, publisher, is_other_clock=is_other_clock)
+        stale = next((part for part in late if part.startswith(_STALE)), "") if not problems and len(late) == 1 else ""
+        problems += late
     return EdgeRow(
         parent=newest.parent if newest else edge.refused_parent,
         child=edge.child,
@@ -98,7 +109,25 @@ def edge_row(
         rate_hz=four_digits(edge.rate_hz),
         age_s=None if age_ns is None else microseconds(age_ns / 1e9),
         problem="; ".join(problems),
+        stale_s=age_ns / 1e9 if stale and age_ns is not None else None,
+        of=publisher.removeprefix(_PROBABLY).removesuffix(GONE) if _is_one(publisher) else "",
     )
+
+
+def _is_one(publisher: str) -> bool:
+    return bool(publisher) and not publisher.startswith("one of") and " and " not in publisher
+
+
+def stale_in_words(rows: Sequence[EdgeRow]) -> str:
+    """That one publisher's edges are stale, all of them in one sentence."""
+    youngest, publisher = min(row.stale_s or 0.0 for row in rows), rows[0].publisher
+    edges = [f"{named(row.parent)} → {named(row.child)}" for row in rows]
+    more = f" and {len(edges) - _MOST_EDGES} more" if len(edges) > _MOST_EDGES else ""
+    by = f" by {publisher}" if publisher else ""
+    still = ", which is still in the graph but no longer publishes them" if _is_one(publisher) else ""
+    still = "" if GONE in publisher else still
+    since = seconds_in_words(round(youngest * 1e9))
+    return f"{len(rows)} edges{by} are stale since {since}{still}: {', '.join(edges[:_MOST_EDGES])}{more}."
 
 
 def in_words(row: EdgeRow) -> str:
@@ -218,7 +247,7 @@ def _when_told(tree: FrameTree, edge: Edge, at_ns: int, publisher: str, *, is_ot
             usual = f", after {edge.rate_hz:.3g} Hz" if edge.rate_hz else ""
             is_one = publisher and GONE not in publisher and not publisher.startswith("one of")
             still = ", which is still in the graph but no longer publishes it" if is_one else ""
-            parts.append(f"is stale: last published {seconds_in_words(age_ns)} ago{usual}{by}{still}")
+            parts.append(f"{_STALE}: last published {seconds_in_words(age_ns)} ago{usual}{by}{still}")
         elif edge.frozen > _FROZEN:
             again = f"the same stamp again and again, now {seconds_in_words(age_ns)} old"
             parts.append(f"is published now with {again}: tf2 ignores repeated stamps")

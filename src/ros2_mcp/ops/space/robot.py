@@ -41,6 +41,7 @@ from ros2_mcp.ops.space.inputs import (
 from ros2_mcp.ops.space.joints import JointNow, joints_now, placed
 from ros2_mcp.ops.space.lines import Named
 from ros2_mcp.ops.space.sensors import JOINT_STATE, MISSED, ODOMETRY, also_told, ranked, rate_in_words, sensors_of
+from ros2_mcp.ops.space.stacks import stacks_of
 from ros2_mcp.ops.space.standing_time import standing_time
 from ros2_mcp.ops.space.states import states_of
 from ros2_mcp.robot import Robot
@@ -74,6 +75,7 @@ _FIRST = ("frames", "odometry", "diagnostics")
 """Parts of which a young bridge waits for the first message."""
 _MOST_CORNERS = 200
 """Of an outline: more are a mistake."""
+_NO_DESCRIPTION = "No description (URDF) was found: kind, size and joints are guessed or unknown."
 _logger = logging.getLogger(__name__)
 
 
@@ -127,13 +129,30 @@ async def in_brief(robot: Robot, source: Source, *, part: Part = "", whole: bool
         NotFound: if no robot is there.
         LinkError: if there is no bridge.
     """
+    seen = await _gathered(robot, source, _MOST_HEARD if whole or part == "sensors" else _MOST_SENSORS)
+    everything = _everything(source, seen)
+    if part:
+        return one_part(everything, part)
+    return everything if whole else await asyncio.to_thread(within, everything, MOST_BYTES)
+
+
+async def unhealthy_besides(robot: Robot, source: Source) -> Sequence[str]:
+    """What `in_brief` calls unhealthy, in sentences, without what a health check sees by itself: frames, silent topics,
+    diagnostics, controllers. Raises as `in_brief`.
+    """
+    seen = await _gathered(robot, source, _MOST_SENSORS)
+    # without frames, too, it is perhaps no robot with a body, and misses no description
+    return [each for each in _of_the_robot(seen) if each != _NO_DESCRIPTION or seen.tree.frames]
+
+
+async def _gathered(robot: Robot, source: Source, most_sensors: int) -> _Seen:
     asked_at = monotonic()
     is_young = source.is_live and robot.graph.bridge_age_s < YOUNG_S
     await load("ros2_mcp.values.cdr", "ros2_mcp.values.select")  # with numpy: not before it is needed
     graph = await source.graph()
     if graph.absence:
         raise NotFound(graph.absence, "ros2_status shows domain and middleware.")
-    seen = _Seen(graph, most_sensors=_MOST_HEARD if whole or part == "sensors" else _MOST_SENSORS, asked_at=asked_at)
+    seen = _Seen(graph, most_sensors=most_sensors, asked_at=asked_at)
     given_up_at = max(asked_at + _GIVEN_UP_S, monotonic() + _LEAST_S) if source.is_live else math.inf
     if is_young:
         seen.waits_until = seen.listened_at + FIRST_S
@@ -156,10 +175,7 @@ async def in_brief(robot: Robot, source: Source, *, part: Part = "", whole: bool
     await asyncio.gather(*(_safely(seen, what, work, ends[what]) for what, work in gathering))
     if source.is_live:
         _note_not_heard(seen)
-    everything = _everything(source, seen)
-    if part:
-        return one_part(everything, part)
-    return everything if whole else await asyncio.to_thread(within, everything, MOST_BYTES)
+    return seen
 
 
 # ── gathering ────────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -388,7 +404,7 @@ def _everything(source: Source, seen: _Seen) -> RobotInBrief:
         for name, kind in also_told(seen.graph)
         if name not in asked
     ]
-    stacks = _stacks(seen.graph)
+    stacks = stacks_of(seen.graph)
     place, trouble = _place(source, seen, base)
     return RobotInBrief(
         name=(seen.urdf.name if seen.urdf else "") or "robot",
@@ -430,24 +446,6 @@ def _base_of(seen: _Seen) -> str:
     root = next((name for name in ("base_link", "base_footprint") if name in seen.urdf.links), seen.urdf.root)
     arms = arms_of(seen.urdf) if root.lower() in WORLDS else []
     return arms[0][0].parent if arms else root
-
-
-def _stacks(graph: GraphSnapshot) -> list[str]:
-    nodes = {name.rpartition("/")[2] for name in graph.nodes or ()}
-    types = {kind for one in graph.topics.values() for kind in one.types}
-    services = {name.rpartition("/")[2] for name in graph.services or ()}
-    return [
-        name
-        for name, is_there in (
-            ("Nav2", "bt_navigator" in nodes or any(kind.startswith("nav2_msgs/action/Navigate") for kind in types)),
-            ("MoveIt", "move_group" in nodes or any(kind.startswith("moveit_msgs/action/") for kind in types)),
-            ("ros2_control", "controller_manager" in nodes or "list_controllers" in services),
-            ("MAVROS", "mavros_msgs/msg/State" in types),
-            ("slam_toolbox", "slam_toolbox" in nodes),
-            ("amcl", "amcl" in nodes),
-        )
-        if is_there
-    ]
 
 
 def _sensors(seen: _Seen, base: str) -> list[str]:
@@ -558,6 +556,12 @@ def _unhealthy(source: Source, seen: _Seen) -> list[str]:
     missed = {one.topic for one, kind in ranked(seen.graph) if kind in MISSED}
     silent_ones = (topic for topic, head in seen.heads.items() if not head.count and topic in missed)
     found += [f"{named(topic)} is published, but silent." for topic in silent_ones]
+    return [*found, *_of_the_robot(seen), *idle_movers(seen.graph, seen.managed), *seen.reports]
+
+
+def _of_the_robot(seen: _Seen) -> list[str]:
+    """What is wrong with its description, joints, batteries, mounts of sensors and place, and the faults it tells."""
+    found: list[str] = []
     if seen.urdf:
         found += seen.urdf.problems[:2]
         wheels = {joint.name for joint in wheels_of(seen.urdf)}
@@ -570,27 +574,24 @@ def _unhealthy(source: Source, seen: _Seen) -> list[str]:
             more = f" and {len(unknown) - 3} more" if len(unknown) > 3 else ""
             found.append(f"Nothing reports the position of {', '.join(map(named, unknown[:3]))}{more}.")
     elif not seen.problems and "description" not in seen.not_read:
-        found.append("No description (URDF) was found: kind, size and joints are guessed or unknown.")
+        found.append(_NO_DESCRIPTION)
     low = [share for share in seen.batteries.values() if share is not None and share < 0.2]
     if low:
         found.append(f"The battery is at {min(low):.0%}.")
     base = _base_of(seen)
     frames = dict.fromkeys(head.frame for head in seen.heads.values() if head.frame and seen.tree.frames)
     found += [f"Not in TF: {named(frame)}." for frame in frames if _mounted(seen, base, frame) == NO_MOUNT]
-    found += [*seen.faults, *idle_movers(seen.graph, seen.managed)]
+    found += seen.faults
     if lost := _not_localised(seen):
         found.append(lost)
-    return [*found, *seen.reports]
+    return found
 
 
 def _not_localised(seen: _Seen) -> str:
     """That somebody localises in a map, but the robot's place in it is not told; empty where that is not so."""
     localisers = [name for name in seen.graph.nodes or () if name.rpartition("/")[2] in ("amcl", "slam_toolbox")]
-    is_told = any(seen.tree.newest(frame, seen.tree.base) for frame in _maps_of(seen)) if seen.tree.base else False
+    maps = [name for name in seen.tree.frames if name.rpartition("/")[2] == "map"]
+    is_told = any(seen.tree.newest(frame, seen.tree.base) for frame in maps) if seen.tree.base else False
     if not localisers or is_told or not seen.tree.base:
         return ""
     return f"Not localised: {named(localisers[0])} runs, but nothing reports where the robot is in the map."
-
-
-def _maps_of(seen: _Seen) -> list[str]:
-    return [name for name in seen.tree.frames if name.rpartition("/")[2] == "map"]

@@ -450,7 +450,12 @@ async def _picture(gathered: Gathered, request: SceneRequest) -> ScenePicture:
     source, at = gathered.source, gathered.robot
     if request.radius_m is not None and at is None:
         raise BadInput(f"Without the robot's place in {named(gathered.frame)} nothing can be shown around it.")
-    drawing, scene, picture = await asyncio.to_thread(_drawn, gathered, request)
+    try:
+        drawing, scene, picture = await asyncio.to_thread(_drawn, gathered, request)
+    except BadData as error:  # there is nothing to show
+        if absence := await source.absence():
+            raise NotFound(absence, "ros2_status shows domain and middleware.") from error
+        raise
     first_scan = next(((name, found) for kind, name, found in gathered.read_layers if kind == "scan"), None)
     meaning = None
     if first_scan:

@@ -15,7 +15,7 @@ from ros2_mcp.model.text import counted, is_name, named
 from ros2_mcp.ops.results.results import HIDDEN, IF_ANY, SAID, Report, WithPictures, facts, reporting, silent
 from ros2_mcp.ops.sources.selection import undecodable
 from ros2_mcp.ops.sources.source import Source
-from ros2_mcp.ops.space.edges import EdgeRow, edge_row, in_words
+from ros2_mcp.ops.space.edges import EdgeRow, edge_row, in_words, stale_in_words
 from ros2_mcp.ops.space.frames import disputed_roots, frames_of, separate_roots
 from ros2_mcp.ops.space.standing_time import look_for_clock, other_clock, standing_time
 from ros2_mcp.ops.space.tellers import Tellers, silent_in_words, tellers_of
@@ -40,6 +40,14 @@ _MOST_DRAWN = 80
 """Characters of a name in the picture: more make it too wide to be read."""
 
 
+@dataclass(frozen=True, slots=True)
+class FrameProblem:
+    """What is wrong with frames, in a sentence; `publisher` is the node that it is of, where that is known."""
+
+    problem: str
+    publisher: str = ""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tree(WithPictures):
     """All frames: `roots` (more than one: several trees, between which there is no transform), and every edge, the
@@ -53,6 +61,7 @@ class Tree(WithPictures):
     read_from: str
     note: str = ""
     lines: Sequence[str] = field(default=(), metadata=HIDDEN)
+    found: Sequence[FrameProblem] = field(default=(), metadata=HIDDEN)
     disputed: int = field(default=0, metadata=HIDDEN)
     """How many of the roots stand apart because a frame has two parents."""
 
@@ -98,13 +107,18 @@ async def tf_tree(
     rows = {child: edge_row(tree, edge, at_ns, tellers, time_stands=bool(stands)) for child, edge in tree.edges.items()}
     walk = list(_walk(tree, [top] if top else tree.roots))
     lines = [_line(name, depth, rows.get(name)) for name, depth in walk]
-    problems = _problems(tree, rows, [name for name, _ in walk], tellers, whole=not top)
+    found = [
+        *(FrameProblem(problem) for problem in (*unheard, *wrong, *filter(None, [stands]))),
+        *_problems(tree, rows, [name for name, _ in walk], tellers, whole=not top),
+        *(FrameProblem(problem) for problem in _gaps(source, tree, walk)),
+    ]
     images = [await asyncio.to_thread(_picture, walk, rows)] if picture else []
     return Tree(
         frames=len(walk),
         roots=[top] if top else tree.roots,
         edges=[rows[name] for name, _ in walk if name in rows],
-        problems=[*unheard, *wrong, *filter(None, [stands]), *problems, *_gaps(source, tree, walk)],
+        problems=[one.problem for one in found],
+        found=found,
         read_from="live" if source.is_live else source.words,
         note=" ".join(said),
         lines=lines,
@@ -173,17 +187,19 @@ def _walk(tree: FrameTree, tops: Sequence[str]) -> Iterator[tuple[str, int]]:
 
 def _line(name: str, depth: int, row: EdgeRow | None) -> str:
     said = f" ({row.words()})" if row and row.parent and depth else ""
-    wrong = f" - {row.problem}" if row and row.problem else ""
+    # what is wrong stands above, once
+    wrong = f" - {'stale' if row.stale_s is not None else 'see the problems'}" if row and row.problem else ""
     return f"{'  ' * depth}{'└ ' if depth else ''}{named(name)}{said}{wrong}"
 
 
 def _problems(
     tree: FrameTree, rows: Mapping[str, EdgeRow], names: Sequence[str], tellers: Tellers, *, whole: bool
-) -> list[str]:
-    found: list[str] = []
+) -> list[FrameProblem]:
+    found: list[FrameProblem] = []
     if whole and len(separate := separate_roots(tree)) > 1:
         roots = ", ".join(map(named, separate))
-        found.append(f"{len(separate)} trees, with no transform between them; their roots are {roots}.")
+        problem = f"{len(separate)} trees, with no transform between them; their roots are {roots}."
+        found.append(FrameProblem(problem))
     trees = len(found)
 
     def by(child: str, parent: str) -> str:
@@ -191,14 +207,27 @@ def _problems(
 
     hidden = [tree.circle_by(name) for name in names if name in tree.edges and tree.edges[name].two_parents]
     circles = {frozenset(circle): circle for circle in [*map(tree.circle_of, names), *hidden] if circle}
-    found += [f"Frames form a loop: {circle_in_words(circle, by)}." for circle in circles.values()]
-    for name in names:
-        row = rows.get(name)
-        if row and row.problem:
-            found.append(in_words(row))
+    found += [FrameProblem(f"Frames form a loop: {circle_in_words(circle, by)}.") for circle in circles.values()]
+    found += _of_edges([rows[name] for name in names if name in rows and rows[name].problem])
     causes = [edge for name in names if (edge := tree.edges.get(name)) and (edge.two_parents or not edge.newest)]
     # That there are several trees follows from an edge that is refused, or that has two ends.
     return [*found[trees:], *found[:trees]] if causes else found
+
+
+def _of_edges(rows: Sequence[EdgeRow]) -> list[FrameProblem]:
+    """One for each edge; those that one publisher has left stale are one."""
+    stale: dict[str, list[EdgeRow]] = {}
+    for row in rows:
+        if row.stale_s is not None:
+            stale.setdefault(row.publisher, []).append(row)
+    found: list[FrameProblem] = []
+    for row in rows:
+        group = stale.get(row.publisher, []) if row.stale_s is not None else []
+        if len(group) < 2:
+            found.append(FrameProblem(in_words(row), row.of))
+        elif row is group[0]:
+            found.append(FrameProblem(stale_in_words(group), row.of))
+    return found
 
 
 def _gaps(source: Source, tree: FrameTree, walk: Sequence[tuple[str, int]]) -> list[str]:

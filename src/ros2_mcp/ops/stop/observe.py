@@ -205,6 +205,7 @@ def reading_of(message: Mapping[str, Any], sample: Sample, path: str | None) -> 
     is_base = path is not None
     pose = (_at(message, "pose.pose") or _at(message, "pose")) if is_base else None
     return Reading(
+        heard_s=monotonic(),
         received_ns=sample.received_ns,
         source_ns=sample.source_ns,
         header_ns=seconds * 1_000_000_000 + nanoseconds,

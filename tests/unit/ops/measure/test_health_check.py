@@ -19,6 +19,7 @@ SCAN = "sensor_msgs/msg/LaserScan"
 IMU = "sensor_msgs/msg/Imu"
 ODOMETRY = "nav_msgs/msg/Odometry"
 TWIST = "geometry_msgs/msg/Twist"
+TF = "tf2_msgs/msg/TFMessage"
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 
 
@@ -31,7 +32,9 @@ def topic(name: str, publishers: Sequence[Endpoint] = (), subscribers: Sequence[
 
 
 async def check(present: Sequence[TopicEndpoints], windows: Sequence[Window], **expected: Any) -> Health:
-    scene = GraphSnapshot({each.topic: each for each in present}, ["/lidar", "/nav"], ["/reset"])
+    scene = GraphSnapshot(
+        {each.topic: each for each in present}, ["/lidar", "/nav"], {"/reset": ["std_srvs/srv/Trigger"]}
+    )
     source = Recorded(windows, scene)
     source.is_live = True
     return await check_health(source, Expectations(**expected))
@@ -196,8 +199,85 @@ async def test_a_silent_sensor_degrades_and_an_expected_one_is_critical(window: 
     ids=lambda each: each.topic,
 )
 async def test_silence_that_is_meant_is_no_fault(window: Make, quiet: TopicEndpoints) -> None:
-    found = await check([quiet], [window(quiet.topic, quiet.types[0], [], 3.0)])
+    windows = [window(quiet.topic, quiet.types[0], [], 3.0), window("/front", SCAN, at(10), 3.0)]
+    found = await check([quiet, topic("/front", [endpoint("/lidar", SCAN)])], windows)
     assert (found.verdict, found.findings) == ("HEALTHY", [])
+
+
+@pytest.mark.parametrize("check_rates", [True, False])
+async def test_where_nothing_was_measured_nothing_is_called_healthy(window: Make, check_rates: bool) -> None:
+    chatter = topic("/chatter", [endpoint("/talker", "std_msgs/msg/String")])
+    found = await check([chatter], [window("/chatter", "std_msgs/msg/String", [], 3.0)], check_rates=check_rates)
+    assert (found.verdict, [row.subject for row in found.findings]) == ("DEGRADED", ["robot"])
+    assert found.findings[0].problem.startswith("Nothing was measured")
+
+
+async def test_a_topic_that_ran_in_this_session_and_is_silent_is_silent_but_not_what_runs_for_a_while(
+    window: Make,
+) -> None:
+    pressure = topic("/pressure", [endpoint("/pump", "sensor_msgs/msg/FluidPressure")])
+    orders = topic("/cmd_vel", [endpoint("/teleop", TWIST)])
+    windows = [window(one.topic, one.types[0], [], 3.0) for one in (pressure, orders)]
+    windows.append(window("/scan", SCAN, at(10), 3.0))
+    graph = GraphSnapshot({one.topic: one for one in (pressure, orders, LIDAR)}, [], {})
+    assert (await check_health(Recorded(windows, graph), Expectations())).verdict == "HEALTHY"
+    graph = GraphSnapshot(graph.topics, [], {}, ran=("/pressure", "/cmd_vel", "/scan"))
+    found = await check_health(Recorded(windows, graph), Expectations())
+    assert [(row.subject, row.problem) for row in found.findings] == [
+        ("/pressure", "/pump publishes it, but no message came.")
+    ]
+
+
+@pytest.mark.parametrize("seconds", [1.0, 3.0])
+@pytest.mark.parametrize("kind", ["nav_msgs/msg/Odometry", "sensor_msgs/msg/JointState", TF, DIAGNOSTICS])
+async def test_what_is_published_steadily_is_silent_in_any_session_whatever_its_qos(
+    window: Make, kind: str, seconds: float
+) -> None:
+    is_slow = kind in (TF, DIAGNOSTICS)  # of once a second nothing can be said after one
+    qos = {} if is_slow else {"durability": "transient_local"}
+    present = [topic("/told", [endpoint("/base", kind, **qos)]), LIDAR]
+    windows = [window("/told", kind, [], seconds), window("/scan", SCAN, at(10, seconds), seconds)]
+    found = await check(present, windows)
+    assert (found.verdict, state_of(found, "/told")) == (
+        ("HEALTHY", "QUIET") if is_slow and seconds < 3 else ("DEGRADED", "SILENT")
+    )
+
+
+async def test_a_stream_of_which_only_a_message_from_before_came_is_silent_and_its_age_is_told(window: Make) -> None:
+    qos = {"durability": "transient_local"}
+    odometry = topic("/odom", [endpoint("/base", ODOMETRY, **qos)])
+    grid = topic("/map", [endpoint("/maps", "nav_msgs/msg/OccupancyGrid", **qos)])
+    windows = [
+        window("/odom", ODOMETRY, [(-5.0, {})], 3.0),
+        window("/map", grid.types[0], [(-60.0, {})], 3.0),
+        window("/scan", SCAN, at(10), 3.0),
+    ]
+    found = await check([odometry, grid, LIDAR], windows)
+    assert [row.problem for row in found.findings] == [
+        "/base publishes it, but nothing new came: 1 message, 8 s old, from before."
+    ]
+    assert found.in_short["/map"] == "OK, 1 message, 63 s old, from before"
+
+
+async def test_the_first_in_a_chain_is_named(window: Make) -> None:
+    """The joint states wait for a description that nobody publishes; odometry waits for the joint states."""
+    latched = {"durability": "transient_local"}
+    joints = "sensor_msgs/msg/JointState"
+    present = [
+        topic("/robot_description", (), [endpoint("/joints", "std_msgs/msg/String", **latched)]),
+        topic("/joint_states", [endpoint("/joints", joints)], [endpoint("/base", joints)]),
+        topic("/odom", [endpoint("/base", ODOMETRY)]),
+        LIDAR,
+    ]
+    windows = [window("/joint_states", joints, [], 3.0), window("/odom", ODOMETRY, [], 3.0)]
+    found = await check(present, [*windows, window("/scan", SCAN, at(10), 3.0)])
+    [finding] = found.findings
+    assert (finding.subject, finding.recommendation) == (
+        "/robot_description",
+        "Start what publishes /robot_description.",
+    )
+    assert "/joints waits for /robot_description, which nobody publishes" in finding.problem
+    assert "/odom" in finding.problem and "/joint_states" in finding.problem
 
 
 async def test_what_is_expected_and_not_there_is_critical_with_the_nearest_name(window: Make) -> None:

@@ -1,0 +1,24 @@
+"""Endpoints that cannot match, and sensors that nodes wait for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from ros2_mcp.ops.measure.checks.check import Check
+from ros2_mcp.ops.measure.evidence import Evidence, nodes_of, only, streams
+from ros2_mcp.ops.measure.findings import Finding
+from ros2_mcp.ops.topics.info import mismatches
+
+
+def _find(evidence: Evidence) -> Iterator[Finding]:
+    for name, topic in evidence.graph.topics.items():
+        for sentence in dict.fromkeys(mismatches(topic.publishers, topic.subscribers)):
+            advice = "Give both the same type and compatible QoS; no message passes between them now."
+            yield Finding("warning", name, sentence, advice)
+        if streams(topic) and topic.subscribers and not topic.publishers:
+            problem = f"{nodes_of(topic.subscribers)} subscribes to it, but nobody publishes."
+            cause = only(evidence.graph.left.topics.get(name, ()))
+            yield Finding("warning", name, problem, "Start the sensor's driver, or correct a remapping.", cause)
+
+
+CHECK = Check((), _find)

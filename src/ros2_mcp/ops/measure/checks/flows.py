@@ -1,0 +1,107 @@
+"""Topics that are silent, slow, interrupted, or carry old stamps or numbers that are not finite.
+
+The first in a chain is named: a topic is silent because its publisher waits for another one, which is silent too, or
+which nobody publishes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from ros2_mcp.model import names
+from ros2_mcp.model.graph import OF_EVERY_NODE
+from ros2_mcp.model.text import listed
+from ros2_mcp.model.times import both_times
+from ros2_mcp.ops.measure.checks.check import Check
+from ros2_mcp.ops.measure.evidence import MAX_NAMES, Evidence, Flow, TopicRow, nodes_of, only, streams
+from ros2_mcp.ops.measure.findings import Finding
+
+_SILENT = ("SILENT", "STOPPED")
+
+
+def _find(evidence: Evidence) -> Iterator[Finding]:
+    waits = _waits(evidence)
+    for row in evidence.rows:
+        yield from _of(evidence, row, evidence.flows.get(row.topic_name), waits)
+
+
+def _waits(evidence: Evidence) -> Mapping[str, str]:
+    """For each silent topic the topic at the beginning of its chain, which is silent, too, or has no publisher."""
+    silent = {row.topic_name for row in evidence.rows if row.state in _SILENT}
+    topics = evidence.graph.topics
+    heard: dict[str, list[str]] = {}
+    for name, topic in topics.items():
+        if name not in OF_EVERY_NODE and not names.is_hidden(name):
+            for subscriber in topic.subscribers:
+                heard.setdefault(subscriber.node, []).append(name)
+
+    def first(name: str, seen: frozenset[str]) -> str:
+        """A silent input of a silent publisher goes before one that nobody publishes, which may be optional."""
+        inputs = [each for one in topics[name].publishers for each in heard.get(one.node, ()) if each not in seen]
+        for each in (one for one in inputs if one in silent):
+            return first(each, seen | {each})
+        absent = [each for each in inputs if not topics[each].publishers and _is_needed(evidence, each)]
+        return absent[0] if absent else name
+
+    found = {name: first(name, frozenset((name,))) for name in silent if name in topics}
+    return {name: cause for name, cause in found.items() if cause != name}
+
+
+def _is_needed(evidence: Evidence, name: str) -> bool:
+    """Whether its subscribers cannot do without: a stream, or what is latched, such as a description or a map.
+
+    Commands, goals and other orders come when somebody gives them.
+    """
+    topic = evidence.graph.topics[name]
+    is_latched = all(one.qos.durability == "transient_local" for one in topic.subscribers)
+    return streams(topic) or is_latched
+
+
+def _of(evidence: Evidence, row: TopicRow, measured: Flow | None, waits: Mapping[str, str]) -> Iterator[Finding]:
+    topic = evidence.graph.topics.get(row.topic_name)
+    cause = only(sorted({one.node for one in topic.publishers})) if topic else ""
+    severity = "critical" if row.expected else "warning"
+    if measured and (finite := measured.finite) and finite.found:
+        first = both_times(finite.first_ns, measured.zero_ns)
+        bad = f"{finite.found} of {finite.looked_at} messages have NaN or infinite values"
+        problem = f"{bad}, in {', '.join(finite.fields)}, first at {first}."
+        advice = "Check its publisher's inputs and parameters; nodes that compute with these values produce NaN too."
+        yield Finding(severity, row.topic_name, problem, advice, cause)
+    if row.state == "SLOW":
+        rate = "too few messages came to measure its rate" if row.rate_hz is None else f"{row.rate_hz:.2f} Hz"
+        problem = f"Slow: {rate}, at least {evidence.expected.min_rate_hz:g} Hz expected."
+        advice = "Check its publisher's load and rate parameter, or lower min_expected_rate_hz."
+        yield Finding("warning", row.topic_name, problem, advice, cause)
+    elif row.state == "OLD STAMPS" and measured and measured.ages:
+        advice = "Compare the machines' clocks (chrony, NTP), and check its publisher's load and network."
+        yield Finding("warning", row.topic_name, measured.ages.trouble, advice, cause)
+    elif row.state in (*_SILENT, "INTERRUPTED") and topic:
+        publishers = nodes_of(topic.publishers)
+        problem, advice = _silence(publishers, measured), f"Check the device, parameters and log of {publishers}."
+        root = evidence.graph.topics.get(waits.get(row.topic_name, ""))
+        if root and not root.publishers:
+            who = listed(sorted({one.node for one in root.subscribers}), MAX_NAMES)
+            problem = f"{who} waits for {root.topic}, which nobody publishes; so {row.topic_name} is silent."
+            yield Finding(severity, root.topic, problem, f"Start what publishes {root.topic}.", root.topic)
+            return
+        if root:
+            problem += (
+                f" The cause may be {root.topic}: what {nodes_of(root.publishers)} publishes there is silent, too."
+            )
+            advice = f"First find out why {root.topic} is silent."
+            cause = only(sorted({one.node for one in root.publishers})) or root.topic
+        yield Finding(severity, row.topic_name, problem, advice, cause)
+
+
+def _silence(publishers: str, measured: Flow | None) -> str:
+    if measured and measured.from_before:
+        return f"{publishers} publishes it, but nothing new came: {measured.from_before}."
+    if not (measured and (silence := measured.silence)):
+        return f"{publishers} publishes it, but no message came."
+    since, for_s = f"from {both_times(silence.from_ns, measured.zero_ns)} on", f"{silence.duration_s:.1f} s"
+    if silence.is_end:
+        return f"It has stopped: no message in the last {for_s}, {since}."
+    return f"It was interrupted: no message for {for_s} {since}."
+
+
+CHECK = Check((), _find)

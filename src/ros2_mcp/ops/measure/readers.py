@@ -1,0 +1,141 @@
+"""Reads what checks need of a live robot beside the flows of its topics: each part once, all at the same time.
+
+A part that cannot be read, or not in time, is None and is told; it takes nothing from the others.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
+from typing import Any
+
+import anyio
+
+from ros2_mcp.model import names
+from ros2_mcp.model.errors import NoTransform, RobotError, UnknownInterface
+from ros2_mcp.model.text import quoted
+from ros2_mcp.ops.measure.evidence import Need, Ros2Control
+from ros2_mcp.ops.nodes.lifecycle import LifecycleState
+from ros2_mcp.ops.nodes.lifecycle import states as lifecycle_states
+from ros2_mcp.ops.nodes.parameters import Parameter, all_of
+from ros2_mcp.ops.sources.source import GraphSnapshot, Source
+from ros2_mcp.ops.space.controllers import listed_controllers, listed_hardware
+from ros2_mcp.ops.space.robot import unhealthy_besides
+from ros2_mcp.ops.space.tf_tree import FrameProblem, tf_tree
+from ros2_mcp.robot import Robot
+from ros2_mcp.robot.seen import is_of_robot
+from ros2_mcp.robot.transforms import TF, TF_STATIC
+
+_MOST_NODES = 60
+"""Nodes that are asked for their parameters and services: more than most robots have, a second for the bridge."""
+_AT_A_TIME = 6
+"""Nodes that are asked together: the questions should not weigh on the robot."""
+_ANSWER_S = 1.5
+"""For one node: one that spins answers within milliseconds."""
+_GIVEN_UP_S = 6.0
+"""For a part as a whole: the check itself listens for three seconds."""
+_LEAST_FRAMES_S = 2.0
+"""Frames are listened to for so long: what is told once a second is then no surprise."""
+_logger = logging.getLogger(__name__)
+
+
+async def read(
+    needs: Collection[Need], robot: Robot | None, source: Source, graph: GraphSnapshot
+) -> tuple[Mapping[str, Any], Sequence[str]]:
+    """The parts of the evidence by their names, and the names of those that could not be read.
+
+    Of a recording, and without a robot, there are frames alone.
+    """
+    makers: dict[Need, Callable[[], Awaitable[Any]]] = {"frames": lambda: _frames(source, graph)}
+    if robot is not None and source.is_live and not graph.absence:
+        makers |= {
+            "lifecycle": lambda: _lifecycle(robot),
+            "ros2_control": lambda: _ros2_control(robot, graph),
+            "parameters": lambda: _parameters(robot, graph),
+            "servers": lambda: _servers(robot, graph),
+            "robot": lambda: unhealthy_besides(robot, source),
+        }
+    found: dict[str, Any] = {}
+    missed: list[str] = []
+
+    async def made(need: Need) -> None:
+        try:
+            with anyio.move_on_after(max(_GIVEN_UP_S, 2 * source.duration_s)) as scope:
+                found[need] = await makers[need]()
+            if scope.cancelled_caught:
+                missed.append(need)
+        except UnknownInterface as error:
+            missed.append(f"{need} ({error.message})")
+        except Exception as error:
+            _logger.warning("%s could not be read for the health check", need, exc_info=True)
+            missed.append(f"{need} ({quoted(str(error)[:120])})")
+
+    await asyncio.gather(*(made(need) for need in needs if need in makers))
+    return found, sorted(missed)
+
+
+async def _frames(source: Source, graph: GraphSnapshot) -> Sequence[FrameProblem]:
+    """None where nobody publishes frames: a robot without is healthy, and what is silent is told of the topic."""
+    topics = [topic for name, topic in graph.topics.items() if name.endswith((TF, TF_STATIC))]
+    if not any(topic.publishers for topic in topics):
+        return ()
+    try:
+        duration_s = max(source.duration_s, _LEAST_FRAMES_S) if source.is_live else 0.0
+        return (await tf_tree(source, duration_s=duration_s, picture=False)).found
+    except NoTransform:
+        return ()
+
+
+async def _lifecycle(robot: Robot) -> Sequence[LifecycleState]:
+    return (await lifecycle_states(robot)).nodes
+
+
+async def _ros2_control(robot: Robot, graph: GraphSnapshot) -> Mapping[str, Ros2Control]:
+    listed = await listed_controllers(robot, graph)
+    hardware = await asyncio.gather(*(listed_hardware(robot, node) for node in listed))
+    return {node: Ros2Control(listed[node], components) for node, components in zip(listed, hardware, strict=True)}
+
+
+async def _parameters(robot: Robot, graph: GraphSnapshot) -> Mapping[str, Sequence[Parameter]]:
+    """Those of every node that answers."""
+
+    async def of(node: str) -> Sequence[Parameter]:
+        return await all_of(robot, node)
+
+    return await _of_each(_nodes(graph, once=True), of)
+
+
+async def _servers(robot: Robot, graph: GraphSnapshot) -> Mapping[str, Sequence[str]]:
+    """By service, the nodes that offer it."""
+
+    async def of(node: str) -> Sequence[str]:
+        return [row.name for row in (await robot.graph.node(node)).servers]
+
+    found: dict[str, list[str]] = {}
+    for node, services in (await _of_each(_nodes(graph), of)).items():
+        for service in services:
+            found.setdefault(service, []).append(node)
+    return found
+
+
+def _nodes(graph: GraphSnapshot, *, once: bool = False) -> list[str]:
+    """The robot's nodes; `once`: without names that several share, of which nobody knows which one answers."""
+    nodes = [node for node in graph.nodes or () if is_of_robot(node) and node != names.UNKNOWN_NODE]
+    return [node for node in dict.fromkeys(nodes) if not once or nodes.count(node) == 1][:_MOST_NODES]
+
+
+async def _of_each(nodes: Sequence[str], of: Callable[[str], Awaitable[Any]]) -> dict[str, Any]:
+    limit = asyncio.Semaphore(_AT_A_TIME)
+    found: dict[str, Any] = {}
+
+    async def asked(node: str) -> None:
+        async with limit:
+            try:
+                with anyio.move_on_after(_ANSWER_S):
+                    found[node] = await of(node)
+            except RobotError:  # it has left, or has no such services
+                pass
+
+    await asyncio.gather(*map(asked, nodes))
+    return found
