@@ -81,6 +81,7 @@ FACTS: dict[str, dict[str, str | list[str]]] = {
             "/set_mode SetMode",
             "/slow_echo SlowEcho",
             "/spawn_obstacle SpawnObstacle",
+            "/gripper/close SetBool",
         ],
         "sensors": [
             rf"/scan LaserScan{RATE} in laser at 0 0 0.22, 0.12 to 5 m over 359°",
@@ -92,10 +93,14 @@ FACTS: dict[str, dict[str, str | list[str]]] = {
         "also_told": [
             rf"/joint_states JointState{RATE}",
             rf"/odom Odometry{RATE}",
+            rf"/gripper/joint_states JointState{RATE}",
             r"/heartbeat String «.*»",
             r"/mode String «manual»",
         ],
-        "joints": [rf"{side}_wheel_joint continuous -?[\d.]+ rad" for side in ("left", "right")],
+        "joints": [
+            *(rf"{side}_wheel_joint continuous -?[\d.]+ rad" for side in ("left", "right")),
+            r"gripper_joint 0.08 \(no unit\)",
+        ],
         "controllers": [],
         "stacks": ["Nav2"],
         "frames": r"map → odom → base_link; 7 in all",
