@@ -49,6 +49,10 @@ class StdioClient:
     def pid(self) -> int:
         return self._process.pid
 
+    def owed(self) -> int:
+        """How many requests have no answer yet."""
+        return len(self._open)
+
     async def greet(self) -> list[dict[str, Any]]:
         """Handshake; returns the list of tools."""
         await self.initialize()

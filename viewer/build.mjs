@@ -2,7 +2,7 @@
 //   npm install --no-package-lock --ignore-scripts && npm run build
 // `--check` writes nothing, and fails if the committed file is another one.
 import { build, transform } from "esbuild";
-import { readFileSync, writeFileSync } from "node:fs";
+import { readFileSync, readdirSync, writeFileSync } from "node:fs";
 import { gzipSync } from "node:zlib";
 
 const OUT = new URL("../src/ros2_mcp/view/page.html", import.meta.url);
@@ -11,8 +11,20 @@ const at = (name) => new URL(name, import.meta.url);
 const read = (name) => readFileSync(at(name), "utf8");
 const { dependencies } = JSON.parse(read("package.json"));
 
+// The module "panels": what each file of src/panels/ exports as `kind`, by its name.
+const files = readdirSync(at("src/panels")).filter((name) => name.endsWith(".ts")).map((name) => name.slice(0, -3)).sort();
+const panels = {
+  name: "panels",
+  setup(made) {
+    made.onResolve({ filter: /^panels$/ }, () => ({ path: "panels", namespace: "panels" }));
+    made.onLoad({ filter: /./, namespace: "panels" }, () => ({
+      resolveDir: at("src/panels").pathname,
+      contents: files.map((name) => `import { kind as ${name} } from "./${name}.ts";`).join("") + `export default { ${files.join(", ")} };`,
+    }));
+  },
+};
 const made = await build({
-  entryPoints: ["src/main.ts"], absWorkingDir: at(".").pathname, bundle: true, minify: true, write: false,
+  entryPoints: ["src/main.ts"], plugins: [panels], absWorkingDir: at(".").pathname, bundle: true, minify: true, write: false,
   format: "iife", target: "es2022", charset: "utf8", legalComments: "none",
 });
 const script = made.outputFiles[0].text.trim().replaceAll("</script", "<\\/script");

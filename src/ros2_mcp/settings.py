@@ -283,7 +283,7 @@ class Settings:
     )
     ros_root: Path = _option(
         Path("/opt/ros"), "--ros-root", "ROS2_MCP_ROS_ROOT", _ROS, _FOLDER,
-        "where the installations are, each as DIR/<distro>/setup.bash",
+        "where the installations are, as DIR/<distro>/setup.bash, or one as DIR/setup.bash",
     )
     bridge_python: Path | None = _option(
         None, "--bridge-python", "ROS2_MCP_BRIDGE_PYTHON", _ROS, replace(_FILE, parse=Path),

@@ -25,7 +25,7 @@ from ros2_mcp_bridge.ros import definitions, interfaces
 from ros2_mcp_bridge.stream import Outbox, claim_standard_streams, read_packets
 from ros2_mcp_common.allocation import keep_freed_memory
 from ros2_mcp_common.latch import FILE, Latch, LatchState
-from ros2_mcp_common.policy.rules import meaning
+from ros2_mcp_common.policy.verbs import meaning
 from ros2_mcp_common.wire.packets import PacketError
 from ros2_mcp_common.wire.protocol import BRIDGE_NODE, Empty, Lapsed, PingReply, PolicyReply
 
@@ -136,12 +136,13 @@ class Bridge:
         try:
             from ros2_mcp_bridge import operations
             from ros2_mcp_bridge.ros import context as ros
-            from ros2_mcp_bridge.stopper import stopper
+            from ros2_mcp_bridge.stopper import stopper, udp
 
             missing = "init_failed"
             operations.load_types()
             copies = {name: copy_process(partial(stopper.main, name)) for name in STOPPERS}
-            node, executor = ros.enter(f"{BRIDGE_NODE}{os.getpid()}")
+            with udp.alone_if_memory_is_full():
+                node, executor = ros.enter(f"{BRIDGE_NODE}{os.getpid()}")
             self._operations = operations.Operations(
                 node=node,
                 loop=self._loop,

@@ -118,7 +118,9 @@ class Operations:
         self._subscriptions = Subscriptions(node, self._graph, loop, outbox)
         self._clients = Clients(node, self.failsafes, limiter, lifeline)
         loop.after_turn = self._clients.look
-        create = partial(Publisher, node=node, graph=self._graph, velocities=self._velocities, limiter=limiter)
+        self._joint_states.relied_on = self._velocities.moving_joints
+        limits = {"limiter": limiter, "joint_states": self._joint_states}
+        create = partial(Publisher, node=node, graph=self._graph, velocities=self._velocities, **limits)
         self._publishers = Publishers(self._velocities, create, outbox.send)
         motions = Motions(
             node=node,
@@ -137,6 +139,7 @@ class Operations:
                 "topics": self._graph.topics,
                 "counted": self._graph.counted,
                 "services": self._services,
+                "servers": self._graph.servers,
                 "nodes": self._graph.nodes,
                 "node": self._graph.node,
                 "endpoints": self._graph.endpoints,

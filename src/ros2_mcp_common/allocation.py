@@ -7,8 +7,12 @@ import sys
 # Numbers of malloc.h.
 M_TRIM_THRESHOLD = -1
 M_MMAP_THRESHOLD = -3
+M_ARENA_MAX = -8
 # A raw picture is 6 MB at full HD. Chosen: several fit, and after the last one no more than this is held without need.
 KEPT_BYTES = 32 * 1024 * 1024
+# Each pool of memory keeps so much, and glibc has eight for each processor: that many threads which have once had a
+# picture hold on to it. Python's threads take turns anyway; of two pools a thread of the middleware waits for neither.
+MOST_ARENAS = 2
 
 
 def keep_freed_memory() -> None:
@@ -23,3 +27,4 @@ def keep_freed_memory() -> None:
     if mallopt is not None:  # musl has none
         mallopt(M_MMAP_THRESHOLD, KEPT_BYTES)
         mallopt(M_TRIM_THRESHOLD, KEPT_BYTES)
+        mallopt(M_ARENA_MAX, MOST_ARENAS)

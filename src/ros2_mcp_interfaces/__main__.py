@@ -9,10 +9,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ros2_mcp_interfaces import BuildError, build, default_cache
+from ros2_mcp_interfaces.package import left_out
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Writes prefixes to stdout, progress and errors to stderr; returns 0, or 1 if a package could not be built."""
+    """Writes prefixes to stdout, progress and errors to stderr; returns 0, 1 if a package could not be built, or 2 if a
+    definition was left out.
+    """
     parser = argparse.ArgumentParser(
         prog="ros2_mcp_interfaces", description="Build ROS 2 interface packages without colcon."
     )
@@ -31,8 +34,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if error.hint:
             _report(error.hint)
         return 1
-    sys.stdout.write((json.dumps({"prefixes": prefixes}) if options.json else "\n".join(prefixes)) + "\n")
-    return 0
+    others = [str(file) for file in left_out(options.directories)]
+    for file in others:
+        _report(f"left out: {file}. IDL is not built here: write it as .msg, or build its package with colcon.")
+    answer = {"prefixes": prefixes, "left_out": others}
+    sys.stdout.write((json.dumps(answer) if options.json else "\n".join(prefixes)) + "\n")
+    return 2 if others else 0
 
 
 def _report(text: str) -> None:

@@ -79,6 +79,14 @@ def find_packages(directories: Sequence[Path]) -> list[Package]:
     return list(ordered.values())
 
 
+def left_out(directories: Sequence[Path]) -> list[Path]:
+    """The definitions in IDL below these directories, which are not built here. One beside a `.msg`, `.srv` or
+    `.action` of its name was made from that, and is not missed.
+    """
+    found = sorted(file for directory in directories for file in Path(directory).absolute().rglob("*.idl"))
+    return [file for file in found if not any(file.with_suffix(f".{kind}").is_file() for kind in KINDS)]
+
+
 def _package_roots(directory: Path) -> list[Path]:
     if not directory.is_dir():
         raise BuildError(f"{directory} is not a directory", "Give the directory of an interface package.")
@@ -86,8 +94,9 @@ def _package_roots(directory: Path) -> list[Path]:
         return [directory]
     roots = sorted({file.parent.parent for kind in KINDS for file in directory.rglob(f"{kind}/*.{kind}")})
     if not roots:
+        idl = ", and .idl files are not built here" if left_out([directory]) else ""
         raise BuildError(
-            f"no .msg, .srv or .action files in {directory}",
+            f"no .msg, .srv or .action files in {directory}{idl}",
             "An interface package keeps them in folders named msg, srv and action.",
         )
     return roots

@@ -112,7 +112,7 @@ def test_no_order_on_the_stream_relies_on_the_order_of_tasks() -> None:
     assert [place for place in yielding if not place.startswith("src/ros2_mcp/link/child.py:")] == []  # no order there
 
 
-DECIDING = {("guard", "acting"), ("policy", "decide")}
+DECIDING = {("guard", "acting"), ("policy", "decide"), ("policy", "judge")}
 
 
 def decisions() -> list[str]:
@@ -130,8 +130,8 @@ def decisions() -> list[str]:
 def test_one_place_decides() -> None:
     assert set(decisions()) == {
         "src/ros2_mcp/robot/robot.py: self.guard.acting",
-        "src/ros2_mcp/guard/guard.py: self.policy.decide",
-        "src/ros2_mcp/guard/trials.py: policy.decide",  # about commands that nobody sends
+        "src/ros2_mcp/guard/guard.py: self.policy.judge",
+        "src/ros2_mcp/guard/trials.py: policy.judge",  # about commands that nobody sends
     }
 
 

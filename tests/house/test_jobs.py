@@ -16,6 +16,9 @@ BEGINS_TASKS = {
     "ops/actions/send_goal.py:_submit": "the sending of a goal, cancelled in the same function's `finally`",
     "ops/results/results.py:begin": "ended in the `finally` of `reporting`, around it",
     "ops/stop/stop.py:stop_in_reach": "a stop, which ends by itself within seconds and is to outlive its call",
+    "ops/space/plans.py:hear": "ended by `close` with the robot; it reads, and moves nothing",
+    "ops/sources/newest_samples.py:of": "ended by `close` with the robot; it reads, and moves nothing",
+    "ops/navigation/last_costmaps.py:_begun": "ended by `close` with the robot; it reads, and moves nothing",
     "ops/watch/watchers.py:__init__": "a watch ends with the last who listens to it, and moves nothing",
 }
 """Operations that begin tasks, and why none of them can outlive what began it unseen."""

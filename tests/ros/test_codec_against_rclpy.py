@@ -136,7 +136,7 @@ def _same(one: object, other: object) -> bool:
 def _there_and_back(codec: Codec, name: str, data: bytes) -> bytes:
     """Their bytes → our message → JSON text → our message → our bytes."""
     shown = render(codec.definitions, name, codec.decode(name, data), options=EXACT)
-    assert shown.truncated == []
+    assert not shown.truncated
     text = json.dumps(shown.value, allow_nan=False)
     return codec.encode(name, check(codec.definitions, name, json.loads(text), partial=False))
 

@@ -20,7 +20,7 @@ from ros2_mcp.settings import Settings
 from ros2_mcp_interfaces import BuildError, build, default_cache
 from ros2_mcp_interfaces.cache import content_name
 from ros2_mcp_interfaces.installation import find_installation
-from ros2_mcp_interfaces.package import find_packages
+from ros2_mcp_interfaces.package import find_packages, left_out
 from support.processes import peer_command
 
 SHIPPED = Path(__file__).parents[2] / "src" / "ros2_mcp_demo" / "interfaces"
@@ -274,6 +274,17 @@ def test_where_generators_are_missing_the_way_out_is_named(tmp_path, monkeypatch
     with pytest.raises(BuildError, match=message) as caught:
         build([tmp_path / "wares"], tmp_path / "cache", quiet)
     assert hint in caught.value.hint
+
+
+def test_a_definition_in_idl_is_named_as_left_out_with_an_exit_status(tmp_path):
+    idl = "module late_msgs { module msg { struct Status { double temperature; }; }; };\n"
+    write(tmp_path, {"late_msgs/msg/Part.msg": "int32 id\n", "late_msgs/msg/Status.idl": idl})
+    write(tmp_path, {"late_msgs/msg/Part.idl": "// made from Part.msg\n"})
+    assert left_out([tmp_path]) == [tmp_path / "late_msgs" / "msg" / "Status.idl"]
+    process = builder(tmp_path / "late_msgs", tmp_path / "cache")
+    out, err = process.communicate(timeout=BUILD_S)
+    assert process.returncode == 2 and "late_msgs-" in out
+    assert "Status.idl" in err and "Part.idl" not in err
 
 
 def test_the_command_tells_errors_on_stderr_and_nothing_on_stdout(tmp_path):

@@ -9,6 +9,8 @@ from typing import Any
 
 from support.processes import peer_command
 
+COLOUR = "\x1b["
+
 
 class CommandedProcess:
     """The commands of a script, each a method: `peer.listen(topic="/said", kind="std_msgs/msg/String")`."""
@@ -50,5 +52,7 @@ class CommandedProcess:
     def _answer(self) -> Any:
         assert self._process.stdout
         line = self._process.stdout.readline()
+        while line.startswith(COLOUR):  # what Fast DDS complains about stands there, too
+            line = self._process.stdout.readline()
         assert line, "the peer died"
         return json.loads(line)

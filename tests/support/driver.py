@@ -27,9 +27,9 @@ BAG_NS = 1_700_000_000_000_000_000
 class Driver(RawServer):
     """A server that drives; answers are kept by id, so that a long run costs no more than its last line."""
 
-    def __init__(self, environment: dict[str, str], *options: str) -> None:
+    def __init__(self, environment: dict[str, str], *options: str, command: list[str] | None = None) -> None:
         self.answers: dict[int | None, dict[str, Any]] = {}
-        super().__init__(environment, *(options or ("--tools", "all")))
+        super().__init__(environment, *(options or ("--tools", "all")), command=command)
         self.begin(MODERN)
 
     def tool(self, name: str, **arguments: Any) -> int:

@@ -11,6 +11,7 @@ from typing import Any, NoReturn
 from ros2_mcp.link.client import Bridge, Reply
 from ros2_mcp.model.errors import BridgeLost, BridgeRefused, RosNotFound
 from ros2_mcp.robot import Robot
+from ros2_mcp.robot.kept import Kept
 
 NUMBER = "std_msgs/msg/Int32"
 _QOS: dict[str, Any] = {"reliability": "reliable", "durability": "volatile", "history": "keep_last", "depth": 1}
@@ -98,5 +99,5 @@ def _no_carrier() -> NoReturn:
     raise RosNotFound("This bridge is made by a test.")
 
 
-def robot_of(bridge: MadeBridge) -> Robot:
-    return Robot(bridge)
+def robot_of(bridge: MadeBridge, *keeps: Kept) -> Robot:
+    return Robot(bridge, keeps=keeps)

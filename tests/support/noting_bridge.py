@@ -114,6 +114,8 @@ class Noting:
             raise BridgeRefused(self.refuse[op], "It is refused.")
         if op in ("zero", "stop"):
             return Reply({"repeats": 0, "relays": 0, "dropped": [], "topics": self.zeros}, b"")
+        if op == "services":
+            return Reply({"services": [], "settled": True}, b"")
         if op == "topics":
             return Reply({"topics": [], "settled": True}, b"")
         if op == "endpoints":

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -19,10 +19,10 @@ STOPS_S = 60.0
 class Observer(CommandedProcess):
     """`observer_peer`; its commands are methods, see there."""
 
-    def __init__(self, environment: dict[str, str]) -> None:
+    def __init__(self, environment: dict[str, str], before: Sequence[str] = ()) -> None:
         # Many participants in one process deadlock now and then in Fast DDS when they tell each other directly.
         profiles = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(Path(__file__).with_name("apart_fast_dds.xml"))}
-        super().__init__("observer_peer", {**environment, **profiles})
+        super().__init__("observer_peer", {**environment, **profiles}, before)
 
     def watch(self, topic: str, kind: str = TWIST, late_s: tuple[float, ...] = ()) -> list[str]:
         """Four subscribers on a topic, and as many more as come late: three kinds, two of them apart; their names."""
@@ -57,9 +57,9 @@ class Observer(CommandedProcess):
 
 
 @contextmanager
-def observing(environment: dict[str, str]) -> Iterator[Observer]:
-    """An observer for the time of a block."""
-    observer = Observer(environment)
+def observing(environment: dict[str, str], before: Sequence[str] = ()) -> Iterator[Observer]:
+    """An observer for the time of a block; `before` is what its command begins with."""
+    observer = Observer(environment, before)
     try:
         yield observer
     finally:

@@ -168,7 +168,7 @@ class Run:
     command_hz: float = 20.0
     odometry_until_s: float = math.inf
     scan_until_s: float = math.inf
-    pause_s: tuple[float, float] = (math.inf, math.inf)
+    pauses_s: Sequence[tuple[float, float]] = ()
     scan_fov: float = 2 * math.pi
     collisions: int = 0
     nearest_m: float = math.inf
@@ -185,12 +185,12 @@ class Run:
         for number in range(int(most_s / STEP_S)):
             now = self.seconds = number * STEP_S
             self._step_world(now)
-            is_paused = self.pause_s[0] <= now < self.pause_s[1]
+            is_paused = any(begin <= now < end for begin, end in self.pauses_s)
             if now >= due["odometry"] and now < self.odometry_until_s and not is_paused:
                 due["odometry"] = max(due["odometry"], now - STEP_S) + 1 / self.odometry_hz
                 self.heard_at_s["odometry"] = now
                 drive.hear("odometry", self.base.odometry_message(), now)
-            if self.asked.get("scan") and now >= due["scan"] and now < self.scan_until_s:
+            if self.asked.get("sensors") and now >= due["scan"] and now < self.scan_until_s:
                 due["scan"] += 1 / self.scan_hz
                 scan = scan_message(
                     self.base,
@@ -201,7 +201,7 @@ class Run:
                     fov=self.scan_fov,
                 )
                 self.heard_at_s["scan"] = now
-                drive.hear("scan", scan, now)
+                drive.hear("sensor 0", scan, now)
             if not began and drive.awaits():
                 continue
             began = True
@@ -257,10 +257,10 @@ def asked(**given: Any) -> dict[str, Any]:
 
 def guarded(guard_m: float, **given: Any) -> dict[str, Any]:
     """The same with a scan in the middle of a round robot."""
+    mount = {"translation": [0.0, 0.0, 0.0], "rotation": [0.0, 0.0, 0.0, 1.0]}
     return asked(
-        scan={"topic": "/scan", "type": "sensor_msgs/msg/LaserScan"},
+        sensors=[{"topic": "/scan", "type": "sensor_msgs/msg/LaserScan", "mount": mount}],
         guard_m=guard_m,
-        mount={"translation": [0.0, 0.0, 0.0], "rotation": [0.0, 0.0, 0.0, 1.0]},
         body={"front": RADIUS_M, "rear": RADIUS_M, "side": RADIUS_M, "radius": RADIUS_M},
         **given,
     )

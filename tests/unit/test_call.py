@@ -22,6 +22,7 @@ from ros2_mcp.model.commands import Record
 from ros2_mcp.model.errors import BadInput, NotFound, RosNotFound
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.robot import Robot
+from ros2_mcp.robot.session import Session
 from ros2_mcp.settings import Settings
 from support.hostile_bag import write_hostile_bag
 from support.made_bridge import MadeBridge
@@ -236,8 +237,8 @@ allow:
 async def test_a_call_that_a_person_has_to_approve_waits_for_the_answer(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], answer: str, outcome: str
 ) -> None:
-    async def start(robot: Robot, *_: Any) -> Any:
-        await robot.do(Record(principal=robot.principal, name="run", topics=()))
+    async def start(robot: Robot, session: Session, *_: Any) -> Any:
+        await robot.do(Record(principal=session.principal, name="run", topics=()), session)
         raise RosNotFound("It is recorded.")  # it needs no robot to be decided about
 
     def operated() -> str:

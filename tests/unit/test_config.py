@@ -6,6 +6,7 @@ import json
 import os
 import shlex
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from ros2_mcp import cli
 from ros2_mcp.cli import parser, run, settings_from
 from ros2_mcp.commands import config
 from ros2_mcp.commands.config import CARRIED, CLIENTS, Entry, environment, of_sourced_shell, options
+from ros2_mcp.link.environment import find_ros
 from ros2_mcp.link.provenance import Provenance
 from ros2_mcp.settings import OPTIONS, Settings
 
@@ -246,8 +248,11 @@ def test_what_is_sourced_in_the_shell_is_sourced_for_the_client(tmp_path: Path) 
     for folder in ("ros/humble", "ros/jazzy", "under/install", "over/install"):
         (tmp_path / folder).mkdir(parents=True)
         (tmp_path / folder / "setup.bash").touch()
+    package = with_rclpy(tmp_path / "ros/humble")
     shell = {
         "ROS_DISTRO": "humble",
+        "AMENT_PREFIX_PATH": f"{tmp_path}/over/install/own:{tmp_path}/ros/humble",
+        "PYTHONPATH": str(package.parent),
         "COLCON_PREFIX_PATH": f"{tmp_path}/over/install:{tmp_path}/gone:{tmp_path}/under/install",
     }
     assert of_sourced_shell(Settings(ros_root=tmp_path / "ros"), shell) == {
@@ -257,6 +262,69 @@ def test_what_is_sourced_in_the_shell_is_sourced_for_the_client(tmp_path: Path) 
     given = Settings(ros_root=tmp_path / "ros", distro="jazzy", workspaces=(Path("/ws"),))
     assert of_sourced_shell(given, shell) == {}
     assert of_sourced_shell(Settings(ros_root=tmp_path / "elsewhere"), {"ROS_DISTRO": "humble"}) == {}
+
+
+def with_rclpy(prefix: Path) -> Path:
+    package = prefix / "lib" / "python3" / "site-packages" / "rclpy"
+    package.mkdir(parents=True)
+    return package
+
+
+def merged(root: Path) -> tuple[Path, str, Path]:
+    """Built from source with --merge-install."""
+    prefix = root / "ros2_jazzy" / "install"
+    package = with_rclpy(prefix)
+    (prefix / "setup.bash").touch()
+    told = prefix / "share" / "ros_environment" / "environment" / "1.ros_distro.sh"
+    told.parent.mkdir(parents=True)
+    told.write_text("export ROS_DISTRO=jazzy\n")
+    return prefix, str(prefix), package
+
+
+def isolated(root: Path) -> tuple[Path, str, Path]:
+    """Built from source, a folder for each package."""
+    prefix = root / "src" / "install"
+    package = with_rclpy(prefix / "rclpy")
+    (prefix / "setup.bash").touch()
+    return prefix, f"{prefix}/rclpy:{prefix}/std_msgs", package
+
+
+def robostack(root: Path) -> tuple[Path, str, Path]:
+    """An environment of conda that is where nobody looks."""
+    prefix = root / "envs" / "ros"
+    package = with_rclpy(prefix)
+    (prefix / "conda-meta").mkdir()
+    (prefix / "conda-meta" / "ros-jazzy-rclpy-7.1.4-py312h2ed9cc7_13.json").touch()
+    (prefix / "setup.bash").touch()
+    return prefix, str(prefix), package
+
+
+def nix(root: Path) -> tuple[Path, str, Path]:
+    """Packages each in the store, with nothing to source."""
+    package = with_rclpy(root / "store" / "abc-rclpy")
+    return root / "store" / "abc-rclpy", f"{root}/store/abc-rclpy:{root}/store/def-std-msgs", package
+
+
+@pytest.mark.parametrize("colcon", [True, False])
+@pytest.mark.parametrize("layout", [merged, isolated, robostack, nix])
+def test_a_ros_anywhere_that_is_sourced_is_found_with_what_is_printed_and_nothing_else(
+    tmp_path: Path, layout: Callable[[Path], tuple[Path, str, Path]], colcon: bool
+) -> None:
+    prefix, ament, package = layout(tmp_path)
+    bare = {"HOME": str(tmp_path / "home"), "ROS2_MCP_ROS_ROOT": str(tmp_path / "none")}
+    shell = {**bare, "ROS_DISTRO": "jazzy", "AMENT_PREFIX_PATH": ament, "PYTHONPATH": str(package.parent)}
+    if colcon:
+        shell["COLCON_PREFIX_PATH"] = str(prefix)
+    printed = of_sourced_shell(Settings.from_environment(shell), shell)
+    found = find_ros(Settings.from_environment({**bare, **printed}), bare)
+    assert found.prefix == prefix
+    if layout is nix:  # nothing to source: its variables are printed
+        assert (found.kind, found.environment["AMENT_PREFIX_PATH"], found.environment["ROS_DISTRO"]) == (
+            *("sourced", ament, "jazzy"),
+        )
+    else:
+        assert (found.kind, found.scripts) == ("built", (prefix / "setup.bash",))
+        assert set(printed) == {"ROS2_MCP_WORKSPACE"}
 
 
 def test_a_path_in_a_cache_is_never_printed_and_why_is_said(

@@ -1,19 +1,16 @@
 // The page: asks for what is new, one question at a time, and shows it. It changes nothing but by the stop button.
 
-import { AgentPanel, type AgentState } from "./agent.ts";
+import kinds from "panels";
 import { Refused, call, fetchPart, host, pressStop } from "./call.ts";
 import { ages, byId, clock, make, say } from "./dom.ts";
-import { FramesPanel } from "./frames.ts";
 import type { Host } from "./host.ts";
-import { ImagePanel } from "./image.ts";
-import { MapPanel } from "./map.ts";
-import { PlotPanel } from "./plot.ts";
-import { SpacePanel } from "./space.ts";
+import type { Page, Panel, Topics } from "./panel.ts";
+import type { AgentState } from "./panels/agent.ts";
+import type { MapPanel } from "./panels/map.ts";
 import { type Pick, Picks } from "./picks.ts";
-import { enlargeable, isSeen, share } from "./tabs.ts";
-import { LogPanel, ValuesPanel } from "./values.ts";
+import { enlargeable, foldable, isSeen, share } from "./tabs.ts";
 
-type Robot = { title?: string; live?: boolean; why?: string; topics?: [string, string?][]; source?: string; begin_s?: number; end_s?: number };
+type Robot = { title?: string; live?: boolean; why?: string; topics?: Topics; source?: string; begin_s?: number; end_s?: number };
 type Update = { view: string; now_s: number; panels: Record<string, { number: number; [name: string]: unknown }> };
 type Stopped = { summary: string; is_all_well: boolean; servers: { name: string; answered: boolean; said: string; is_doubted: boolean }[]; problems: string[] };
 
@@ -31,28 +28,43 @@ let pickedTheme = "";
 function applyTheme(): void {
   const around = host?.context.theme;
   document.documentElement.dataset.theme = pickedTheme || (around === "dark" || around === "light" ? around : prefersDark.matches ? "dark" : "light");
-  map.repaint();
-  plot.build();
-  space.repaint();
+  for (const panel of panels.values()) panel.repaint?.();
 }
 
 // ── panels ──────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 let view = "";
-const picks = new Picks(tellPicks, host, () => { map.draw(); image.draw(); space.mark(); plot.mark(); });
-const map = new MapPanel(byId("map"), (key) => fetchPart(view, key), picks);
-const image = new ImagePanel(byId("image"), picks);
-const agent = new AgentPanel(byId("agent"));
-const values = new ValuesPanel(byId("values"));
-const log = new LogPanel(byId("log"));
-const frames = new FramesPanel(byId("frames"));
-const space = new SpacePanel(byId("space"), (key) => fetchPart(view, key), picks);
-const showPlace = share([["map", "Map"], ["space", "3D"]], () => undefined);
-space.onGone = (why) => { map.note = why; if (why && isSeen("space")) showPlace("map"); };
-const plot = new PlotPanel(byId("plot"), picks);
-const showNumbers = share([["values", "Values"], ["plot", "Plot"], ["frames", "Frames"]], () => undefined);
-enlargeable(["map", "space", "image", "agent", "values", "log", "plot", "frames"]);
-const chosen: Record<string, () => string> = { map: () => map.chosen, image: () => image.chosen, values: () => values.chosen, log: () => "", agent: () => "", frames: () => "", plot: () => plot.chosen, space: () => space.chosen, robot: () => "" };
+const picks = new Picks(tellPicks, host, () => { for (const panel of panels.values()) panel.mark?.(); });
+const page: Page = {
+  picks,
+  part: (key) => fetchPart(view, key),
+  shownS: () => (robot.live === false ? serverS : null),
+  giveUp: (panel, why) => {
+    const [name] = [...panels].find(([, one]) => one === panel) ?? [""], first = placeOf(name)[0] ?? "";
+    const shown = panels.get(first);
+    if (shown) shown.note = why;
+    if (why && isSeen(name)) showTab(first);
+  },
+};
+const names = Object.keys(kinds).sort((one, other) => (kinds[one]?.order ?? 0) - (kinds[other]?.order ?? 0));
+const panels = new Map<string, Panel>();
+for (const name of names) {
+  const kind = kinds[name];
+  if (!kind) continue;
+  const section = make("section", { id: name, class: `panel ${kind.place}`, "aria-label": kind.title });
+  document.querySelector("main")?.append(section);
+  panels.set(name, kind.make(section, page));
+}
+/** The panels of the place where this one is, in their order. */
+const placeOf = (name: string): string[] => names.filter((other) => kinds[other]?.place === kinds[name]?.place);
+const tabs = new Map(names.filter((name) => placeOf(name).length > 1 && placeOf(name)[0] === name)
+  .map((first) => [first, share(placeOf(first).map((name) => [name, kinds[name]?.title ?? name]))]));
+const showTab = (name: string): void => tabs.get(placeOf(name)[0] ?? "")?.(name);
+foldable(names.filter((name) => kinds[name]?.folds));
+enlargeable(names);
+const map = panels.get("map") as MapPanel; // the header says how it moves
+/** What is chosen in each panel, and in the header, which shows the robot. */
+const chosenIn = (name: string): string => panels.get(name)?.chosen ?? "";
 let seen: Record<string, number> = {};
 const failed = new Map<string, string>();
 // What a panel has dropped for another choice it is sent again, also where the choice is the old one again.
@@ -62,15 +74,9 @@ let serverS = 0, heardAt = 0, lost = "connecting", robot: Robot = {}, latest: Ag
 const nowS = (): number => serverS + (robot.live === false ? 0 : (performance.now() - heardAt) / 1000);
 
 function show(name: string, content: never): void {
-  if (name === "map") map.update(content);
-  else if (name === "image") image.update(content);
-  else if (name === "agent") { agent.update(content, robot.live === false ? serverS : null); latest = content; }
-  else if (name === "values") values.update(content);
-  else if (name === "log") log.update(content);
-  else if (name === "space") space.update(content);
-  else if (name === "plot") plot.update(content);
-  else if (name === "frames") frames.update(content);
-  else if (name === "robot") showRobot(content);
+  if (name === "robot") showRobot(content);
+  else panels.get(name)?.update(content);
+  if (name === "agent") latest = content;
 }
 
 function showRobot(state: Robot): void {
@@ -78,8 +84,7 @@ function showRobot(state: Robot): void {
   if (state.live === false) [ages.fresh, ages.old] = ["then", "before"];
   say(byId("title"), state.title ?? "");
   document.title = `${state.title ?? ""} · ros2-mcp`;
-  plot.offer(state.topics ?? []);
-  values.offer((state.topics ?? []).map(([name]) => name));
+  for (const panel of panels.values()) panel.offer?.(state.topics ?? []);
   if (state.live === false && state.begin_s !== undefined && state.end_s !== undefined) showTime(state.begin_s, state.end_s);
 }
 
@@ -143,12 +148,7 @@ function tell(): void {
   moves.classList.toggle("asked", waiting > 0);
   moves.classList.toggle("still", !isLatched && moved.length === 0 && !waiting && !robotDoes.startsWith("robot moves"));
   const at = nowS();
-  map.tick(at, !!lost);
-  image.tick(at, !!lost);
-  values.tick(at, !!lost);
-  frames.tick(at, !!lost);
-  space.tick(at, !!lost);
-  plot.tick(at, !!lost);
+  for (const panel of panels.values()) panel.tick?.(at, !!lost);
 }
 
 // ── stop ────────────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -217,12 +217,14 @@ async function ask(): Promise<void> {
     if (document.hidden || host?.isSeen === false) { await pause(200); continue; } // the server gives the view up by itself
     const began = performance.now();
     try {
-      const panels = Object.fromEntries(Object.entries(chosen).filter(([name]) => name === "agent" || (isSeen(name) && (name !== "space" || space.works))).map(([name, topic]) => [name, topic()]));
-      const update = await call("ros2_view_frame", { view, panels, seen, wait_ms: robot.live === false ? STILL_MS : WAIT_MS, at_s: atS }) as Update;
+      // What the agent does stands in the header, too.
+      const wanted = ["robot", ...names.filter((name) => name === "agent" || (isSeen(name) && panels.get(name)?.works !== false))];
+      const asked = Object.fromEntries(wanted.map((name) => [name, chosenIn(name)]));
+      const update = await call("ros2_view_frame", { view, panels: asked, seen, wait_ms: robot.live === false ? STILL_MS : WAIT_MS, at_s: atS }) as Update;
       if (update.view !== view) { view = update.view; seen = {}; picks.again(); }
       [serverS, heardAt, lost] = [update.now_s, performance.now(), ""];
       for (const [name, content] of Object.entries(update.panels)) {
-        if (chosen[name]?.() !== panels[name]) continue; // another topic was chosen meanwhile
+        if (chosenIn(name) !== asked[name]) continue; // another topic was chosen meanwhile
         seen[name] = content.number;
         try { show(name, content as never); } catch (error) { failed.set(name, `the panel ${name} failed: ${String(error)}`); continue; }
         failed.delete(name); // and a panel that fails leaves the others as they are
@@ -240,7 +242,6 @@ async function ask(): Promise<void> {
 
 function showIn(chat: Host): void {
   const root = document.documentElement, size = byId<HTMLButtonElement>("size");
-  const topics: Record<string, { chosen: string }> = { map, image, values, plot, cloud: space };
   root.dataset.home = "chat";
   chat.onContext = () => {
     root.dataset.mode = chat.isFull ? "full" : "inline";
@@ -249,10 +250,13 @@ function showIn(chat: Host): void {
     applyTheme();
   };
   chat.onOpened = (opened) => {
-    for (const [name, topic] of Object.entries(opened.panels)) { const panel = topics[name]; if (panel) panel.chosen = topic; }
-    if (opened.panels.values || opened.panels.plot) root.dataset.values = "shown";
-    if (opened.panels.plot) showNumbers("plot");
-    if (opened.panels.cloud) showPlace("space");
+    for (const [name, topic] of Object.entries(opened.panels)) {
+      const panel = panels.get(name);
+      if (!panel) continue;
+      panel.chosen = topic;
+      if (kinds[name]?.place === "values") root.dataset.values = "shown"; // beside a chat that place is hidden at first
+      showTab(name);
+    }
     if (opened.atS !== null) atS = opened.atS;
   };
   chat.onClosing = () => void call("ros2_view_ask", { view, closed: true }).catch(() => undefined);

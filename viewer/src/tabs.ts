@@ -2,16 +2,14 @@
 
 import { byId, make } from "./dom.ts";
 
-const FOLDED = ["map", "image", "values", "log"];
 const WAITING = "Waiting for the first answer."; // which all panels say at first
 
 /** Gives each of these panels the names of all in place of its title; returns what shows one of them. */
-export function share(panels: [id: string, title: string][], shown: () => void): (id: string) => void {
+export function share(panels: [id: string, title: string][]): (id: string) => void {
   const show = (id: string): void => {
     const isLarge = panels.some(([other]) => byId(other).classList.contains("large"));
     for (const [other] of panels) byId(other).hidden = other !== id;
     if (isLarge) enlarge(id);
-    shown();
   };
   for (const [id, title] of panels) {
     const tabs = make("div", { class: "tabs", role: "tablist" }, ...panels.map(([other, name]) => {
@@ -52,7 +50,6 @@ export function foldable(ids: string[]): void {
 
 /** A button in each head that makes the panel as large as the page, and back; the others cost nothing meanwhile. */
 export function enlargeable(ids: string[]): void {
-  foldable(FOLDED);
   for (const id of ids) {
     const button = make("button", { type: "button", class: "enlarge", title: "As large as the page (Esc: back)", "aria-label": "As large as the page", "aria-pressed": "false" }, "⤢");
     button.addEventListener("click", () => enlarge(byId(id).classList.contains("large") ? "" : id));

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import heapq
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
@@ -11,12 +10,14 @@ from pathlib import Path
 from time import monotonic
 from typing import TypeAlias
 
+from ros2_mcp.bags.chunks import MAGIC
 from ros2_mcp.bags.mcap_file import McapFile
+from ros2_mcp.bags.recordings import files_of, of_ros_1, order_of
 from ros2_mcp.bags.rosbag2 import METADATA, NOT_CLOSED, read_metadata
 from ros2_mcp.bags.schema import bare
 from ros2_mcp.bags.sqlite_file import SqliteFile
 from ros2_mcp.bags.stored import FOREVER, Hole, Span, StoredTopic
-from ros2_mcp.model.errors import BadData, Locked, NotFound
+from ros2_mcp.model.errors import BadData, Locked
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import named
 
@@ -24,7 +25,7 @@ StoredFile: TypeAlias = McapFile | SqliteFile
 """One file of a bag. A new kind has what these two have: `topics`, `times`, `count`, `counts`, `messages`, `check`,
 `close`, and `problems` with their `holes`, which grow while damage is found; damage never makes what is read wrong.
 `unfinished` are the problems that a file has while it is being written."""
-SUFFIXES = (".mcap", ".db3", ".db3.zstd", ".mcap.zstd")
+_SQLITE_START = b"SQLite format 3"
 
 
 class Bag:
@@ -81,7 +82,7 @@ class Bag:
     @property
     def size(self) -> int:
         """Bytes of all files."""
-        return sum(path.stat().st_size for path in _files_of(self.path))
+        return sum(path.stat().st_size for path in files_of(self.path))
 
     def messages(self, span: Span | None = None, newest_first: bool = False) -> Iterator[tuple[str, Sample]]:
         """Topic and message, in the order of time or in its reverse; what several files of a ring have comes once."""
@@ -133,11 +134,12 @@ class Bag:
 
     def _open(self, former: Bag | None) -> list[StoredFile]:
         """Every file that can be read, and notes the others, and what the folder's metadata counts and is not there."""
-        paths = _files_of(self.path)
-        facts = read_metadata(self.path) if self.path.is_dir() else None
+        paths = files_of(self.path)
+        facts, is_without = read_metadata(self.path) if self.path.is_dir() else None, False
         if isinstance(facts, str):
-            (self._unfinished if facts == NOT_CLOSED else self._problems).append(facts)
-            facts = None
+            if facts != NOT_CLOSED:
+                self._problems.append(facts)
+            facts, is_without = None, facts == NOT_CLOSED
         former_files = former.known_files() if former else {}
         opened: list[StoredFile] = []
         for path in paths:
@@ -154,11 +156,13 @@ class Bag:
                 raise
         if not opened:
             raise BadData(f"{self.path.name} cannot be read: {' '.join(self._problems)}")
+        if is_without and not all(isinstance(file, McapFile) and not file.unfinished for file in opened):
+            self._unfinished.append(NOT_CLOSED)  # a file of MCAP that has its footer was closed
         readable = {file.path for file in opened}
         self._holes += [_hole_of(path, opened) for path in paths if path not in readable]
         if facts:
             missing = {Path(name).name for name in facts.files} - {path.name for path in paths}
-            for name in sorted(missing, key=lambda name: _order(Path(name))):
+            for name in sorted(missing, key=lambda name: order_of(Path(name))):
                 hole = _hole_of(Path(name), opened)
                 self._holes.append(hole)
                 self._problems.append(f"{named(name)} is listed in {METADATA}, but missing: its {hole.words}.")
@@ -194,54 +198,42 @@ class Bag:
     def _fits(self, topic: StoredTopic) -> bool:
         """Whether its bytes mean the same as in the newest file; comments and spacing make no other definition."""
         newest = self.topics[topic.name]
-        if newest.type != topic.type or not topic.definition or not newest.definition:
+        if newest.type != topic.type or topic.form == "json" or not topic.definition or not newest.definition:
             return newest.type == topic.type
         return newest.definition == topic.definition or bare(newest.definition) == bare(topic.definition)
 
 
 def _open_file(path: Path, compression: str) -> StoredFile:
-    if path.name.endswith(".mcap"):
-        return McapFile(path)
+    """Opens it as what it is, whatever its name says; raises as `McapFile` and `SqliteFile`."""
+    if why := of_ros_1(path):
+        raise BadData(why)
+    with path.open("rb") as file:
+        start = file.read(len(_SQLITE_START))
+    if start.startswith(MAGIC):
+        opened = McapFile(path)
+        if not path.name.endswith(".mcap"):
+            opened.problems.append(
+                f"{named(path.name)} is an MCAP file, whatever its name says, and is read as one: others read it as "
+                f"{named(path.name.partition('.')[0])}.mcap, or convert it with `rosbags-convert`."
+            )
+        return opened
     if path.name.endswith(".mcap.zstd"):
         raise BadData(f"{path.name} is compressed as a whole: unpack it with `unzstd` first.")
+    if path.suffix == ".mcap" and start.startswith(_SQLITE_START):
+        opened = SqliteFile(path, compression.replace("file", ""))
+        opened.problems.append(f"{named(path.name)} is a database of SQLite (.db3), and is read as one.")
+        return opened
+    if path.suffix == ".mcap":
+        return McapFile(path)
     return SqliteFile(path, "file" if path.suffix == ".zstd" else compression.replace("file", ""))
 
 
 def _hole_of(missing: Path, opened: Sequence[StoredFile]) -> Hole:
     """What a file had that is missing: between what the files before and after it have."""
-    before = [file.times[1] for file in opened if file.times and _order(file.path) < _order(missing)]
-    after = [file.times[0] for file in opened if file.times and _order(file.path) > _order(missing)]
+    before = [file.times[1] for file in opened if file.times and order_of(file.path) < order_of(missing)]
+    after = [file.times[0] for file in opened if file.times and order_of(file.path) > order_of(missing)]
     start_ns = max(before, default=0)
     return Hole(start_ns, max(min(after, default=FOREVER), start_ns))
-
-
-def is_bag(path: Path) -> bool:
-    """Whether it is a bag's file, or a folder with such files; what cannot be looked into is none."""
-    try:
-        return bool(_files_in(path)) if path.is_dir() else path.name.endswith(SUFFIXES) and path.is_file()
-    except OSError:
-        return False
-
-
-def _files_of(path: Path) -> list[Path]:
-    try:
-        if not path.is_dir() and not path.is_file():
-            raise NotFound(f"There is no bag {path.name}.")
-        found = _files_in(path) if path.is_dir() else [path]
-    except OSError as error:
-        raise BadData(f"{path.name} cannot be read: {error.strerror}.") from error
-    if not found:
-        raise NotFound(f"{path.name} is not a bag: it has no .mcap or .db3 file.")
-    return found
-
-
-def _files_in(folder: Path) -> list[Path]:
-    return sorted((path for path in folder.iterdir() if path.name.endswith(SUFFIXES) and path.is_file()), key=_order)
-
-
-def _order(path: Path) -> list[tuple[int, str]]:
-    """`run_2.mcap` comes before `run_10.mcap`."""
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.name)]
 
 
 def _merged(sources: list[Iterator[tuple[str, Sample]]], newest_first: bool) -> Iterator[tuple[str, Sample]]:

@@ -6,15 +6,18 @@ import os
 import weakref
 from bisect import bisect_left
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
 from operator import itemgetter
 from pathlib import Path
 from time import monotonic
 from typing import TypeAlias
 
 from mcap.opcode import Opcode
+from mcap.records import Channel
 
 from ros2_mcp.bags import chunks
-from ros2_mcp.bags.chunks import HEAD, UNKNOWN, ChunkPlace, Damaged, Schema
+from ros2_mcp.bags.chunks import HEAD, UNKNOWN, ChunkPlace, Damaged
+from ros2_mcp.bags.contents import stored_topic
 from ros2_mcp.bags.mcap_index import learn_channels, read_index
 from ros2_mcp.bags.stored import MOST_PROBLEMS, Hole, Span, StoredTopic
 from ros2_mcp.model.errors import BadData
@@ -116,23 +119,15 @@ class McapFile:
     def _read_topics(self) -> dict[str, StoredTopic]:
         found: dict[str, StoredTopic] = {}
         for number, channel in self._index.channels.items():
-            schema = self._index.schemas.get(channel.schema_id, UNKNOWN)
+            topic = self._topic_of(channel)
             count = (self._index.counts or {}).get(number, 0)
-            same = found.get(channel.topic)
-            if same and not _has_type(same, schema):
+            same = found.get(topic.name)
+            if same and not _is_same(same, topic):
                 self._note(
-                    f"{named(channel.topic)}: {count} messages are left out: they are of another {named(schema.name)}."
+                    f"{named(topic.name)}: {count} messages are left out: they are of another {named(topic.type)}."
                 )
                 continue
-            found[channel.topic] = StoredTopic(
-                channel.topic,
-                schema.name,
-                count + (same.count or 0 if same else 0),
-                encoding=schema.encoding,
-                definition=schema.text,
-                qos=channel.metadata.get("offered_qos_profiles", ""),
-                serialization=channel.message_encoding,
-            )
+            found[topic.name] = replace(topic, count=count + (same.count or 0 if same else 0))
         return found
 
     def _wanted(self, topics: Collection[str] | None) -> dict[int, str]:
@@ -142,8 +137,20 @@ class McapFile:
             for number, channel in self._index.channels.items()
             if (topics is None or channel.topic in topics)
             and (topic := self.topics.get(channel.topic))
-            and _has_type(topic, self._index.schemas.get(channel.schema_id, UNKNOWN))
+            and _is_same(topic, self._topic_of(channel))
         }
+
+    def _topic_of(self, channel: Channel) -> StoredTopic:
+        """What a channel holds."""
+        schema = self._index.schemas.get(channel.schema_id, UNKNOWN)
+        return stored_topic(
+            channel.topic,
+            schema.name,
+            schema.encoding,
+            schema.text,
+            serialization=channel.message_encoding,
+            qos=channel.metadata.get("offered_qos_profiles", ""),
+        )
 
     def _in_order(self, newest_first: bool) -> Sequence[ChunkPlace]:
         """The chunks by the earliest time that they can have a message of, or the latest ones first; sorted once."""
@@ -210,5 +217,7 @@ def _by_end(place: ChunkPlace) -> tuple[int, int]:
     return -place.end_ns, place.offset
 
 
-def _has_type(topic: StoredTopic, schema: Schema) -> bool:
-    return (topic.type, topic.definition) == (schema.name, schema.text)
+def _is_same(topic: StoredTopic, other: StoredTopic) -> bool:
+    """Whether two channels have messages of the same meaning; JSON says itself what it is."""
+    is_json = topic.form == "json"
+    return topic.type == other.type and (is_json or topic.definition == other.definition)

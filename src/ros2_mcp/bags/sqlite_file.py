@@ -15,6 +15,7 @@ from typing import TypeAlias
 import zstandard
 
 from ros2_mcp.bags.chunks import Damaged, unzstd
+from ros2_mcp.bags.contents import stored_topic
 from ros2_mcp.bags.stored import FOREVER, MOST_PROBLEMS, Hole, Span, StoredTopic
 from ros2_mcp.model.errors import BadData, Locked
 from ros2_mcp.model.samples import Sample
@@ -287,16 +288,15 @@ class SqliteFile:
         for number, name, kind, serialization, profiles in execute(
             f"SELECT id, name, type, serialization_format, {qos} FROM topics"
         ):
-            if name in topics and topics[name].type != kind:
+            encoding, text = definitions.get(kind, ("", ""))
+            topic = stored_topic(name, kind, encoding, text, serialization=serialization, qos=profiles or "")
+            if name in topics and topics[name].type != topic.type:
                 self.problems.append(
                     f"{self.path.name}: {named(name)} has several types; only {named(topics[name].type)} is read."
                 )
                 continue
-            encoding, text = definitions.get(kind, ("", ""))
             names[number] = name
-            topics[name] = StoredTopic(
-                name, kind, encoding=encoding, definition=text, qos=profiles or "", serialization=serialization
-            )
+            topics[name] = topic
         return names, topics
 
     def _columns(self, table: str) -> set[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
+from typing import Literal, TypeAlias
 
 from ros2_mcp.model.text import named
 from ros2_mcp.model.times import iso_time
@@ -16,12 +17,17 @@ _MOST_NAMED = 5
 """Topics that are named of one hole; a chunk has those of the whole robot."""
 
 
+Form: TypeAlias = Literal["ros2", "json", "other"]
+"""What the bytes of a topic are: ROS 2 messages, JSON, or something that this package does not read."""
+
+
 @dataclass(frozen=True, slots=True)
 class StoredTopic:
     """A topic of a bag. `count` is None where only reading everything would tell.
 
-    `encoding` (`ros2msg`, `ros2idl` or empty) and `definition` say what its bytes mean; `qos` is rosbag2's text
-    about the publishers.
+    `form` says what its bytes are; `contents.stored_topic` decides that of what a file says. A `type` that is none of
+    ROS 2 begins with the encoding: `json:app.Log`. `encoding` (`ros2msg`, `ros2idl`, `jsonschema` or empty) and
+    `definition` say what the bytes mean; `qos` is rosbag2's text about the publishers.
     """
 
     name: str
@@ -31,6 +37,7 @@ class StoredTopic:
     definition: str = ""
     qos: str = ""
     serialization: str = "cdr"
+    form: Form = "ros2"
 
 
 @dataclass(frozen=True, slots=True)

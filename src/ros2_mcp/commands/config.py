@@ -7,19 +7,23 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import shlex
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ros2_mcp.guard.entrance import entrance_of
 from ros2_mcp.guard.state import state_home
 from ros2_mcp.guard.tokens import own_token
-from ros2_mcp.link.environment import wheel_distro
+from ros2_mcp.link.environment import find_ros, sourced, wheel_distro
+from ros2_mcp.link.installation import search_of, without_ours
 from ros2_mcp.link.provenance import launch_command, own_provenance
+from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.shell import typed
 from ros2_mcp.settings import OPTIONS, Option, Settings
-from ros2_mcp_common.start.finding import path_entries
+from ros2_mcp_common.start.finding import Found, path_entries
+from ros2_mcp_common.start.nodes_here import OF_A_SOURCED_SHELL
 from ros2_mcp_common.wire.limits import MAX_DURATION_S
 
 NAME = "ros2"
@@ -452,14 +456,42 @@ def _absolute_files(text: str) -> str:
 
 
 def of_sourced_shell(settings: Settings, variables: Mapping[str, str]) -> dict[str, str]:
-    """The distribution and the workspaces that are sourced here, which the client's shell would not have."""
-    found: dict[str, str] = {}
-    distro = variables.get("ROS_DISTRO", "")
-    if distro and settings.distro is None and (settings.ros_root / distro / "setup.bash").is_file():
-        found[OPTIONS["distro"].variable] = distro
-    # colcon's setup files put the newest overlay first; they are to be sourced last.
-    overlays = reversed(path_entries(variables, "COLCON_PREFIX_PATH"))
-    to_source = [str(path) for path in overlays if (path / "setup.bash").is_file()]
-    if to_source and not settings.workspaces:
-        found[OPTIONS["workspaces"].variable] = os.pathsep.join(to_source)
-    return found
+    """What lets the server find the ROS 2 that is sourced in this shell from a client's bare environment.
+
+    The first that does, tried as the server would: the distribution, with the workspaces on top; the folder that ROS
+    itself was built or unpacked in; else what this shell has, which goes stale when packages are added to it.
+    """
+    shell = without_ours(variables)
+    here = sourced(search_of(settings), shell)
+    if not here:
+        return {}
+    # colcon's setup files put the newest overlay first; they are to be sourced last. Other tools set only the other.
+    overlays = [path for path in reversed(path_entries(shell, "COLCON_PREFIX_PATH")) if (path / "setup.bash").is_file()]
+    whole = next((path for path in (here.prefix, *here.prefix.parents) if (path / "setup.bash").is_file()), here.prefix)
+    above = [path for path in overlays if path != whole]
+    for distro, folders in ((here.distro, above), (None, [whole, *above])):
+        added = {
+            **({OPTIONS["distro"].variable: distro} if distro and not settings.distro else {}),
+            **({OPTIONS["workspaces"].variable: os.pathsep.join(map(str, folders))} if folders else {}),
+        }
+        tried = replace(settings, distro=settings.distro or distro, workspaces=(*settings.workspaces, *folders))
+        if (not settings.workspaces or not folders) and _finds(tried, here, path_entries(shell, "AMENT_PREFIX_PATH")):
+            return added
+    kept = {name: shell[name] for name in (*OF_A_SOURCED_SHELL, "LD_LIBRARY_PATH") if shell.get(name)}
+    words = [*settings.robot_env, *(f"{name}={value}" for name, value in kept.items())]
+    return {
+        OPTIONS["robot_env"].variable: shlex.join(words),
+        **({} if settings.bridge_python else {OPTIONS["bridge_python"].variable: here.python}),
+    }
+
+
+def _finds(settings: Settings, wanted: Found, prefixes: Sequence[Path]) -> bool:
+    """Whether the server, with these settings and nothing else, finds this installation and all these prefixes."""
+    try:
+        found = find_ros(settings, {name: os.environ[name] for name in ("HOME",) if name in os.environ})
+    except RobotError:
+        return False
+    folders = [found.prefix, *(script.parent for script in found.scripts)]
+    return wanted.prefix.is_relative_to(found.prefix) and all(
+        any(prefix.is_relative_to(folder) for folder in folders) for prefix in prefixes
+    )

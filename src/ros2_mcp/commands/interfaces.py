@@ -13,7 +13,10 @@ from ros2_mcp.settings import Settings
 
 
 def build_interfaces(settings: Settings, directories: Sequence[Path]) -> int:
-    """Builds the packages and prints where they are; the server uses them from its next start on."""
-    for package in build(find_ros(settings), directories, InterfaceCache(settings.interface_folder)):
+    """Builds the packages and prints where they are; the server uses them from its next start on. Returns 2 where a
+    definition was left out, which the builder has named.
+    """
+    built = build(find_ros(settings), directories, InterfaceCache(settings.interface_folder))
+    for package in built.packages:
         print(package)
-    return 0
+    return 2 if built.left_out else 0

@@ -103,7 +103,7 @@ def with_interfaces(settings: Settings, robot: str = DEFAULT) -> Settings:
         return settings
     try:
         sources = [SHIPPED / package for package in ROBOTS[robot]]
-        built = build(installation, sources, InterfaceCache(settings.interface_folder))
+        built = build(installation, sources, InterfaceCache(settings.interface_folder)).packages
     except LinkError as error:
         print(f"note: {error}", file=sys.stderr)
         return settings

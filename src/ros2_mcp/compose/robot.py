@@ -23,14 +23,14 @@ from ros2_mcp.guard.strength import strength_of
 from ros2_mcp.guard.watch import watch_of
 from ros2_mcp.link.carriers import start_carrier
 from ros2_mcp.link.client import Bridge
-from ros2_mcp.model.commands import SERVER
 from ros2_mcp.ops.memory.bag_store import BagStore
-from ros2_mcp.ops.results.results import lines_of
+from ros2_mcp.ops.navigation.known_places import Places
+from ros2_mcp.ops.results.results import AnswerBytes, lines_of
 from ros2_mcp.ops.sources.recorded_robot import recorded_robot
 from ros2_mcp.ops.stop import stop as stopping
+from ros2_mcp.programs.kept import KeptPrograms
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.jobs import Job
-from ros2_mcp.robot.places import Places
 from ros2_mcp.settings import Settings
 
 
@@ -44,7 +44,6 @@ async def connect(settings: Settings | None = None) -> AsyncGenerator[Robot, Non
     settings = only_one(settings or Settings.from_environment(), "connect")
     store = store_for(settings)
     robot = robot_for(settings, store)
-    robot.principal = SERVER
     async with running(robot, store):
         yield robot
 
@@ -56,30 +55,29 @@ def store_for(settings: Settings) -> BagStore:
 
 def robot_for(settings: Settings, store: BagStore, bridge: Bridge | None = None) -> Robot:
     """The robot that the settings name; nothing is started. Without a `bridge` that is coming up, one is made."""
+    keeps = [AnswerBytes(settings.result_bytes), KeptPrograms(settings.programs)]
     if store.subject:
-        recorded = recorded_robot(store, settings.result_bytes)
-        recorded.programs_folder = settings.programs
-        return recorded
+        return recorded_robot(store, keeps)
     guard = guard_for(settings)
-    rules = guard.policy.rules
+    rules, folder = guard.policy.rules, state_of(settings, guard.policy)
     if bridge is None:
-        state = state_of(settings, guard.policy).path
-        bridge = Bridge(lambda: start_carrier(settings, state=state, under_policy=rules is not None))
-    folder = state_of(settings, guard.policy)
+        bridge = Bridge(lambda: start_carrier(settings, state=folder.path, under_policy=rules is not None))
+    with_consent(guard, folder, partial(_epoch, bridge, guard))
     if rules:
         spent = Spent(folder)
         bridge.rules = partial(told, {**rules.as_json(), "watch": watch_of(guard.policy)}, spent)
         bridge.on_spent = spent.add
         guard.server_lock.on_taken = partial(_tell_spent, bridge, spent)
-    robot = Robot(bridge, guard, settings.result_bytes)
-    robot.places = Places(folder)
-    robot.programs_folder = settings.programs
-    with_consent(guard, folder, lambda: f"{robot.stops.epoch}.{guard.latch.look().count}")
     bridge.on_latched = note = _noting_latched(guard)
     if settings.robot.is_remote:
         bridge.on_latched = partial(_latch_here, guard, note)
         bridge.latch = partial(_told_latch, guard)
-    return robot
+    return Robot(bridge, guard, [*keeps, Places(folder)])
+
+
+def _epoch(bridge: Bridge, guard: Guard) -> str:
+    """In which stop epoch the robot is, and at which latch: what was approved in another one has lapsed."""
+    return f"{bridge.stop_epoch}.{guard.latch.look().count}"
 
 
 def _tell_spent(bridge: Bridge, spent: Spent) -> None:

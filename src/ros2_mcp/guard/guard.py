@@ -14,13 +14,14 @@ from ros2_mcp.guard.state import RobotLatch, ServerLock
 from ros2_mcp.guard.strength import Strength
 from ros2_mcp.model.commands import CancelGoals, Command, Feed, Move, Principal, Record, Relay, Repeat
 from ros2_mcp.model.errors import ApprovalNeeded, Refused
+from ros2_mcp_common.policy.rules import Ruling
 
-FindFacts = Callable[[bool], Awaitable[Facts]]
+FindFacts = Callable[[Ruling | None, bool], Awaitable[Facts]]
 
 
 @dataclass(slots=True, kw_only=True)
 class Act:
-    """One command on its way through the guard.
+    """One command on its way through the guard. `ruling` is what the rules say about it whatever its value.
 
     `stops` is what ends something that this server began: it is never held, only audited. `approval` is the id of the
     approval that it used up, `line` its line in the audit. `notes` are sentences for the result, `ended_by` is what
@@ -28,6 +29,7 @@ class Act:
     """
 
     command: Command[Any]
+    ruling: Ruling | None = None
     stops: bool = False
     facts: Facts = NO_FACTS
     decision: Decision = ALLOWED
@@ -123,14 +125,15 @@ class Guard:
         Args:
             command: as it is meant.
             find_facts: asked once it is known that the command may be allowed, and that facts matter. It is told
-                whether the value is needed whatever the rules are about: what a person approves is bound to it.
+                what the rules say, and whether the value is needed whatever they are about: what a person approves is
+                bound to it.
             stops: whether it ends something that this server began.
 
         Raises:
             Refused: if the policy forbids it, it waits for an approval, the latch is set, or a budget is used up.
             BadValue: if the value does not fit its definition.
         """
-        act = Act(command=command, stops=stops)
+        act = Act(command=command, ruling=self.policy.ruling(command), stops=stops)
         if verb_of(command) == "read" and not self.policy.read_only:
             yield act
             return
@@ -160,7 +163,7 @@ class Guard:
             Refused: where the latch or another server would hold it.
             BadValue: if the value does not fit its definition.
         """
-        act = Act(command=command)
+        act = Act(command=command, ruling=self.policy.ruling(command))
         self._check_state(act)
         await self._rule(act, find_facts)
         return act.decision
@@ -207,15 +210,16 @@ class Guard:
 
     async def _rule(self, act: Act, find_facts: FindFacts | None) -> bool:
         """Notes what the policy decides, with the facts that it needs; whether a person has to approve it."""
-        command = act.command
-        has_facts, has_value = not self.policy.needs_facts(command), False
+        ruling = act.ruling
+        matter = ruling is not None and not act.is_part and (ruling.needs_value or ruling.needs_publishers)
+        has_facts, has_value = not matter, False
         while True:  # each time with what is known by now, and in the mode that an operator may have chosen meanwhile
-            act.decision = self.policy.decide(command, act.facts if has_facts else None, self.mode)
+            act.decision = self.policy.judge(act.command, ruling, act.facts if has_facts else None, self.mode)
             waits = act.decision.verdict == "consent" and not act.is_part
             is_known = has_facts and (has_value or not waits)
             if act.decision.verdict == "refused" or is_known or not find_facts:
                 break
-            act.facts, has_facts, has_value = await find_facts(waits), True, waits
+            act.facts, has_facts, has_value = await find_facts(ruling, waits), True, waits
         return waits
 
     def _after(self, act: Act, error: BaseException | None) -> None:

@@ -11,10 +11,10 @@ from ros2_mcp.model import commands
 from ros2_mcp.model.commands import SERVER, Command, ServiceBorne
 from ros2_mcp.model.errors import BadValue
 from ros2_mcp.model.text import named
-from ros2_mcp_common.policy.checks import problem as problem_of
-from ros2_mcp_common.policy.rules import Allowance, Rules, RuleSet, Ruling, Verb, matches, meaning
+from ros2_mcp_common.policy.rules import NO_TERMS, NO_VALUE, Rules, RuleSet, Ruling, Terms
 from ros2_mcp_common.policy.trajectory_limits import LookAtJoints, nobody_measures
 from ros2_mcp_common.policy.velocity import VELOCITY_TYPES
+from ros2_mcp_common.policy.verbs import Verb, meaning
 
 MODES: Sequence[Mode] = ("observe", "confirm", "autonomous")
 """From the strictest to the one that asks least."""
@@ -139,51 +139,33 @@ class Policy:
         ruling = self.rules.ruling("record", topic, "") if self.rules else None
         return f"The policy: {ruling.problem} ({ruling.rule})." if ruling and ruling.problem else ""
 
-    def needs_facts(self, command: Command[Any]) -> bool:
-        """Whether the decision depends on the value, or on who publishes there."""
-        return self.needs_value(command) or self.needs_publishers(command)
-
-    def needs_value(self, command: Command[Any]) -> bool:
-        """Whether a rule is about its value."""
-        ruling = self.ruling(command)
-        if ruling is None or isinstance(command, commands.Feed):
-            return False
-        return ruling.needs_value
-
-    def needs_publishers(self, command: Command[Any]) -> bool:
-        """Whether a rule is about who else publishes on its topic."""
-        ruling = self.ruling(command)
-        has_rule = ruling is not None and any(entry.sole_publisher for entry in ruling.allowances)
-        return has_rule and not isinstance(command, commands.Feed)
-
     def decide(self, command: Command[Any], facts: Facts | None = None, mode: Mode = "autonomous") -> Decision:
-        """Decides about a command, pure; called by `Guard.acting` alone.
+        """Decides about a command, pure.
 
         Without facts it is decided as far as name, type, rate and duration tell. `mode` is what holds now.
         """
+        return self.judge(command, self.ruling(command), facts, mode)
+
+    def judge(self, command: Command[Any], ruling: Ruling | None, facts: Facts | None, mode: Mode) -> Decision:
+        """As `decide`, where the ruling is known; about commands that somebody gave, called by `Guard` alone."""
         if self.read_only:
             reason = f"{command.act} is refused: this server is read-only."
             return Decision(verdict="refused", reason=reason, instead="Start it without --read-only to allow it.")
-        ruling = self.ruling(command)
         if ruling is None or verb_of(command) == "read":
             return ALLOWED
         if mode == "observe":
             return _refused(command, "the mode is observe: only reading and stopping are allowed", "mode")
         if ruling.problem:
             return _refused(command, ruling.problem, ruling.rule, self._allowed_instead(verb_of(command)))
-        chosen: list[Allowance] = []
-        for policy in ruling.policies:
-            # The mildest one counts, so that the order of the rules does not matter.
-            tried = [(entry, _problem(entry, policy.rules, command, facts)) for entry in policy.allow]
-            fitting = [entry for entry, problem in tried if not problem]
-            if tried and not fitting:
-                return _refused(command, tried[0][1], tried[0][0].rule)
-            chosen += sorted(fitting, key=lambda entry: _MILDEST.index(entry.consent))[:1]
-            value = facts.value if facts else None
-            for limit in policy.limits if value is not None else ():
-                look = facts.joints if facts else nobody_measures
-                if problem := problem_of(limit.checks, value, policy.rules.zones, look):
-                    return _refused(command, problem, limit.rule)
+        facts = facts or NO_FACTS
+        value: Any = NO_VALUE
+        if facts.value is not None:
+            value = facts.value
+        judged = ruling.judge(value, facts.joints, _terms(command, facts.publishers))
+        if judged.problem:
+            return _refused(command, judged.problem, judged.rule)
+        # The mildest one counts, so that the order of the rules does not matter.
+        chosen = [min(fitting, key=lambda entry: _MILDEST.index(entry.consent)) for fitting in judged.allowances]
         rule = "; ".join(entry.rule for entry in chosen)
         waits = any(entry.consent == "each" or (mode == "confirm" and not entry.consent) for entry in chosen)
         return Decision(verdict="consent" if waits else "allowed", rule=rule)
@@ -209,28 +191,20 @@ def _refused(command: Command[Any], problem: str, rule: str, instead: str = "") 
     return Decision(verdict="refused", rule=rule, reason=reason, instead=instead or _TOLD_BY_POLICY)
 
 
-def _problem(entry: Allowance, rules: RuleSet, command: Command[Any], facts: Facts | None) -> str:
-    """Why an allowance that is about a command does not allow it; empty if it does."""
-    rate_hz, for_s = command.rate_hz, command.duration_s
+def _terms(command: Command[Any], publishers: Sequence[str]) -> Terms:
+    """What a command asks for beside its value; messages for a relay that is open ask for nothing more."""
     if isinstance(command, commands.Feed):
-        return ""
-    if entry.rate_hz is not None and rate_hz is not None and not rate_hz <= entry.rate_hz:
-        return f"{rate_hz:g} Hz is asked for, at most {entry.rate_hz:g} Hz is allowed"
-    is_longer = isinstance(command, commands.Repeat | commands.Move | commands.Relay | commands.Play)
-    if entry.for_s is not None and is_longer and not 0 < (for_s or 0) <= entry.for_s:
-        asked = f"{for_s:g} s is asked for" if for_s else "no end is asked for"
-        return f"{asked}, at most {entry.for_s:g} s is allowed"
-    if isinstance(command, commands.Relay) and not matches(entry.sources, command.source):
-        return f"messages of {command.source} may not be relayed there, only those of {', '.join(entry.sources)}"
-    if isinstance(command, commands.Play) and command.force and not entry.force:
-        return "force is not allowed"
-    if isinstance(command, commands.Play) and command.type in VELOCITY_TYPES and not command.speed <= 1:
-        return f"{command.speed:g} times the recorded speed is asked for, velocities may be played at 1 at most"
-    if facts is None:
-        return ""
-    if entry.sole_publisher and facts.publishers:
-        return f"{', '.join(map(named, facts.publishers[:_MOST_NAMED]))} of the robot publishes there itself"
-    return "" if facts.value is None else entry.problem(facts.value, rules.zones, facts.joints)
+        return NO_TERMS
+    lasts = isinstance(command, commands.Repeat | commands.Move | commands.Relay | commands.Play)
+    play = command if isinstance(command, commands.Play) else None
+    return Terms(
+        rate_hz=command.rate_hz,
+        for_s=command.duration_s or 0.0 if lasts else None,
+        source=command.source if isinstance(command, commands.Relay) else None,
+        force=play is not None and play.force,
+        speed=play.speed if play and play.type in VELOCITY_TYPES else 1.0,
+        publishers=[named(name) for name in publishers[:_MOST_NAMED]],
+    )
 
 
 def strictest(*modes: Mode) -> Mode:

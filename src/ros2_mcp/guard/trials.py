@@ -22,9 +22,10 @@ from ros2_mcp.model.qos import Choice, QoS
 from ros2_mcp_common.policy.checks import Checks
 from ros2_mcp_common.policy.curves import State
 from ros2_mcp_common.policy.field_values import number_of
-from ros2_mcp_common.policy.rules import CHANGE_STATE, SET_PARAMETERS, Ruling, Verb, judged_part, meaning
+from ros2_mcp_common.policy.rules import Ruling, judged_part
 from ros2_mcp_common.policy.stamps import trajectories_in
 from ros2_mcp_common.policy.trajectory_limits import Joints, LookAtJoints
+from ros2_mcp_common.policy.verbs import CHANGE_STATE, SET_PARAMETERS, Verb, meaning
 
 DECISIONS: Mapping[str, str] = {"allowed": "allow", "refused": "refuse", "consent": "consent"}
 """What tables call the verdicts."""
@@ -127,7 +128,7 @@ def decided(policy: Policy, trial: Trial) -> Decision:
     ruling = policy.ruling(command)
     value = _filled(trial, ruling) if ruling else trial.value
     facts = Facts(value=value, publishers=trial.publishers, joints=_joints_of(value, trial.joints))
-    return policy.decide(command, facts, policy.mode)
+    return policy.judge(command, ruling, facts, policy.mode)
 
 
 def _joints_of(value: Any, given: Mapping[str, float]) -> LookAtJoints:

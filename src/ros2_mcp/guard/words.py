@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -103,7 +104,7 @@ def _bounds_of(entry: Allowance) -> Iterable[str]:
         yield "also where others publish"
     if entry.meta or (entry.verb == "call" and any("*" in kind for kind in entry.types)):
         yield f"{'also' if entry.meta else 'not'} what changes the robot's set-up"
-    yield from in_words(entry.checks)
+    yield from in_words(entry.checks, entry.types)
     if entry.consent:
         yield _APPROVAL if entry.consent == "each" else "no approval is needed"
 
@@ -114,7 +115,7 @@ def _limit(entry: Limit) -> str:
 
 
 def _bounds_of_limit(entry: Limit) -> Iterable[str]:
-    yield from in_words(entry.checks)
+    yield from in_words(entry.checks, entry.types)
     for path, ramp in entry.ramp.items():
         ways = ((ramp.up, "grows"), (ramp.down, "shrinks"))
         yield from (f"{path} {way} by at most {most:g} per second" for most, way in ways if most is not None)
@@ -126,12 +127,15 @@ def _bounds_of_limit(entry: Limit) -> Iterable[str]:
         yield "what is beyond is held back in relays and playbacks, too"
 
 
-def in_words(checks: Checks) -> Iterable[str]:
-    """The checks on a value, one clause for each."""
+def in_words(checks: Checks, types: Sequence[str] = ()) -> Iterable[str]:
+    """The checks on a value of one of these types, one clause for each. Of velocities with units, angular ones also in
+    those of `ros2_drive`.
+    """
+    are_velocities = bool(types) and all("/Twist" in kind for kind in types)
     for path, most in checks.norm.items():
-        yield f"the length of {path} at most {most:g}"
+        yield f"the length of {path} at most {_with_unit(path, most) if are_velocities else f'{most:g}'}"
     for path, (low, high) in checks.range.items():
-        yield f"{path} from {low:g} to {high:g}"
+        yield f"{path} from {low:g} to {_with_unit(path, high) if are_velocities else f'{high:g}'}"
     for path, choices in checks.one_of.items():
         yield f"{path} {_one_of([*map(_text, choices)])}"
     if checks.zero:
@@ -144,6 +148,12 @@ def in_words(checks: Checks) -> Iterable[str]:
         yield f"{path} at most {pace.most:g} per second between points, the first not before {pace.first_s:g} s"
     for path, curve in checks.curve.items():
         yield f"all along the curve of {path or 'the trajectory'}, {'; '.join(_curve(curve))}"
+
+
+def _with_unit(path: str, speed: float) -> str:
+    """The largest speed of a part of a Twist, in its unit."""
+    is_angular = "angular" in path.split(".")
+    return f"{speed:g} rad/s ({math.degrees(speed):.0f} °/s)" if is_angular else f"{speed:g} m/s"
 
 
 def _curve(limits: CurveLimits) -> Iterable[str]:

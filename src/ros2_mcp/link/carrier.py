@@ -15,6 +15,12 @@ Vitality = Literal["running", "stopped", "starved", "unknown"]
 """What a carrier can see of the far end without asking it: `stopped` from outside (by a debugger), `starved` of
 processor time (it wants to run and does not get round), `running`, or `unknown` where it cannot look there."""
 
+SLOW_START = (
+    "The next call tries again. If setup files take so long, find out which: time bash -c 'source FILE'. Else this "
+    "machine is busy, or ROS waits for the network; ros2-mcp --debug shows the bridge's log."
+)
+"""The way out for a bridge that is slow to start."""
+
 
 class Carrier(Protocol):
     """The bytes to and from one bridge, for one life of that bridge: made once, opened once, closed once.

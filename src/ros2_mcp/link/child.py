@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -34,6 +35,9 @@ _POLL_S = 0.01
 _EXIT_CODE_S = 0.5
 # From SIGTERM, on which a bridge leaves as at the end of its stdin, to SIGKILL. Chosen: it had its time in `close`.
 _TERMINATE_S = 0.3
+_SHARED_MEMORY = "/dev/shm"
+# LTTng, which rclpy loads, maps a page of shared memory when a process begins, and dies where there is none for it.
+_FULL = f", as {_SHARED_MEMORY} is full: make room there (df {_SHARED_MEMORY}; --shm-size of a container)"
 if sys.platform == "win32":
     # No Ctrl+C of our terminal reaches it, and a client with windows of its own shows none for it.
     _CREATION_FLAGS = subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW
@@ -123,7 +127,8 @@ class Child:
         if code >= 0:
             return f"exited with code {code}"
         names = {number.value: number.name for number in signal.Signals}
-        return f"died with signal {names.get(-code, -code)}"
+        name = names.get(-code, str(-code))
+        return f"died with signal {name}{_FULL if name == 'SIGBUS' and _is_memory_full() else ''}"
 
     def log_tail(self) -> list[str]:
         """The last lines of its stderr."""
@@ -249,3 +254,10 @@ def _enlarge(pipe: int) -> None:
 
         with contextlib.suppress(OSError):
             fcntl.fcntl(pipe, _SET_PIPE_SIZE, _PIPE_BYTES)
+
+
+def _is_memory_full() -> bool:
+    """Whether no page is left for shared memory on this machine."""
+    with contextlib.suppress(OSError):
+        return shutil.disk_usage(_SHARED_MEMORY).free == 0
+    return False

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
 from typing import Any
 
-from ros2_mcp.link.carrier import Carrier
+from ros2_mcp.link.carrier import SLOW_START, Carrier
 from ros2_mcp.link.clock import RobotClock
 from ros2_mcp.link.connection import Connection, Hello, Posted, Reply
 from ros2_mcp.link.sharing import Sharing
@@ -279,7 +279,7 @@ class Bridge:
             await asyncio.wait({wanted}, timeout=start_s)
             wanted = self._outcome or wanted
             if not wanted.done():
-                raise LinkError(f"The bridge was not ready after {start_s:.0f} s.", "Run: ros2-mcp doctor")
+                raise LinkError(f"The bridge was not ready after {start_s:.0f} s.", SLOW_START)
         outcome = wanted.result()
         if isinstance(outcome, RobotError):
             raise outcome.again()

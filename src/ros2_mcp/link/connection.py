@@ -10,7 +10,7 @@ from functools import partial
 from typing import Any, Protocol, cast
 from weakref import WeakSet
 
-from ros2_mcp.link.carrier import Carrier
+from ros2_mcp.link.carrier import SLOW_START, Carrier
 from ros2_mcp.link.clock import RobotClock
 from ros2_mcp.link.heartbeat import PING_S, Heartbeat
 from ros2_mcp.link.outflow import Outflow
@@ -166,7 +166,7 @@ class Connection:
         if self._greeted.done():
             return None
         if not self._ended.done():
-            self._end(LinkError(f"{self._name} was not ready after {start_s:.0f} s.{self._last_words()}"))
+            self._end(LinkError(f"{self._name} was not ready after {start_s:.0f} s.{self._last_words()}", SLOW_START))
         return await self._reason()
 
     @property

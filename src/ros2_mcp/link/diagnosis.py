@@ -12,7 +12,7 @@ from collections.abc import Awaitable, Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from ros2_mcp.link.carrier import Carrier
+from ros2_mcp.link.carrier import SLOW_START, Carrier
 from ros2_mcp.link.carriers import start_carrier
 from ros2_mcp.link.client import Bridge
 from ros2_mcp.link.environment import (
@@ -24,7 +24,7 @@ from ros2_mcp.link.environment import (
     wheels_without_rclpy,
     workspace_setup,
 )
-from ros2_mcp.link.installation import RosInstallation
+from ros2_mcp.link.installation import RosInstallation, search_of, without_ours
 from ros2_mcp.link.interfaces import InterfaceCache, package_name
 from ros2_mcp.link.provenance import own_provenance
 from ros2_mcp.link.remote import RemoteBridge, way_to
@@ -99,7 +99,9 @@ async def probe(settings: Settings, look: Callable[[Bridge], Awaitable[Finding]]
     except RobotError as error:
         found = [Finding(False, _BRIDGE, error.message, "" if "doctor" in error.hint else error.hint)]
     except asyncio.TimeoutError:
-        found = [Finding(False, _BRIDGE, f"It was not ready after {limit_s:.0f} s. {' | '.join(bridge.log_tail[-5:])}")]
+        what = f" ({started[0].describe()})" if started else ""
+        detail = f"It was not ready after {limit_s:.0f} s{what}. {' | '.join(bridge.log_tail[-5:])}"
+        found = [Finding(False, _BRIDGE, detail, SLOW_START)]
     finally:
         await bridge.close()
     return [*(_stages(started[0]) if started else ()), *found]
@@ -153,7 +155,7 @@ def _candidates(settings: Settings, env: Mapping[str, str]) -> Iterator[Finding]
         detail = f"ROS 2 {incomplete} in {sys.prefix}, but without rclpy: 'uv sync' that is run twice removes it"
         yield Finding(None, "Wheels", detail, f"Run: {own_provenance().reinstalling(incomplete)}")
     elif distro:
-        usable = wheels(settings, env) is not None
+        usable = wheels(search_of(settings), env) is not None
         note = "" if usable else f"; not used, since {settings.distro} was asked for"
         yield Finding(None, "Wheels", f"ROS 2 {distro} in {sys.prefix}{note}")
     else:
@@ -167,7 +169,7 @@ def _sourced_shell(settings: Settings, env: Mapping[str, str]) -> Finding:
         return Finding(None, title, "no (ROS_DISTRO is not set)")
     if settings.distro not in (None, distro):
         return Finding(None, title, f"{distro}; not used, since {settings.distro} was asked for")
-    if sourced(settings, env):
+    if sourced(search_of(settings), without_ours(env)):
         return Finding(True, title, distro)
     return Finding(
         False,

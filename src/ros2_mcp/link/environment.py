@@ -1,7 +1,7 @@
-"""Finding ROS 2: a sourced shell, an installation to source, or wheels in this Python's own environment.
+"""Finding the ROS 2 of this machine. Nothing is imported or started to decide: `rclpy` is looked for as files.
 
-Nothing is imported or started to decide: `rclpy` is looked for as files. The first two ways are those of `finding.py`,
-which the far side of a remote robot has, too.
+All ways but the wheels of this Python's own environment are those of `finding.py`, which the far side of a remote robot
+has, too.
 """
 
 from __future__ import annotations
@@ -13,34 +13,60 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
-from ros2_mcp.link.installation import Kind, RosInstallation, clean_environment, without_ours
+from ros2_mcp.link.installation import Kind, RosInstallation, search_of, with_a_place_for_logs, without_ours
 from ros2_mcp.link.interfaces import SHIPPED, InterfaceCache, package_name
 from ros2_mcp.link.provenance import own_provenance
 from ros2_mcp.model.errors import BadInput, RosNotFound
 from ros2_mcp.settings import Settings
 from ros2_mcp_common.start import finding
-from ros2_mcp_common.start.finding import installed_distros, release_order, wheel_environment
+from ros2_mcp_common.start.finding import installed_distros, release_order
 
 
 def find_ros(settings: Settings, env: Mapping[str, str] = os.environ) -> RosInstallation:
-    """The ROS 2 installation to run the bridge with: sourced, else to be sourced, else wheels.
+    """The ROS 2 of this machine to run the bridge with.
+
+    In this order: a sourced shell; a ROS that was built in a workspace or root that was given; the newest below the ROS
+    root; wheels; an environment of conda or pixi; a workspace in the home folder in which ROS was built.
 
     Raises:
         RosNotFound: if there is none, or not the distribution that was asked for; its hint is the way out.
         BadInput: if a `--workspace` has nothing to source or `--bridge-python` is not there.
     """
-    installation = sourced(settings, env) or unsourced(settings, env) or wheels(settings, env)
-    if not installation:
-        raise _not_found(settings)
-    overlays = (workspace_setup(workspace) for workspace in settings.workspaces)
-    built = _built_for(installation, settings) if installation.kind == "wheels" else ()
+    search, env = search_here(settings), {**without_ours(env), **search_of(settings).env}
+    overlays = [workspace_setup(workspace) for workspace in settings.workspaces]
+    ways = (sourced, finding.given, finding.unsourced, wheels, finding.conda, finding.built_from_source)
+    found = next(filter(None, (way(search, env) for way in ways)), None)
+    if not found:
+        raise _not_found(search)
+    built = _built_for(found, settings) if found.kind == "wheels" else ()
     given = [prefix for folder in settings.interface_prefixes for prefix in _prefixes_in(folder)]
-    return replace(
-        installation,
-        scripts=(*installation.scripts, *overlays),
+    return RosInstallation(
+        kind=cast("Kind", found.kind),
+        distro=found.distro,
+        prefix=found.prefix,
+        why=found.why,
+        python=found.python,
+        scripts=tuple(dict.fromkeys((*found.scripts, *overlays))),
+        environment=with_a_place_for_logs(found.environment),
         interface_prefixes=tuple(dict.fromkeys((*given, *built))),
     )
+
+
+def search_here(settings: Settings) -> finding.Search:
+    """What is looked for on this machine.
+
+    Raises:
+        BadInput: if `--bridge-python` is not there.
+    """
+    python = settings.bridge_python.expanduser() if settings.bridge_python else None
+    if python and not python.is_file():
+        raise BadInput(
+            f"The Python for the bridge, {python}, is not there.",
+            "Correct or leave out --bridge-python (ROS2_MCP_BRIDGE_PYTHON).",
+        )
+    return replace(search_of(settings), python=str(python or ""), ros_root=str(settings.ros_root.expanduser()))
 
 
 def _prefixes_in(folder: Path) -> Sequence[Path]:
@@ -50,47 +76,9 @@ def _prefixes_in(folder: Path) -> Sequence[Path]:
     return held or (folder,)
 
 
-# ── what the far side finds, too ───────────────────────────────────────────────────────────────────────────────
-
-
-def sourced(settings: Settings, env: Mapping[str, str]) -> RosInstallation | None:
+def sourced(search: finding.Search, env: Mapping[str, str]) -> finding.Found | None:
     """The installation of an already sourced shell, unless another distribution was asked for."""
-    found = finding.sourced(search_of(settings), without_ours(env)) if env.get("ROS_DISTRO") else None
-    return _installation(found, "sourced", settings)
-
-
-def unsourced(settings: Settings, env: Mapping[str, str]) -> RosInstallation | None:
-    """The newest installation below the ROS root, or the one that was asked for."""
-    return _installation(finding.unsourced(search_of(settings), without_ours(env)), "unsourced", settings)
-
-
-def _installation(found: finding.Found | None, kind: Kind, settings: Settings) -> RosInstallation | None:
-    if not found:
-        return None
-    return RosInstallation(
-        kind=kind,
-        distro=found.distro,
-        prefix=found.prefix,
-        why=found.why,
-        python=found.python,
-        scripts=found.scripts,
-        environment=clean_environment(settings, found.environment, keep_sourced=True),
-    )
-
-
-def search_of(settings: Settings) -> finding.Search:
-    """What is looked for on this machine.
-
-    Raises:
-        BadInput: if `--bridge-python` is not there.
-    """
-    return finding.Search(
-        distro=settings.distro or "",
-        python=_override(settings) or "",
-        ros_root=str(settings.ros_root),
-        domain_id=settings.domain_id,
-        rmw=settings.rmw or "",
-    )
+    return finding.sourced(search, env) if env.get("ROS_DISTRO") else None
 
 
 def workspace_setup(workspace: Path) -> Path:
@@ -108,21 +96,21 @@ def workspace_setup(workspace: Path) -> Path:
 # ── wheels ─────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def wheels(settings: Settings, env: Mapping[str, str]) -> RosInstallation | None:
+def wheels(search: finding.Search, env: Mapping[str, str]) -> finding.Found | None:
     """ROS 2 wheels in the environment of the Python that runs this."""
     spec = importlib.util.find_spec("rclpy")
     distro = wheel_distro()
-    if not spec or not spec.origin or not distro or settings.distro not in (None, distro):
+    if not spec or not spec.origin or not distro or search.distro not in ("", distro):
         return None
     prefix = Path(sys.prefix)
-    clean = clean_environment(settings, env, keep_sourced=False)
-    return RosInstallation(
+    clean = finding.environment_for(search, env, keep_sourced=False)
+    return finding.Found(
         kind="wheels",
         distro=distro,
         prefix=prefix,
         why=f"The ROS 2 wheels for {distro} are installed in {prefix}.",
-        python=_override(settings) or sys.executable,
-        environment=wheel_environment(clean, prefix, Path(spec.origin).parents[1]),
+        python=search.python or sys.executable,
+        environment=finding.wheel_environment(clean, prefix, Path(spec.origin).parents[1]),
     )
 
 
@@ -139,7 +127,7 @@ def wheels_without_rclpy() -> str | None:
     return wheel_distro() if importlib.util.find_spec("rclpy") is None else None
 
 
-def _built_for(installation: RosInstallation, settings: Settings) -> tuple[Path, ...]:
+def _built_for(installation: finding.Found, settings: Settings) -> tuple[Path, ...]:
     """The interface packages that were built for these wheels, and ours that were built for others just like them."""
     cache = InterfaceCache(settings.interface_folder)
     own = cache.in_use(installation.prefix)
@@ -154,30 +142,31 @@ def _built_for(installation: RosInstallation, settings: Settings) -> tuple[Path,
 # ── nothing ────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def _not_found(settings: Settings) -> RosNotFound:
+def _not_found(search: finding.Search) -> RosNotFound:
     incomplete = wheels_without_rclpy()
-    if incomplete and settings.distro in (None, incomplete):
+    if incomplete and search.distro in ("", incomplete):
         return RosNotFound(
             f"The ROS 2 wheels for {incomplete} in {sys.prefix} are incomplete: rclpy is gone. Running 'uv sync' twice "
             "does that: it removes files of these wheels.",
             f"Run: {own_provenance().reinstalling(incomplete)}. From then on 'uv run', or 'uv sync --inexact'.",
         )
-    found = ", ".join(available(settings)) or "none"
-    if settings.distro:
+    found = ", ".join(_available(search)) or "none"
+    if search.distro:
         return RosNotFound(
-            f"ROS 2 {settings.distro} was asked for (--distro) and is not there; found: {found}.",
-            "Leave --distro out to use what is there." if found != "none" else way_out(settings.distro),
+            f"ROS 2 {search.distro} was asked for (--distro) and is not there; found: {found}.",
+            "Leave --distro out to use what is there." if found != "none" else way_out(search.distro),
         )
     return RosNotFound(
-        f"No ROS 2 found: no sourced shell, nothing in {settings.ros_root}, no ROS 2 wheels in this Python.",
-        way_out("jazzy"),
+        f"No ROS 2 found: no sourced shell, nothing in {search.ros_root}, no ROS 2 wheels in this Python, no conda or "
+        "pixi environment with it, no workspace in the home folder in which it was built.",
+        f"{way_out('jazzy')} If it is elsewhere on this machine, name the folder of its setup.bash: --ros-root DIR.",
     )
 
 
-def available(settings: Settings) -> list[str]:
+def _available(search: finding.Search) -> list[str]:
     """The distributions that could be used without a sourced shell."""
     of_wheels = None if wheels_without_rclpy() else wheel_distro()
-    return sorted({*installed_distros(settings.ros_root), *filter(None, [of_wheels])}, key=release_order)
+    return sorted({*installed_distros(Path(search.ros_root)), *filter(None, [of_wheels])}, key=release_order)
 
 
 _ELSEWHERE = "A robot elsewhere needs no ROS here: --robot ssh://me@robot."
@@ -203,16 +192,3 @@ def way_out(distro: str) -> str:
 def wheels_exist_here() -> bool:
     """Whether ROS 2 wheels are published for this machine and Python."""
     return sys.platform == "linux" and platform.machine() == "x86_64" and sys.version_info < (3, 15)
-
-
-# ── common to all ──────────────────────────────────────────────────────────────────────────────────────────────
-
-
-def _override(settings: Settings) -> str | None:
-    python = settings.bridge_python.expanduser() if settings.bridge_python else None
-    if python and not python.is_file():
-        raise BadInput(
-            f"The Python for the bridge, {python}, is not there.",
-            "Correct or leave out --bridge-python (ROS2_MCP_BRIDGE_PYTHON).",
-        )
-    return str(python) if python else None

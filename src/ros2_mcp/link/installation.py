@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Literal
 
 from ros2_mcp.settings import Settings
-from ros2_mcp_common.start.finding import WHEEL_GUARD, Search, environment_for, in_environment
+from ros2_mcp_common.start.finding import WHEEL_GUARD, Search, in_environment
 
-Kind = Literal["sourced", "unsourced", "wheels"]
+Kind = Literal["sourced", "unsourced", "wheels", "conda", "built"]
 
 # Loads one package by its folder, so that nothing else of our environment gets on the path of ROS's Python.
 _BOOTSTRAP = """\
@@ -83,18 +83,24 @@ def without_ours(env: Mapping[str, str]) -> dict[str, str]:
     return clean
 
 
-def variables_of(settings: Settings) -> dict[str, str]:
-    """What was asked for of the environment where the robot is (`--robot-env`)."""
-    return dict(variable.split("=", 1) for variable in settings.robot_env)
+def search_of(settings: Settings) -> Search:
+    """Which ROS is looked for, on this machine or on the robot's: its paths are those of that machine."""
+    return Search(
+        distro=settings.distro or "",
+        python=settings.bridge_python.as_posix() if settings.bridge_python else "",
+        workspaces=tuple(workspace.as_posix() for workspace in settings.workspaces),
+        ros_root=settings.ros_root.as_posix(),
+        domain_id=settings.domain_id,
+        rmw=settings.rmw or "",
+        env=dict(variable.split("=", 1) for variable in settings.robot_env),
+    )
 
 
-def clean_environment(settings: Settings, env: Mapping[str, str], *, keep_sourced: bool) -> dict[str, str]:
-    """A copy of an environment for ROS's Python: without what belongs to ours, with what the settings ask for."""
-    search = Search(domain_id=settings.domain_id, rmw=settings.rmw or "", env=variables_of(settings))
-    clean = environment_for(search, without_ours(env), keep_sourced=keep_sourced)
-    if not clean.get("HOME") and not clean.get("ROS_HOME"):
-        clean.setdefault("ROS_LOG_DIR", str(Path(tempfile.gettempdir()) / "ros2-mcp-log"))
-    return clean
+def with_a_place_for_logs(env: Mapping[str, str]) -> Mapping[str, str]:
+    """An environment in which ROS finds a folder for its log: without a home it would end at its start."""
+    if env.get("HOME") or env.get("ROS_HOME"):
+        return env
+    return {"ROS_LOG_DIR": str(Path(tempfile.gettempdir()) / "ros2-mcp-log"), **env}
 
 
 def _remove_entries(env: dict[str, str], variable: str, below: Path) -> None:

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from ros2_mcp.link.installation import RosInstallation
 from ros2_mcp.model.errors import LinkError
@@ -100,9 +100,16 @@ def curing(package: str) -> str:
     )
 
 
+class Built(NamedTuple):
+    """The prefixes of packages that were built, and the definitions in them that cannot be built here."""
+
+    packages: Sequence[Path]
+    left_out: Sequence[Path]
+
+
 def build(
     installation: RosInstallation, directories: Sequence[Path], cache: InterfaceCache, *, quiet: bool = False
-) -> list[Path]:
+) -> Built:
     """Builds the packages below the directories, or finds them built, and notes that the installation uses them.
 
     Raises:
@@ -128,4 +135,4 @@ def build(
         raise LinkError(f"The interfaces cannot be built: {answer['error']}", answer.get("hint", ""))
     packages = [Path(path) for path in answer["prefixes"]]
     cache.use(installation.prefix, packages)
-    return packages
+    return Built(packages, [Path(path) for path in answer["left_out"]])

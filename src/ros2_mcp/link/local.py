@@ -59,8 +59,13 @@ class LocalBridge(Child):
         return self.installation.why
 
     def describe(self) -> str:
-        """Its process."""
-        return f"pid {self.pid}"
+        """Its process, and what it still does before ROS can start: setup files on a slow disk take their time."""
+        try:
+            is_shell = Path(f"/proc/{self.pid}/comm").read_text().strip() == "bash"  # it becomes Python after them
+        except OSError:
+            is_shell = False
+        scripts = " and ".join(map(str, self.installation.scripts))
+        return f"pid {self.pid}, still sourcing {scripts}" if is_shell and scripts else f"pid {self.pid}"
 
     def alive(self) -> Vitality:
         """What the kernel tells of its threads: one that is stopped or wants to run decides."""

@@ -15,13 +15,12 @@ from collections.abc import Callable, Mapping, Sequence
 from ros2_mcp.link.bootstrap import PACKAGE, Arrival, bootstrap, installed
 from ros2_mcp.link.carrier import Vitality
 from ros2_mcp.link.child import Child
-from ros2_mcp.link.installation import Command, variables_of
+from ros2_mcp.link.installation import Command, search_of
 from ros2_mcp.link.refusals import of_ssh
 from ros2_mcp.model.address import RobotAddress
 from ros2_mcp.model.errors import BadInput, LinkError, Unreachable
 from ros2_mcp.model.text import quoted
 from ros2_mcp.settings import Settings
-from ros2_mcp_common.start.finding import Search
 
 # ssh's own limit on connecting, the handshake included. Chosen: a robot on a slow link takes two or three.
 CONNECT_S = 10
@@ -80,19 +79,6 @@ def way_to(settings: Settings) -> list[str]:
     if address.kind == "docker":
         return ["docker", "exec", "-i", address.container]
     return list(address.command)
-
-
-def search_of(settings: Settings) -> Search:
-    """Which ROS is looked for there; what the settings say of paths is the robot's."""
-    return Search(
-        distro=settings.distro or "",
-        python=settings.bridge_python.as_posix() if settings.bridge_python else "",
-        workspaces=tuple(workspace.as_posix() for workspace in settings.workspaces),
-        ros_root=settings.ros_root.as_posix(),
-        domain_id=settings.domain_id,
-        rmw=settings.rmw or "",
-        env=variables_of(settings),
-    )
 
 
 def is_installed(settings: Settings) -> bool:

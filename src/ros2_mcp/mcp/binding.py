@@ -19,18 +19,19 @@ from ros2_mcp.model.finite import finite
 from ros2_mcp.model.system_limits import system_limit
 from ros2_mcp.model.text import as_sent, quoted, visible, visible_json
 from ros2_mcp.ops.memory.bag_store import BagStore
-from ros2_mcp.ops.results.results import Report, as_json, at_most_every, lines_of, structured
+from ros2_mcp.ops.results.results import Report, answer_bytes, as_json, at_most_every, lines_of, structured
 from ros2_mcp.ops.results.text import MOST_CHARACTERS, as_text
 from ros2_mcp.ops.sources.kinds import OWN_KINDS
 from ros2_mcp.ops.sources.source import SourceKind
 from ros2_mcp.programs.declare import Function
 from ros2_mcp.robot import Robot
+from ros2_mcp.robot.session import Session
 from ros2_mcp.tools import ToolDeclaration
 from ros2_mcp.tools.arguments import WHOLE_SENTENCE, TimeArgument
 from ros2_mcp.tools.declare import ForPage
 from ros2_mcp.tools.injection import Call
 from ros2_mcp.tools.leniency import as_meant
-from ros2_mcp.tools.misnamed import hint_for
+from ros2_mcp.tools.misnamed import hint_for, taken_for
 from ros2_mcp.tools.schema import argument_schema, expected_kind, node_at, result_schema, text_for_number
 from ros2_mcp.view.viewing import Viewing
 
@@ -69,7 +70,7 @@ class StrictArguments(BaseModel):
 class BoundTool:
     """A declared tool with what it works on: `listed` is how clients see it, `arguments` checks what they send.
 
-    `only_offered` leaves of a hint or a note what names tools that the server offers.
+    `only_offered` says in a hint or a note which tools that it names are not offered.
     """
 
     declaration: ToolDeclaration
@@ -89,14 +90,14 @@ class BoundTool:
         return self.declaration.name
 
     async def call(
-        self, arguments: Mapping[str, Any], report: Report, robot: Robot | None = None, *, shows_pages: bool = False
+        self, arguments: Mapping[str, Any], report: Report, session: Session | None = None, *, shows_pages: bool = False
     ) -> CallToolResult:
         """Validates the arguments, calls the function and renders its result.
 
         Args:
             arguments: as the client sent them.
             report: is told of progress, at most twice a second.
-            robot: the robot as it is for the client that asks; the robot of the server if nobody in particular does.
+            session: that of the client that asks; one of its own if nobody in particular does.
             shows_pages: whether that client shows the page beside the chat.
 
         Raises:
@@ -109,12 +110,12 @@ class BoundTool:
         # One level only: an argument that is an object stays the model that the tool declared.
         values = {name: getattr(checked, name) for name in self.arguments.model_fields}
         told += [f"{name}: {said}." for name, kind in self._times() if (said := kind.taken_as(values[name]))]
-        view = robot or self.robot.acting_for(self.robot.principal)
+        session = session or self.robot.session()
         with self.store.noting_damage() as damage:
             try:
                 shown = at_most_every(_PROGRESS_S, _visibly(report))
-                result = await self._perform(checked, values, shown, view, shows_pages=shows_pages)
-                told += view.notes
+                result = await self._perform(checked, values, shown, session, shows_pages=shows_pages)
+                told += session.notes
             except RobotError as error:
                 hint = self.only_offered(error.hint)
                 lines = [f"{type(error).__name__}: {error.message} {hint}".rstrip(), *told]
@@ -123,10 +124,10 @@ class BoundTool:
                 text = TextContent(type="text", text=visible(result.told))
                 return CallToolResult(content=[text], structured_content=dict(finite(result.value)))
             noted = self._with_notes(result, told)
-            made = partial(answer, most=self.robot.result_bytes, narrowing=self._narrowing)
+            made = partial(answer, most=answer_bytes(self.robot), narrowing=self._narrowing)
             return await aside(extent(as_json(noted)), made, noted, self._damage(damage()), told)
 
-    async def perform(self, arguments: Mapping[str, Any], report: Report, robot: Robot) -> Any:
+    async def perform(self, arguments: Mapping[str, Any], report: Report, session: Session) -> Any:
         """The result itself, for a program; strict as a call is.
 
         Raises:
@@ -139,19 +140,20 @@ class BoundTool:
         except CallFailed as error:
             raise BadInput(str(error)) from error
         values = {name: getattr(checked, name) for name in self.arguments.model_fields}
-        return await self._perform(checked, values, report, robot)
+        return await self._perform(checked, values, report, session)
 
     async def _perform(
         self,
         checked: StrictArguments,
         values: Mapping[str, Any],
         report: Report,
-        robot: Robot,
+        session: Session,
         *,
         shows_pages: bool = False,
     ) -> Any:
         made_for = Call(
-            robot=robot,
+            robot=self.robot,
+            session=session,
             store=self.store,
             report=report,
             kinds=self.kinds,
@@ -201,12 +203,15 @@ class BoundTool:
         `are_exact` come from a program, which was shown nothing.
         """
         meant: dict[str, Any] = {}
+        renamed: list[str] = []
         spelled: dict[str, str] = {}
         unknown: list[str] = []
         for name, value in arguments.items():
             own_name = self.declaration.aliases.get(name, name)
             if not own_name and name:  # an alias that is accepted and has no meaning here
                 continue
+            if own_name == name and (own_name := taken_for(name, self.arguments.model_fields, acts=self.acts)) != name:
+                renamed.append(f"{name} was taken as {own_name}.")
             if self.declaration.risk == "stop" and own_name not in self.arguments.model_fields:
                 unknown.append(name)
                 continue
@@ -219,6 +224,7 @@ class BoundTool:
                 value = _parsed(value, acts=self.acts)  # noqa: PLW2901
             meant[own_name] = value if are_exact else _as_sent(value)
         taken, told = as_meant(self.listed.input_schema, meant, acts=self.acts)
+        told[:0] = renamed
         if unknown:  # what stops is not refused because of them
             told.append(f"{self.name} has no argument {', '.join(map(quoted, unknown[:_MOST_NAMED]))}: ignored.")
         fields = self.arguments.model_fields  # some say themselves what null means, such as no time-out
@@ -266,7 +272,6 @@ def bind(
         input_schema=argument_schema(arguments.model_json_schema()),
         output_schema=None if declaration.audience == "page" else answer_schema(signature.return_annotation),
         annotations=ToolAnnotations(
-            title=declaration.title,
             read_only_hint=declaration.risk == "read",
             destructive_hint=declaration.risk == "actuate",
             idempotent_hint=declaration.risk in ("read", "stop"),

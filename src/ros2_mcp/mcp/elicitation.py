@@ -23,6 +23,7 @@ from mcp_types.version import MODERN_PROTOCOL_VERSIONS
 
 from ros2_mcp.guard.approvals import Approvals, Request
 from ros2_mcp.guard.consent import Consent
+from ros2_mcp.model.commands import Principal
 from ros2_mcp.model.errors import ApprovalNeeded, NotFound
 from ros2_mcp.robot import Robot
 
@@ -43,15 +44,15 @@ Context = ServerRequestContext[Any, Any]
 class Elicitation:
     """The questions that one call gives rise to; they name the robot, where a `name` tells it from others."""
 
-    def __init__(self, robot: Robot, context: Context, name: str = "") -> None:
+    def __init__(self, robot: Robot, principal: Principal, context: Context, name: str = "") -> None:
         consent = robot.guard.approvals
         documents = robot.policy.documents
         is_accepted = bool(documents) and all(document.consent.how == "elicitation" for document in documents)
         self._approvals = consent.approvals if is_accepted and isinstance(consent, Consent) else None
         self._context = context
         self._lead = f"Robot {name}:\n" if name else ""
-        self._principal = robot.principal
-        self._by = f"user of the client {robot.principal.name} (claimed)"
+        self._principal = principal
+        self._by = f"user of the client {principal.name} (claimed)"
 
     def take_answers(self, params: CallToolRequestParams) -> None:
         """Takes the answers that a repeated call of the modern era brings; what waits no longer is left out."""

@@ -19,7 +19,7 @@ def function_of(tool: BoundTool) -> Function:
     plain = [each.replace(kind=inspect.Parameter.POSITIONAL_OR_KEYWORD) for each in parameters]
 
     async def perform(use: Use, arguments: Mapping[str, Any]) -> Any:
-        return await tool.perform(arguments, use.report, use.robot)
+        return await tool.perform(arguments, use.report, use.session)
 
     return Function(
         name=declaration.program,

@@ -42,6 +42,7 @@ from ros2_mcp.prompts.catalog import Catalog
 from ros2_mcp.prompts.serving import Prompts
 from ros2_mcp.resources import Resources
 from ros2_mcp.robot import Robot
+from ros2_mcp.robot.session import Session
 from ros2_mcp.tools import PAGE_TOOLS, TOOLS
 
 _logger = logging.getLogger(__name__)
@@ -203,8 +204,8 @@ class Tools:
         with self._leases.attended(context, acts=self._fleet.acts(params.name), about=about) as attended:
             try:
                 await checkpoint_if_cancelled()  # its client may have closed the response before this
-                arguments, view = params.arguments or {}, partial(_view, context)
-                about_all = await self._fleet.call_all(params.name, arguments, view)
+                arguments = params.arguments or {}
+                about_all = await self._fleet.call_all(params.name, arguments, principal_of(context).name)
                 if about_all is not None:
                     return about_all
                 member, arguments = self._fleet.choose(params.name, arguments)
@@ -228,19 +229,19 @@ class Tools:
         async def report(done: float, whole: float, line: str) -> None:
             await context.session.report_progress(done, whole, line)
 
-        robot, shows_pages = _view(context, member.robot), apps.shows_pages(context)
-        elicitation = Elicitation(robot, context, member.name)
+        session, shows_pages = _session(context, member.robot), apps.shows_pages(context)
+        elicitation = Elicitation(member.robot, session.principal, context, member.name)
         elicitation.take_answers(params)
         try:
             try:
-                result = await member.toolset.call(params.name, arguments, report, robot, shows_pages=shows_pages)
+                result = await member.toolset.call(params.name, arguments, report, session, shows_pages=shows_pages)
             except CallFailed as error:
                 asked = await elicitation.put_to_user(error.__cause__)
                 if asked is False:
                     raise
                 if asked is not True:
                     return asked
-                result = await member.toolset.call(params.name, arguments, report, robot, shows_pages=shows_pages)
+                result = await member.toolset.call(params.name, arguments, report, session, shows_pages=shows_pages)
         except CallFailed as error:
             if not self._fleet.has_several:
                 raise
@@ -258,9 +259,9 @@ def _asks_for_structure(params: RequestParams | None) -> bool:
     return bool(params and params.meta and params.meta.get(STRUCTURED) is True)
 
 
-def _view(context: Context, robot: Robot) -> Robot:
-    """A robot as it is for the client of a request."""
-    return robot.acting_for(principal_of(context), accepted_at(context, robot))
+def _session(context: Context, robot: Robot) -> Session:
+    """What the client of a request does with a robot."""
+    return robot.session(principal_of(context), accepted_at(context, robot))
 
 
 async def _no_resource(_: Any, request: ReadResourceRequestParams) -> ReadResourceResult:

@@ -14,7 +14,7 @@ from ros2_mcp.guard.audit import called_through
 from ros2_mcp.guard.policy import Policy
 from ros2_mcp.mcp.binding import BoundTool, CallFailed, bind
 from ros2_mcp.mcp.program_functions import function_of
-from ros2_mcp.model.commands import Principal
+from ros2_mcp.model.commands import LOCAL, Principal
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.ops.memory.bag_store import BagStore
@@ -26,19 +26,19 @@ from ros2_mcp.programs.module import FUNCTIONS
 from ros2_mcp.programs.sandbox import is_installed
 from ros2_mcp.programs.stub import short
 from ros2_mcp.robot import Robot
+from ros2_mcp.robot.session import Session
 from ros2_mcp.tools import GROUPS, PAGE_TOOLS, TOOLS, ToolDeclaration
 from ros2_mcp.tools.declare import Risk
 from ros2_mcp.view.viewing import Viewing
 
 _TOOL = re.compile(r"\bros2_\w+")
-_CLAUSE = re.compile(r"(?<=[.;:]) ")
-_SENTENCE = re.compile(r"(?<=\.)(\s+)")
 _OTHER_NAMES = {tool.also_named: tool.name for tool in TOOLS if tool.also_named}
 
 
 _VIEW = "view"
 """The group of the page beside the chat: without being chosen it is listed for clients that show such pages."""
 
+_NOT_ALLOWED = "The policy of this server allows nothing that this tool does (ros2_policy)."
 _BESIDE = {"turn": "drive", "feedback": "goal"}
 """Functions that only programs have, and those of tools without which they are not there either."""
 
@@ -83,9 +83,10 @@ class Toolset:
         self._allowed = allowed
         self.by_name = {tool.name: self._bind(tool) for tool in chosen}
         self._groups, self._policy = groups or ("default",), robot.policy
-        absent = {tool.name for tool in TOOLS} - self.by_name.keys()
         for tool in self.by_name.values():
-            tool.listed.description = _without(absent, tool.declaration.description)
+            tool.listed.description = tool.declaration.description_beside(self.by_name)
+            if not tool.declaration.is_of_use(robot.policy):
+                tool.listed.description += f"\n\n{_NOT_ALLOWED}"
             if tool.declaration.runs_programs:
                 tool.listed.description += f"\n\n{short(self.functions())}"
         self.missing = {tool.name: self.why_missing([tool.name]) for tool in TOOLS if tool.name not in self.by_name}
@@ -140,9 +141,9 @@ class Toolset:
         groups = dict.fromkeys((*self._groups, *(tool.group for tool in tools)))
         return f"the option --tools {','.join(groups)} is needed"
 
-    def note_refusal(self, name: str, reason: str, principal: Principal, robot: Robot | None = None) -> None:
+    def note_refusal(self, name: str, reason: str, principal: Principal) -> None:
         """A line in the audit about a call of a tool that acts, which did not come as far as the guard."""
-        if self.risk_of(name) in ("write", "actuate") and (audit := (robot or self._robot).guard.audit):
+        if self.risk_of(name) in ("write", "actuate") and (audit := self._robot.guard.audit):
             who = {"principal": principal.name, "transport": principal.transport, "login": principal.login}
             with called_through(_OTHER_NAMES.get(name, name)):
                 audit.note("refused", **who, reason=reason)
@@ -155,13 +156,11 @@ class Toolset:
         return "read"
 
     def _only_offered(self, text: str) -> str:
-        """A hint or a note with the clauses left out that name tools which are not offered, and how to have those."""
+        """A hint or a note, with the tools that it names and that are not offered, and how to have those."""
         absent = self.missing.keys() & set(_TOOL.findall(text))
         if not absent:
             return text
-        clauses = [clause for clause in _CLAUSE.split(text) if not absent & set(_TOOL.findall(clause))]
-        kept = f"{' '.join(clauses).rstrip('.,;: ')}. " if clauses else ""
-        return f"{kept}Tools for this are not offered here: {self.why_missing(absent)}."
+        return f"{text.rstrip()} (Not offered here: {', '.join(sorted(absent))}; {self.why_missing(absent)}.)"
 
     def offered(self, name: str) -> BoundTool | None:
         """The tool of that name, or of the one that it has in another server; None if it is not offered."""
@@ -173,7 +172,7 @@ class Toolset:
         name: str,
         arguments: Mapping[str, Any],
         report: Report,
-        robot: Robot | None = None,
+        session: Session | None = None,
         *,
         shows_pages: bool = False,
     ) -> CallToolResult:
@@ -186,28 +185,16 @@ class Toolset:
         with called_through(_OTHER_NAMES.get(name, name)) as call:
             try:
                 if tool:
-                    return await tool.call(arguments, report, robot, shows_pages=shows_pages)
+                    return await tool.call(arguments, report, session, shows_pages=shows_pages)
                 own_name = _OTHER_NAMES.get(name, name)
                 if own_name in self.missing:
                     raise CallFailed(f"{own_name} is not offered: {self.missing[own_name]}.")
             except CallFailed as error:
                 if not call.has_line:  # it has not come as far as the guard
-                    of = robot or self._robot
-                    self.note_refusal(name, str(error), of.principal, of)
+                    self.note_refusal(name, str(error), session.principal if session else LOCAL)
                 raise
         names = [tool.name for tool in TOOLS]
         raise CallFailed(f"There is no tool {name}. {did_you_mean(name, names, 'tools/list has them all.')}")
-
-
-def _without(absent: Collection[str], description: str) -> str:
-    """A description without the sentences that name tools which are not offered."""
-    parts = _SENTENCE.split(description)  # sentences, and between them what separates them
-    kept = [
-        part + "".join(parts[place + 1 : place + 2])
-        for place, part in enumerate(parts)
-        if place % 2 == 0 and not set(absent) & set(_TOOL.findall(part))
-    ]
-    return "".join(kept).rstrip()
 
 
 def _is_allowed(tool: ToolDeclaration, policy: Policy) -> bool:

@@ -73,6 +73,13 @@ class BadValue(BadInput):
     def __init__(self, path: str, message: str, hint: str = "") -> None:
         super().__init__(f"{path}: {message}" if path else message, hint)
         self.path = path
+        self._problem = message
+
+    def below(self, field: str) -> BadValue:
+        """The same error for who gave the value of that field alone: its path begins there."""
+        if self.path != field and not self.path.startswith((f"{field}.", f"{field}[")):
+            return self
+        return BadValue(self.path.removeprefix(field).removeprefix("."), self._problem, self.hint)
 
 
 class UnknownInterface(BadInput):

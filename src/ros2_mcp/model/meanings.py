@@ -115,14 +115,17 @@ class DepthMeaning:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Meaning:
-    """What the newest message says: `scan` of a laser scan, `depth` of a point cloud or a depth image."""
+    """What the newest message says: `scan` of a laser scan, `depth` of a point cloud or a depth image; or `unknown`:
+    why it says nothing, where its header and its data contradict each other.
+    """
 
     scan: ScanMeaning | None = field(default=None, metadata=_ON_REQUEST)
     depth: DepthMeaning | None = field(default=None, metadata=_ON_REQUEST)
+    unknown: str = field(default="", metadata=_ON_REQUEST)
 
     def __str__(self) -> str:
         """In words."""
-        return str(self.scan or self.depth or "")
+        return str(self.scan or self.depth or self.unknown)
 
 
 def bearing_in_words(degrees: float) -> str:

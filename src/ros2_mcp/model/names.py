@@ -47,6 +47,14 @@ def absolute(name: str, what: str = "topic") -> str:
     return full
 
 
+def is_valid(name: str) -> bool:
+    """Whether ROS 2 allows the name of a topic, with or without the slash before it."""
+    try:
+        return bool(absolute(name))
+    except BadName:
+        return False
+
+
 def node_name(name: str) -> tuple[str, str]:
     """Name and namespace of a node: `/arm/driver` is `("driver", "/arm")`."""
     full = absolute(name, "node")
@@ -100,6 +108,8 @@ _DERIVED = re.compile(
 
 def defining_type(name: str) -> str:
     """The interface whose file defines a type: `a/action/Go_SendGoal_Request` is defined by `a/action/Go`."""
+    if name.count("/") != 2:  # the name of a JSON type in a recording, for one, which defines itself
+        return name
     package, kind, base = name.split("/")
     match = _DERIVED.search(name) if kind != "msg" else None
     return f"{package}/{kind}/{match['base'] if match else base}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 NOT_FINITE: Mapping[str, float] = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
 """The texts that stand for floating-point numbers that JSON cannot write, as they are shown."""
@@ -35,14 +35,19 @@ def is_covariance(path: str) -> bool:
     return "covariance" in path.rpartition(".")[2]
 
 
-def summarised(paths: Sequence[str]) -> str:
-    """What is said of paths whose values are summaries, and how to get the values; empty where there are none."""
+def summarised(paths: Mapping[str, str]) -> str:
+    """What is said of paths whose values are summaries, and how to get the values; empty where there are none.
+
+    Args:
+        paths: each with the field that shows more of it.
+    """
     if not paths:
         return ""
-    named = ", ".join(path or "the whole message" for path in paths[:8])
-    plain = next((path for path in paths if path and "[" not in path), "")
-    sliced = f' (of an array a slice, such as "{plain}[0:100]")' if plain else ""
-    return f"Summarised: {named}. For more, give fields{sliced}, or a larger max_array."
+    named = ", ".join(path or "the whole message" for path in list(paths)[:8])
+    more = next((field for path, field in paths.items() if path and "[" not in path), "")
+    such = f', such as fields=["{more}"]' if more else ""
+    larger = ", or a larger max_array" if any(field.endswith("]") for field in paths.values()) else ""
+    return f"Summarised: {named}. For more, give fields{such}{larger}."
 
 
 def not_finite_number(text: str) -> float | None:

@@ -55,7 +55,9 @@ def image_raster(message: Any, _: Bounds) -> Raster:
 
 def may_be_depth(message: Any) -> bool:
     """Whether an Image or CompressedImage says that it is a depth image."""
-    return "compressedDepth" in message.format if hasattr(message, "format") else message.encoding in _DEPTHS
+    if hasattr(message, "format"):
+        return "compressedDepth" in message.format or message.format.partition(";")[0].strip() in _DEPTHS
+    return message.encoding in _DEPTHS
 
 
 def depth_of(message: Any) -> NDArray[np.float64] | None:
@@ -68,7 +70,7 @@ def depth_of(message: Any) -> NDArray[np.float64] | None:
     """
     if hasattr(message, "format"):
         if "compressedDepth" not in message.format:
-            return None
+            return _depth_in_file(message.format, message.data.tobytes())
         metres = _compressed_metres(message.format, message.data.tobytes())
         return np.where(np.isfinite(metres) & (metres > 0), metres, np.nan)
     if message.encoding not in _DEPTHS:
@@ -78,6 +80,21 @@ def depth_of(message: Any) -> NDArray[np.float64] | None:
     if dtype == "u2" and label_raster(values, message.encoding) is not None:
         return None
     metres = values.astype(np.float64) * metres_each
+    return np.where(np.isfinite(metres) & (metres > 0), metres, np.nan)
+
+
+def _depth_in_file(described: str, data: bytes) -> NDArray[np.float64] | None:
+    """The distances in a PNG or TIFF whose raw type is that of a depth image; None for another picture."""
+    raw = described.partition(";")[0].strip()
+    if raw not in _DEPTHS or "jp" in described.partition(";")[2].lower():
+        return None
+    image = _opened(data, described)
+    if image.mode not in ("F", "I", "I;16", "I;16B"):
+        return None
+    values = np.asarray(image)
+    if raw == "16UC1" and label_raster(values, raw) is not None:
+        return None
+    metres = values.astype(np.float64) * (1.0 if image.mode == "F" else _DEPTHS[raw][1])
     return np.where(np.isfinite(metres) & (metres > 0), metres, np.nan)
 
 
@@ -218,17 +235,77 @@ def compressed_raster(message: Any, bounds: Bounds) -> Raster | Picture:
         return _compressed_depth(described, data)
     image = _opened(data, described)
     note = f"{named(described) if described else image.format}."
+    raw = described.partition(";")[0].strip()
+    if image.mode == "F":  # TIFF alone carries floating-point numbers
+        values = np.asarray(image).astype(np.float64)
+        return _depth_raster(values, raw) if raw in _DEPTHS else _stretched_floats(values, raw or "32FC1")
+    if raw in _WIDE and image.mode in ("L", "RGB"):
+        note = f"{note} {_lost(raw, image.format)}"
     if image.mode.startswith("I"):  # grey of more than eight bits
-        values, encoding = np.asarray(image), described.partition(";")[0].strip()
-        if encoding == "16UC1":
-            return _depth_raster(values / 1000, encoding)
-        return _stretched(values, encoding or "16 bit grey")
+        values = np.asarray(image)
+        if labels := label_raster(values, raw or "16 bit grey"):
+            return labels
+        if raw == "16UC1":
+            return _depth_raster(values / 1000, raw)
+        return _stretched(values, raw or "16 bit grey")
     labels = label_raster(np.asarray(image), named(described)) if (image.format, image.mode) == ("PNG", "L") else None
     if labels is not None:
         return labels
     if image.format in _MIMES and max(image.size) <= bounds.max_side and len(data) <= bounds.max_bytes:
         return Picture(data, _MIMES[image.format], *image.size, f"{note} As the robot sent it.")
     return Raster(np.asarray(image if image.mode in ("L", "RGB") else image.convert("RGB")), note)
+
+
+def _lost(raw: str, file_format: str | None) -> str:
+    """What is said of a raw type of more than eight bits in a file of eight."""
+    what = "distances are lost" if raw in _DEPTHS else "values are lost"
+    right = "compressedDepth, or png" if raw in _DEPTHS else "png"
+    return f"{raw} in {file_format} of 8 bits: its {what}, brightness is none. The publisher has to send {right}."
+
+
+def _stretched_floats(values: NDArray[Any], encoding: str) -> Raster:
+    """Grey values that are floating-point numbers, stretched from their least to their greatest."""
+    finite = values[np.isfinite(values)]
+    if not len(finite):
+        return Raster(np.zeros(values.shape, np.uint8), f"{named(encoding)}: no finite value.")
+    low, high = float(finite.min()), float(finite.max())
+    scaled = (np.nan_to_num(values, nan=low, posinf=high, neginf=low) - low) / max(high - low, 1e-9)
+    return Raster(np.rint(scaled * 255).astype(np.uint8), f"{named(encoding)}: black is {low:g}, white is {high:g}.")
+
+
+def _unreadable(data: bytes, described: str) -> BadData:
+    """Why bytes are no picture, in words of this program: the library's say nothing of the robot."""
+    words = described.lower()
+    if not data:
+        return BadData(f"0 bytes with the format {quoted(described)} are not a whole picture: it is empty.", _FORMATS)
+    codec = next((name for sign, name in _VIDEO.items() if sign in words), "")
+    if codec or data.startswith(_ANNEX_B):
+        what = f"{codec or 'H.264 or H.265'} is a video: a message alone is no whole picture"
+        return BadData(f"{what} ({len(data)} bytes, format {quoted(described)}).", _VIDEO_HINT)
+    is_begun = any(data.startswith(start) for start in _STARTS)
+    why = "they are damaged, or end too early" if is_begun else "they begin as none does"
+    return BadData(f"{len(data)} bytes with the format {quoted(described)} are not a whole picture: {why}.", _FORMATS)
+
+
+_FORMATS = f"Formats that can be shown are {', '.join(_READ)}."
+_VIDEO = {
+    "h264": "H.264",
+    "h.264": "H.264",
+    "avc": "H.264",
+    "h265": "H.265",
+    "hevc": "H.265",
+    "av1": "AV1",
+    "vp9": "VP9",
+    "vp8": "VP8",
+    "theora": "Theora",
+    "ffmpeg": "ffmpeg's stream",
+    "x264": "H.264",
+}
+"""Words in formats that mean video."""
+_VIDEO_HINT = "Read the raw image, or let the publisher offer compressed pictures (jpeg, png), too."
+_ANNEX_B = (b"\0\0\0\1", b"\0\0\1")
+"""What a stream of H.264 or H.265 begins with."""
+_STARTS = (b"\xff\xd8", b"\x89PNG", b"RIFF", b"BM", b"II*\0", b"MM\0*")
 
 
 def _opened(data: bytes, described: str) -> Image.Image:
@@ -238,11 +315,10 @@ def _opened(data: bytes, described: str) -> Image.Image:
         if image.width * image.height > _MAX_PIXELS:
             raise BadData(f"The picture is too large to show: {image.width} × {image.height} pixels.")
         image.load()
-    except (UnidentifiedImageError, OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        raise BadData(
-            f"{len(data)} bytes with the format {quoted(described)} are not a whole picture: {quoted(str(error))}.",
-            f"Formats that can be shown are {', '.join(_READ)}.",
-        ) from error
+    except Image.DecompressionBombError as error:
+        raise BadData("The picture is too large to show.") from error
+    except (UnidentifiedImageError, OSError, SyntaxError, ValueError, struct.error) as error:
+        raise _unreadable(data, described) from error
     return image
 
 
@@ -269,6 +345,8 @@ def _compressed_metres(described: str, data: bytes) -> NDArray[np.float64]:
 
 _DEPTHS = {"32FC1": ("f4", 1.0), "16UC1": ("u2", 0.001)}
 """Encodings of depth images by REP 118, with their kind of number and the metres of one."""
+_WIDE = (*_DEPTHS, "mono16", "16SC1", "32SC1")
+"""Raw types whose values are lost in a file of eight bits."""
 _BAYER = {"rggb": (0, 3), "bggr": (3, 0), "gbrg": (2, 1), "grbg": (1, 2)}
 _NV = {"nv12": (0, 1), "nv21": (1, 0)}
 _LAYOUTS: Mapping[str, _Layout] = {

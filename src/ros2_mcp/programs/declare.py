@@ -23,17 +23,23 @@ if TYPE_CHECKING:
     from ros2_mcp.programs.streams import FollowRequest, Streams
     from ros2_mcp.robot import Robot
     from ros2_mcp.robot.goals import Goal
+    from ros2_mcp.robot.session import Session
 
 Risk = Literal["read", "act"]
 """`act` changes or moves something: such a call is a command, and counted as one."""
 
 
 class Use(Protocol):
-    """What a function gets of the program that calls it: `robot` is a view for this call alone."""
+    """What a function gets of the program that calls it: `session` is for this call alone."""
 
     @property
     def robot(self) -> Robot:
-        """The robot as it is for this program; what is done through it is done for the program."""
+        """The robot."""
+        ...
+
+    @property
+    def session(self) -> Session:
+        """What is done in it is done for the program."""
         ...
 
     @property

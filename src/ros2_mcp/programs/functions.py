@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
-from ros2_mcp.model.errors import BadInput
+from ros2_mcp.model.errors import BadData, BadInput
 from ros2_mcp.model.pictures import LASER_SCAN
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.motion.drive import Driven, DriveRequest, drive
@@ -98,6 +98,8 @@ async def scan(use: Use, topic_name: str = "", timeout: float = 5.0, bag: str = 
     message = await latest(use=use, topic_name=topic_name, timeout=timeout, bag=bag)
     if "angle_increment" not in message:
         raise BadInput(f"{named(topic_name)} is not a laser scan.", "robot.topics() shows the types.")
+    if not message["angle_increment"] and len(message["ranges"]) > 1:
+        raise BadData(f"The scan of {named(topic_name)} has no bearings: angle_increment is 0.")
     least, most = message["range_min"], message["range_max"]
     beams: list[list[float]] = []
     for index, metres in enumerate(message["ranges"]):
@@ -128,7 +130,7 @@ async def picture(use: Use, topic_name: str, timeout: float = 5.0, bag: str = ""
 @function(risk="act", recorded=False)
 async def turn(use: Use, angle_deg: float, speed: float | None = None) -> Driven:
     """Turns on the spot by odometry; positive: left."""
-    return await drive(use.robot, DriveRequest(angle_deg=angle_deg, speed=speed), use.report)
+    return await drive(use.robot, use.session, DriveRequest(angle_deg=angle_deg, speed=speed), use.report)
 
 
 @function(risk="act", recorded=False)

@@ -19,11 +19,12 @@ from ros2_mcp.model.front_matter import FrontMatterError, entry_of
 from ros2_mcp.model.text import named, quoted
 from ros2_mcp.ops.results.results import IF_ANY
 from ros2_mcp.programs.findings import require_sound
-from ros2_mcp.programs.kept import KeptProgram, KeptPrograms
+from ros2_mcp.programs.kept import KeptProgram, programs_of
 from ros2_mcp.programs.program import Programs
 from ros2_mcp.programs.sandbox import Failure, Sandbox, is_installed
 from ros2_mcp.programs.stub import stub
 from ros2_mcp.robot import Robot
+from ros2_mcp.robot.session import Session
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,7 +102,7 @@ class ProgramRequest:
 
 async def list_programs(robot: Robot, pattern: str = "", *, with_code: bool = False) -> ProgramList:
     """The programs whose names match."""
-    kept = KeptPrograms(robot.programs_folder)
+    kept = programs_of(robot)
     programs, mistakes = await to_thread.run_sync(kept.all)
     chosen = set(names.matching([each.name for each in programs], pattern))
     entries = [_entry(each, with_code=with_code) for each in programs if each.name in chosen]
@@ -109,7 +110,7 @@ async def list_programs(robot: Robot, pattern: str = "", *, with_code: bool = Fa
     return ProgramList(entries, [str(mistake) for mistake in mistakes], str(kept.folder or ""), note)
 
 
-async def save_program(robot: Robot, programs: Programs, request: ProgramRequest) -> ProgramSaved:
+async def save_program(robot: Robot, session: Session, programs: Programs, request: ProgramRequest) -> ProgramSaved:
     """Keeps a program that can be right, or removes one; written into the audit. Nothing runs.
 
     Raises:
@@ -118,10 +119,10 @@ async def save_program(robot: Robot, programs: Programs, request: ProgramRequest
         Refused: under a policy in the mode observe.
     """
     robot.guard.check_keeping("programs")
-    kept = KeptPrograms(robot.programs_folder)
+    kept = programs_of(robot)
     if request.remove:
         gone = await to_thread.run_sync(kept.remove, request.name)
-        _audit(robot, "program removed", gone)
+        _audit(robot, session, "program removed", gone)
         return ProgramSaved("removed", _entry(gone), str(kept.folder or ""), str(kept.former_file(gone)))
     program = KeptProgram(
         name=request.name,
@@ -129,7 +130,7 @@ async def save_program(robot: Robot, programs: Programs, request: ProgramRequest
         code=request.code,
         inputs=inputs_of(request.inputs),
         saved=datetime.now(timezone.utc).isoformat(timespec="seconds").replace("+00:00", "Z"),
-        by=robot.principal.name,
+        by=session.principal.name,
     )
 
     await _require_sound(programs, program)
@@ -138,7 +139,7 @@ async def save_program(robot: Robot, programs: Programs, request: ProgramRequest
         return kept.save(program, overwrite=request.overwrite)
 
     saved, former = await to_thread.run_sync(save)
-    _audit(robot, "program kept", saved)
+    _audit(robot, session, "program kept", saved)
     done = "replaced" if former else "kept"
     return ProgramSaved(done, _entry(saved), str(kept.folder or ""), str(kept.former_file(former)) if former else "")
 
@@ -210,9 +211,9 @@ def _entry(program: KeptProgram, *, with_code: bool = False) -> ProgramEntry:
     )
 
 
-def _audit(robot: Robot, kind: str, program: KeptProgram) -> None:
+def _audit(robot: Robot, session: Session, kind: str, program: KeptProgram) -> None:
     if robot.guard.audit:
         digest = hashlib.sha256(program.code.encode()).hexdigest()
         robot.guard.audit.note(
-            kind, principal=robot.principal.name, name=program.name, version=program.version, sha256=digest
+            kind, principal=session.principal.name, name=program.name, version=program.version, sha256=digest
         )

@@ -21,6 +21,8 @@ from ros2_mcp.model.errors import BadData, BadInput, NotFound, RobotError
 from ros2_mcp.model.front_matter import Entry, FrontMatterError, split
 from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.model.text import excerpt, is_unicode, quoted
+from ros2_mcp.robot import Robot
+from ros2_mcp.robot.kept import Kept
 from ros2_mcp_common.files import replace
 
 FORMER = "former"
@@ -74,7 +76,7 @@ class Mistake:
         return f"{self.file}:{self.line}: {self.text}" if self.line else f"{self.file}: {self.text}"
 
 
-class KeptPrograms:
+class KeptPrograms(Kept):
     """The programs of one folder, read anew each time: people and other servers write there, too."""
 
     def __init__(self, folder: Path | None) -> None:
@@ -236,6 +238,11 @@ class KeptPrograms:
             replace(draft, file)
         except OSError as error:
             raise RobotError(f"The program cannot be written: {error}.") from error
+
+
+def programs_of(robot: Robot) -> KeptPrograms:
+    """The kept programs of a robot; none where it was built without a folder for them."""
+    return robot.kept.get(KeptPrograms, lambda: KeptPrograms(None))
 
 
 def parse(where: Path, name: str, text: str) -> KeptProgram | Mistake:

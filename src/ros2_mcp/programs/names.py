@@ -39,10 +39,11 @@ async def require_names(robot: Robot, text: str) -> None:
     except RobotError:  # whoever reads says that there is no robot
         return
     for one in found:
-        for topic in map(names.absolute, one.topics):
+        full = [await robot.graph.name_of(topic) for topic in one.topics]
+        for topic in full:
             if topic not in present and (near := names.nearest(topic, [*present])):
                 raise BadInput(f"line {one.line}: there is no topic {named(topic)}.", f"Did you mean {named(near)}?")
-        row = present.get(names.absolute(one.topics[0])) if len(one.topics) == 1 else None
+        row = present.get(full[0]) if len(full) == 1 else None
         if row and len(row.types) == 1 and one.fields:
             await _require_fields(robot, row.types[0], one)
 

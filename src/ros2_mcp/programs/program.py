@@ -32,6 +32,7 @@ from ros2_mcp.programs.stub import stub
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.goals import Goal
 from ros2_mcp.robot.jobs import Job
+from ros2_mcp.robot.session import Session
 from ros2_mcp.robot.stops import Accepted
 
 MOST_CALLS = 100_000
@@ -103,6 +104,7 @@ class _Use:
 
     program: Program
     robot: Robot
+    session: Session
     line: int
 
     @property
@@ -157,6 +159,7 @@ class Program(Job):
     def __init__(
         self,
         robot: Robot,
+        session: Session,
         programs: Programs,
         text: str,
         inputs: Mapping[str, Any],
@@ -164,7 +167,7 @@ class Program(Job):
         *,
         is_rehearsal: bool,
     ) -> None:
-        super().__init__(owner=robot.principal)
+        super().__init__(owner=session.principal)
         self.moves = (self.id,)  # whatever it may move: a stop of everything, and the end of its client, end it
         self.at_most_s = timeout_s
         self.programs = programs
@@ -176,8 +179,8 @@ class Program(Job):
         self._robot = robot
         self._text = text
         self._inputs = inputs
-        self._principal = replace(robot.principal, program=self.id)
-        self._accepted = robot.accepted or robot.stops.now()
+        self._principal = replace(session.principal, program=self.id)
+        self._accepted = session.accepted
         self._losses = robot.graph.losses
         self._functions = {each.name: each for each in programs.functions}
         self._sandbox = Sandbox([*self._functions], stub(programs.functions), self._next_message, self._help)
@@ -305,7 +308,7 @@ class Program(Job):
     async def _perform(self, function: Function, arguments: Mapping[str, Any], line: int) -> Any:
         """Does it; where a person has to approve it, the program waits until one has answered."""
         while True:
-            use = _Use(self, self._robot.acting_for(self._principal, self._accepted), line)
+            use = _Use(self, self._robot, self._robot.session(self._principal, self._accepted), line)
             try:
                 return await function.perform(use, arguments)
             except ApprovalNeeded as needed:
@@ -319,17 +322,17 @@ class Program(Job):
 
     async def _rehearse(self, function: Function, arguments: Mapping[str, Any], line: int) -> Any:
         """Does nothing, and notes what would be done: its result has nothing in it."""
-        robot = self._robot.acting_for(self._principal, self._accepted)
-        robot.rehearsed = []
+        session = self._robot.session(self._principal, self._accepted)
+        session.rehearsed = []
         said = ""
         try:
             if function.name != "stop":
-                await function.perform(_Use(self, robot, line), arguments)
+                await function.perform(_Use(self, self._robot, session, line), arguments)
         except Rehearsed:
             pass
         except RobotError as error:  # it would fail now; what would have been done before may change that
             said = f"would fail now: {error.message}"
-        self.record.note(Done(line, function.name, "; ".join(robot.rehearsed) or said or "would be done"))
+        self.record.note(Done(line, function.name, "; ".join(session.rehearsed) or said or "would be done"))
         return dict.fromkeys(getattr(function.signature.return_annotation, "__dataclass_fields__", {}))
 
     def _help(self, name: str) -> str:

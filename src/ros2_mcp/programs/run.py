@@ -13,6 +13,7 @@ from ros2_mcp.ops.results.results import HIDDEN, ON_REQUEST, SAID, Report, WithP
 from ros2_mcp.programs.crossing import crossed
 from ros2_mcp.programs.program import MOST_PRINTED, Done, Program, Programs, Record
 from ros2_mcp.robot import Robot
+from ros2_mcp.robot.session import Session
 
 MOST_CHARACTERS = 20_000
 """Of a program: ten times what a task needs; what is longer is no program that somebody reads."""
@@ -74,6 +75,7 @@ class Ran(WithPictures):
 
 async def run(
     robot: Robot,
+    session: Session,
     programs: Programs,
     text: str,
     inputs: Mapping[str, Any] | None,
@@ -94,7 +96,7 @@ async def run(
         raise BadInput(f"The program has {len(text)} characters; at most {MOST_CHARACTERS} are taken.")
     if not text.strip():
         raise BadInput("There is no program.", 'Such as: import robot\nprint(robot.latest("/odom")["_age_s"])')
-    program = Program(robot, programs, text, given, timeout_s, is_rehearsal=dry_run)
+    program = Program(robot, session, programs, text, given, timeout_s, is_rehearsal=dry_run)
     said = 0
 
     async def progress() -> None:

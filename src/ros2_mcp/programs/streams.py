@@ -72,7 +72,7 @@ class Followed:
         self._given = 0
         self._changed = asyncio.Event()
         self._has_room = asyncio.Event()
-        self._topics = [_Topic(names.absolute(topic)) for topic in wanted.topics]
+        self._topics = [_Topic(_name_in(source, topic)) for topic in wanted.topics]
         self._tasks = [asyncio.create_task(self._follow(topic, limit)) for topic in self._topics]
 
     async def opened(self) -> None:
@@ -296,7 +296,7 @@ class Streams:
 
     async def latest(self, source: Source, topic: str, fields: Sequence[str], timeout_s: float) -> dict[str, Any]:
         """The newest message of a topic; it is followed from the first time on. Raises as `Followed.newest`."""
-        key = names.absolute(topic), tuple(fields)
+        key = _name_in(source, topic), tuple(fields)
         followed = self._latest.get(key)
         if followed is None:
             if len(self._followed) + len(self._latest) >= MOST_STREAMS:
@@ -315,6 +315,11 @@ class Streams:
         followed = [*self._followed.values(), *self._latest.values()]
         self._followed, self._latest = {}, {}
         await asyncio.gather(*(each.close() for each in followed), return_exceptions=True)
+
+
+def _name_in(source: Source, topic: str) -> str:
+    """The name of a topic, which a recording has as it stands there; raises `BadName` where ROS allows none such."""
+    return names.absolute(topic) if source.is_live else topic.strip()
 
 
 def _values(stream: Stream, sample: Sample, fields: tuple[str, ...], held: Held) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from ros2_mcp.ops.measure.diagnostics import LISTEN_S, read_diagnostics
 from ros2_mcp.ops.nodes import parameters
 from ros2_mcp.ops.nodes.info import node_info
 from ros2_mcp.ops.nodes.list import list_nodes
-from ros2_mcp.ops.results.results import as_json, iso_time
+from ros2_mcp.ops.results.results import answer_bytes, as_json, iso_time
 from ros2_mcp.ops.services.list import list_services
 from ros2_mcp.ops.sources.live import Live
 from ros2_mcp.ops.space.robot import in_brief
@@ -247,14 +247,14 @@ async def _shown(robot: Robot, seen: Seen | None) -> Content | None:
         return None
     from ros2_mcp.values.render import RenderOptions  # NumPy and rosbags: listing resources must not wait for them
 
-    options = RenderOptions(max_bytes=robot.result_bytes // 2)
+    options = RenderOptions(max_bytes=answer_bytes(robot) // 2)
     await robot.values.learn(seen.type)
     rendered = await robot.values.render(seen.type, seen.sample.data, options)
     return {
         "type": seen.type,
         "received_at": iso_time(seen.sample.received_ns),
         "message": rendered.value,
-        "truncated": rendered.truncated,
+        "truncated": list(rendered.truncated),
     }
 
 

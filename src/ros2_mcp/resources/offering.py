@@ -23,6 +23,7 @@ from mcp.types import (
 
 from ros2_mcp.model.errors import BadInput, NotFound, RobotError
 from ros2_mcp.model.text import visible
+from ros2_mcp.ops.results.results import answer_bytes
 from ros2_mcp.resources.by_robot import ROBOT, ByRobot
 from ros2_mcp.resources.catalogue import RESOURCES, matching
 from ros2_mcp.resources.fitting import fitting
@@ -78,7 +79,7 @@ class Resources:
             robot, watcher, plain, lead = self._by_robot.found(uri)
             resource, variables = matching(plain)
             chosen = {**dict.fromkeys(resource.template.query_variable_names, ""), **variables}
-            text = fitting({**lead, **await resource.read(robot, watcher, **chosen)}, robot.result_bytes)
+            text = fitting({**lead, **await resource.read(robot, watcher, **chosen)}, answer_bytes(robot))
         except (NotFound, BadInput) as error:
             raise MCPError(INVALID_PARAMS, visible(str(error)), {"uri": visible(uri)}) from error
         except RobotError as error:

@@ -8,9 +8,9 @@ from dataclasses import replace
 from time import monotonic
 from typing import Any, cast
 
-from ros2_mcp.model.commands import Command, Publish, R, Repeat, SendGoal, ServiceCall
+from ros2_mcp.model.commands import Publish, Repeat, SendGoal, ServiceCall
 from ros2_mcp.model.errors import BadValue
-from ros2_mcp.robot.core import Core
+from ros2_mcp.robot.prepared import Prepared
 from ros2_mcp_common.policy import stamps
 
 _REMEMBERED_S = 660.0
@@ -30,36 +30,28 @@ class Beginnings:
         self._now = now
         self._honest: dict[Key, float] = {}
 
-    async def settle(self, core: Core, command: Command[R]) -> Command[R]:
+    async def settle(self, prepared: Prepared[Any], now_ns: Callable[[], int]) -> Prepared[Any]:
         """The command with every such stamp at zero; raises `BadValue` for one of another time."""
-        kind = _value_type(command)
-        if not kind or not _has_stamp(command.value):
-            return command
-        full = await core.values.in_full(kind, await core.values.encode(kind, command.value))
+        command = prepared.command
+        if not isinstance(command, Publish | Repeat | SendGoal | ServiceCall) or not _has_stamp(command.value):
+            return prepared
+        full = await prepared.full()
+        full = full["goal"] if isinstance(command, SendGoal) else full
         given = [(path, stamps.time_ns(stamp)) for path, stamp in stamps.acting_stamps(full)]
         if not any(at_ns for _, at_ns in given):
-            return command
+            return prepared
         key = command.principal.name, command.name, repr(given)
         self._honest = {key: until for key, until in self._honest.items() if until > self._now()}
         if key not in self._honest:
-            if problem := stamps.problem(full, core.now_ns()):
+            if problem := stamps.problem(full, now_ns()):
                 raise BadValue(given[0][0], f"{problem}; nothing was sent.", "Leave the stamp out.")
             if len(self._honest) >= _MOST:
                 del self._honest[next(iter(self._honest))]
             self._honest[key] = self._now() + _REMEMBERED_S
-        core.notes.append(_NOTE)
+        prepared.session.notes.append(_NOTE)
         value: Any = copy.deepcopy(command.value)
         _zero(value)
-        return cast("Command[R]", replace(cast("Any", command), value=value))
-
-
-def _value_type(command: Command[Any]) -> str:
-    """The type of its value; empty of what holds no trajectory of its own."""
-    if isinstance(command, SendGoal):
-        return f"{command.type}_Goal"
-    if isinstance(command, ServiceCall):
-        return f"{command.type}_Request"
-    return command.type if isinstance(command, Publish | Repeat) else ""
+        return prepared.changed(replace(command, value=value))
 
 
 def _has_stamp(value: object) -> bool:

@@ -2,80 +2,71 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from ros2_mcp.model.commands import LOCAL
-from ros2_mcp.model.times import Outage
+from ros2_mcp.model.commands import LOCAL, Principal
+from ros2_mcp.model.qos import QoS
 from ros2_mcp.robot.failsafes import Failsafes
 from ros2_mcp.robot.graph import Graph
 from ros2_mcp.robot.jobs import Jobs
-from ros2_mcp.robot.no_known_stop import NoKnownStop
-from ros2_mcp.robot.reported import Reported
 from ros2_mcp.robot.resolution import Types
+from ros2_mcp.robot.session import Session
 from ros2_mcp.robot.stops import Accepted, Stops
 from ros2_mcp.robot.values import Values
 
 if TYPE_CHECKING:
-    from ros2_mcp.link.client import Bridge, Reply
+    from ros2_mcp.link.client import Bridge, Reply, Subscription
 
 
 class Core:
     """One robot without the ways to act on it. A recording in the place of a robot has its own `graph` and `values`.
 
-    `principal` is who asks through it, `accepted` when the call was accepted that acts through it, `notes` sentences
-    for its result: a view of the robot for one call has these of its own (`Robot.acting_for`), and shares all else.
-    With a list `rehearsed` nothing is done through it: what would be is written there, with what the policy says of it.
-
     A class of its own, so that the modules that carry commands out do not import `Robot`, which imports them.
     """
 
     def __init__(self, bridge: Bridge, graph: Graph | None = None, values: Values | None = None) -> None:
-        self.bridge = bridge
+        self._bridge = bridge
         self.graph = graph or Graph(bridge)
         self.values = values or Values(self.graph)
         self.types = Types(self.graph)
         self.failsafes = Failsafes(self.graph, self.values)
         self.jobs = Jobs()
         self.stops = Stops(bridge)
-        self.no_known_stop = NoKnownStop()
-        self.reported = Reported()
-        self.principal = LOCAL
-        self.accepted: Accepted | None = None
-        self.notes: list[str] = []
-        self.rehearsed: list[str] | None = None
 
     def now_ns(self) -> int:
         """The time of the robot's clock, by which what it sends is stamped, in ns of Unix time."""
-        return self.bridge.clock.now_ns()
+        return self._bridge.clock.now_ns()
 
-    @property
-    def is_remote(self) -> bool:
-        """Whether a network lies between this server and the robot, so that large messages take their time."""
-        return self.bridge.is_remote
+    async def subscribe(
+        self, topic: str, type_name: str, qos: QoS, *, max_samples: int, max_bytes: int
+    ) -> Subscription:
+        """A subscription to all samples of a topic whose QoS is known. Raises as `Bridge.subscribe`."""
+        request = qos.request()
+        return await self._bridge.subscribe(
+            topic, type_name, request, keep="all", max_samples=max_samples, max_bytes=max_bytes
+        )
 
-    @property
-    def outages(self) -> Sequence[Outage]:
-        """The times in which a robot elsewhere was out of reach."""
-        return self.bridge.outages
+    def session(self, principal: Principal = LOCAL, accepted: Accepted | None = None) -> Session:
+        """What is done in it is done for that principal, and not after a stop that comes after it was accepted, which
+        is now if it is not said.
+        """
+        return Session(principal=principal, accepted=accepted or self.stops.now())
 
-    def check_stop(self) -> Accepted:
-        """When the call was accepted that acts through this; to be asked after every await and before anything is sent.
+    def check_stop(self, session: Session) -> None:
+        """To be asked after every await and before anything is sent.
 
         Raises:
-            Stopped: if a stop came after that.
+            Stopped: if a stop came after the session was accepted.
         """
-        accepted = self.accepted or self.stops.now()
-        self.stops.check(self.principal, accepted)
-        return accepted
+        self.stops.check(session.principal, session.accepted)
 
-    async def act(self, op: str, body: bytes = b"", *, timeout_s: float, **arguments: Any) -> Reply:
+    async def act(self, session: Session, op: str, body: bytes = b"", *, timeout_s: float, **arguments: Any) -> Reply:
         """One request to the bridge that acts, ended where the client that asks for it goes.
 
         Raises:
-            Stopped: if a stop came after its call was accepted; nothing was sent.
+            Stopped: if a stop came after its session was accepted; nothing was sent.
             RobotError: as `Graph.ask`.
         """
-        epoch = self.check_stop().epoch
-        with self.stops.leaving(self.principal):
-            return await self.graph.ask(op, body, timeout_s=timeout_s, epoch=epoch, **arguments)
+        self.check_stop(session)
+        with self.stops.leaving(session.principal):
+            return await self.graph.ask(op, body, timeout_s=timeout_s, epoch=session.accepted.epoch, **arguments)

@@ -5,38 +5,41 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from ros2_mcp.guard.policy import Facts, Policy
-from ros2_mcp.model.commands import Command, Move, Publish, Repeat, ServiceBorne
+from ros2_mcp.guard.policy import Facts
+from ros2_mcp.model.commands import ServiceBorne
 from ros2_mcp.model.errors import BadValue
 from ros2_mcp.robot.core import Core
 from ros2_mcp.robot.joints import RobotJoints
+from ros2_mcp.robot.prepared import Prepared
 from ros2_mcp.robot.seen import is_of_robot
 from ros2_mcp.robot.told_of_trajectories import told_of
-from ros2_mcp_common.policy.rules import judged_part, meaning
+from ros2_mcp_common.policy.rules import Ruling, judged_part
 from ros2_mcp_common.policy.stamps import trajectories_in
 from ros2_mcp_common.policy.trajectory_limits import MAX_JOINTS
+from ros2_mcp_common.policy.verbs import meaning
 
 
 async def facts_of(
-    core: Core, command: Command[Any], policy: Policy, joints: RobotJoints, with_value: bool = False
+    core: Core, prepared: Prepared[Any], joints: RobotJoints, ruling: Ruling | None, with_value: bool = False
 ) -> Facts:
-    """What the policy needs to know about a command, and its value in any case if asked for that.
+    """What the policy needs to know about a command by its ruling, and its value in any case if asked for that.
 
     Raises:
         BadValue: if the value does not fit its definition.
     """
-    is_asked, ruling = with_value, policy.ruling(command)
-    value = await _value_of(core, command) if with_value or policy.needs_value(command) else None
+    command = prepared.command
+    is_asked = with_value or (ruling is not None and ruling.needs_value)
+    value = await _judged(prepared) if is_asked and prepared.has_value else None
     facts = Facts(value=value)
     if value is None and ruling and ruling.curves:
         await joints.look()  # of a relay or playback the bridge alone sees the trajectories
-    trajectories = list(trajectories_in(value)) if is_asked or (ruling and ruling.curves) else []
+    trajectories = list(trajectories_in(value)) if with_value or (ruling and ruling.curves) else []
     if trajectories:
         names = dict.fromkeys(str(name) for _, found in trajectories for name in found["joint_names"])
         look = await joints.look(list(names)[:MAX_JOINTS])
-        told = told_of(trajectories, look, await joints.urdf()) if is_asked else ()
+        told = told_of(trajectories, look, await joints.urdf()) if with_value else ()
         facts = replace(facts, joints=look, told=told)
-    if isinstance(command, ServiceBorne) or not policy.needs_publishers(command):
+    if isinstance(command, ServiceBorne) or ruling is None or not ruling.needs_publishers:
         return facts
     present = await core.graph.endpoints(command.name)
     publishers = [
@@ -47,16 +50,12 @@ async def facts_of(
     return replace(facts, publishers=sorted(set(publishers)))
 
 
-async def _value_of(core: Core, command: Command[Any]) -> object:
-    """The full value as it will be sent; None of what has none."""
-    if isinstance(command, ServiceBorne):
-        kind = f"{command.service_type}_Request"
-        body = await core.values.encode(kind, command.request)
-        request = await core.values.in_full(kind, body)
-        try:
-            return judged_part(meaning(command.service, command.service_type).verb, request)
-        except ValueError as error:
-            raise BadValue("parameters", f"{error}.", "Give it once.") from error
-    if isinstance(command, Publish | Repeat | Move):
-        return await core.values.in_full(command.type, await core.values.encode(command.type, command.value))
-    return None
+async def _judged(prepared: Prepared[Any]) -> object:
+    """The part of the full value that rules are about: the message, the goal, the parameters by their names."""
+    command, full = prepared.command, await prepared.full()
+    if not isinstance(command, ServiceBorne):
+        return full
+    try:
+        return judged_part(meaning(command.service, command.service_type).verb, full)
+    except ValueError as error:
+        raise BadValue("parameters", f"{error}.", "Give it once.") from error

@@ -22,6 +22,7 @@ from ros2_mcp.robot import services
 from ros2_mcp.robot.core import Core
 from ros2_mcp.robot.graph import was_refused
 from ros2_mcp.robot.jobs import Job
+from ros2_mcp.robot.prepared import Prepared
 from ros2_mcp_common.policy.flight import BRAKE_MODES, DESCENT_MODES, SET_MODE, only_asks, vehicle_of
 
 STATE_TYPE = "mavros_msgs/msg/State"
@@ -171,13 +172,8 @@ class Flight(Job):
         choice = qos.for_subscribing([each for each in present.publishers if each.type == STATE_TYPE])
         if not present.publishers:
             return
-        subscription = await core.bridge.subscribe(
-            topic,
-            STATE_TYPE,
-            choice.qos.request(),
-            keep="all",
-            max_samples=_MOST_STATES,
-            max_bytes=_MOST_STATE_BYTES,
+        subscription = await core.subscribe(
+            topic, STATE_TYPE, choice.qos, max_samples=_MOST_STATES, max_bytes=_MOST_STATE_BYTES
         )
         began_ns = core.now_ns()
         try:
@@ -213,20 +209,21 @@ def _said_ns(sample: Sample) -> int:
     return sample.source_ns or sample.received_ns  # some middlewares give no time of sending
 
 
-async def call(core: Core, command: ServiceCall) -> Answer:
+async def call(core: Core, prepared: Prepared[ServiceCall]) -> Answer:
     """Carries out a service call; where it is an order to a vehicle, that is a flight before it leaves.
 
     Raises as `services.call`.
     """
+    command = prepared.command
     vehicle = vehicle_of(command.name, command.type)
     if not vehicle or only_asks(command.type, command.value):
-        return await services.call(core, command)
-    await core.values.encode(f"{command.type}_Request", command.value)  # one that does not fit becomes no flight
-    core.check_stop()
+        return await services.call(core, prepared)
+    await prepared.body()  # an order that does not fit becomes no flight
+    core.check_stop(prepared.session)
     try:
         await core.values.learn(SET_MODE)
     except UnknownInterface:  # what stops it is not known here
-        return await services.call(core, command)
+        return await services.call(core, prepared)
     flight = flight_of(core, vehicle)
     if flight is None:
         flight = Flight(owner=command.principal, vehicle=vehicle, core=core)
@@ -235,7 +232,7 @@ async def call(core: Core, command: ServiceCall) -> Answer:
     was_sent = True
     flight.ordered()
     try:
-        return await services.call(core, command)
+        return await services.call(core, prepared)
     except RobotError as error:
         was_sent = not was_refused(error)
         raise

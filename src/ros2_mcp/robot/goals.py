@@ -19,6 +19,7 @@ from ros2_mcp.model.text import named
 from ros2_mcp.robot.core import Core
 from ros2_mcp.robot.graph import NO_END_S, was_refused
 from ros2_mcp.robot.jobs import Job
+from ros2_mcp.robot.prepared import Prepared
 from ros2_mcp.robot.services import call
 
 UNKNOWN_GOAL = 2
@@ -143,7 +144,7 @@ class CancelWhen:
     is_of_feedback: bool = True
 
 
-async def send(core: Core, command: SendGoal) -> Answer:
+async def send(core: Core, prepared: Prepared[SendGoal]) -> Answer:
     """Sends a goal that is a job before it leaves: `ros2_stop` cancels it, and the bridge does if this process dies.
 
     It ends at once if its server does not take it.
@@ -152,20 +153,21 @@ async def send(core: Core, command: SendGoal) -> Answer:
         BadValue: if the id is that of a goal of another action: a stop, or a fail-safe, would find only one of the two.
         RobotError: as a `ServiceBorne` raises it.
     """
+    command = prepared.command
     await core.values.learn(command.type, CANCEL_TYPE)
-    await core.values.encode(f"{command.type}_Goal", command.value)  # a goal that does not fit becomes no job
-    core.check_stop()
+    await prepared.body()  # a goal that does not fit becomes no job
+    core.check_stop(prepared.session)
     former = core.jobs.get(Goal, command.goal_id)
     if former and former.action != command.name:
         problem = f"{command.goal_id} is the id of a goal of {named(former.action)} already; nothing was sent."
         raise BadValue("goal_id.uuid", problem, "Give 16 random bytes.")
     if former and former.is_running:  # its server refuses a second one of that id, and goes on with the first
         core.failsafes.leave_cancel(command.goal_id, command.name)
-        return await call(core, command)
+        return await call(core, prepared)
     cancel = CancelGoals(principal=command.principal, name=command.name, goal_id=command.goal_id, timeout_s=CANCELLED_S)
 
     async def ask_to_cancel() -> Mapping[str, Any]:
-        answer = await call(core, cancel)
+        answer = await call(core, Prepared(core.values, prepared.session, cancel))
         response = await core.values.in_full(answer.type, answer.body)
         code = response["return_code"]
         if code == TERMINATED_GOAL or (code == UNKNOWN_GOAL and goal.is_accepted):
@@ -181,11 +183,11 @@ async def send(core: Core, command: SendGoal) -> Answer:
         follow=lambda goal: _follow(core, goal),
     )
     if len(core.jobs.running(Goal)) >= Goal.most_running:  # the oldest one is forgotten, and may still be running
-        core.no_known_stop.note("service", f"{command.service} ({command.service_type})")
+        core.stops.unknown.note("service", f"{command.service} ({command.service_type})")
     await core.jobs.start(goal)
     core.failsafes.leave_cancel(command.goal_id, command.name)
     try:
-        answer = await call(core, command)
+        answer = await call(core, prepared)
     except RobotError as error:
         if was_refused(error):  # any other was sent, and may run: its server was out of sight for a while
             goal.was_sent = False
@@ -216,13 +218,9 @@ async def _follow(core: Core, goal: Goal) -> None:
 async def _take_states(core: Core, action: str) -> None:
     """Notes which goals of an action have ended, as its server tells it, until this is cancelled."""
     await core.values.learn(STATUS_TYPE)
-    subscription = await core.bridge.subscribe(
-        f"{action}/_action/status",
-        STATUS_TYPE,
-        _STATUS_QOS.request(),
-        keep="all",
-        max_samples=_MOST_STATES,
-        max_bytes=_MOST_STATE_BYTES,
+    topic = f"{action}/_action/status"
+    subscription = await core.subscribe(
+        topic, STATUS_TYPE, _STATUS_QOS, max_samples=_MOST_STATES, max_bytes=_MOST_STATE_BYTES
     )
     try:
         while True:

@@ -33,6 +33,7 @@ from ros2_mcp.model.graph import (
     TopicRow,
 )
 from ros2_mcp.model.qos import Endpoint
+from ros2_mcp.model.times import Outage
 from ros2_mcp.robot.seen import Seen, is_of_robot
 from ros2_mcp_common.wire import protocol
 
@@ -142,6 +143,11 @@ class Graph:
         reply = await self._settled(protocol.ServicesReply, "services", within_s)
         return Rows([ServiceRow(*row) for row in reply["services"]], reply["settled"])
 
+    async def servers(self, service: str) -> list[str]:
+        """The full names of the nodes that serve a service; a name twice where two nodes share it."""
+        reply = await self._settled(protocol.ServersReply, "servers", service=service)
+        return [row.name for row in _nodes(reply["servers"], settled=True)]
+
     async def nodes(self, within_s: float | None = None) -> Rows[NodeRow]:
         """Every node, ours among them."""
         reply = await self._settled(protocol.NodesReply, "nodes", within_s)
@@ -231,6 +237,16 @@ class Graph:
             clock_offset_s=clock.offset_ns / 1e9 if clock.is_known else None,
             link_rtt_s=clock.rtt_s,
         )
+
+    @property
+    def is_remote(self) -> bool:
+        """Whether a network lies between this server and the robot, so that large messages take their time."""
+        return self._bridge.is_remote
+
+    @property
+    def outages(self) -> Sequence[Outage]:
+        """The times in which a robot elsewhere was out of reach."""
+        return self._bridge.outages
 
     async def absence(self, within_s: float | None = None, found: Rows[NodeRow] | None = None) -> str:
         """In words, that no robot is there, in which domain, and what was seen of it earlier; empty where one is there.
@@ -323,6 +339,10 @@ class Graph:
     async def ready(self) -> None:
         """Waits until there is a bridge; raises `LinkError` with the reason where there can be none."""
         await self._bridge.ready()
+
+    async def name_of(self, topic: str) -> str:
+        """The full name of a topic that somebody asks for; raises `BadName` where ROS allows no such name."""
+        return names.absolute(topic)
 
     async def endpoints(self, topic: str, within_s: float | None = None) -> TopicEndpoints:
         """The publishers and subscribers of a topic; empty where the graph does not know it."""

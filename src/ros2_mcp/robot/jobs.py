@@ -19,7 +19,7 @@ import anyio
 from anyio.abc import TaskGroup
 
 from ros2_mcp.model.commands import Principal
-from ros2_mcp.model.errors import NotFound, Refused, RobotError, Stopped
+from ros2_mcp.model.errors import BadInput, NotFound, Refused, RobotError, Stopped
 from ros2_mcp.model.names import did_you_mean
 
 Report = Callable[[], Awaitable[None]]
@@ -56,6 +56,8 @@ class Job(ABC):
     """The tool that lists them, for the hints of errors."""
     stopped_by: ClassVar[str] = "ros2_stop"
     """The tool that stops one, for the hints of errors."""
+    needs_no_id: ClassVar[bool] = True
+    """Whether a tool may mean it where it is the only one of its kind and no id is given."""
     patience_s: ClassVar[float] = 5.0
     """How long `wind_down` and the end that it asks for may take before the work is cancelled."""
 
@@ -96,6 +98,11 @@ class Job(ABC):
     async def wind_down(self) -> None:
         """Asks work that has begun to end in good order; without it, `stop` cancels the work at once."""
         self.cancel()
+
+    @property
+    def about(self) -> str:
+        """What it can be called beside its id, such as the bag that is recorded; empty for nothing."""
+        return ""
 
     def begun(self) -> None:
         """Notes that the work runs, so that the call that began it returns."""
@@ -245,13 +252,15 @@ class Jobs:
         return job if isinstance(job, kind) else None
 
     def find(self, kind: type[_Job], job_id: str) -> _Job:
-        """One by its id.
+        """One by its id, or the last one that is about this.
 
         Raises:
             NotFound: with the nearest id.
         """
         if job := self.get(kind, job_id):
             return job
+        if named := [job for job in self.all(kind) if job.about == job_id]:
+            return named[-1]
         ids = [job.id for job in self.all(kind)]
         hint = f"{kind.listed_by} shows them." if kind.listed_by else f"Known: {', '.join(ids) or 'none'}."
         raise NotFound(f"There is no {kind.kind} {job_id!r}.", did_you_mean(job_id, ids, hint))
@@ -259,6 +268,24 @@ class Jobs:
     def chosen(self, kind: type[_Job], job_id: str) -> list[_Job]:
         """The one of that id, or all of the kind where the id is empty; raises as `find`."""
         return [self.find(kind, job_id)] if job_id else self.all(kind)
+
+    def one(self, kind: type[_Job], job_id: str = "") -> _Job:
+        """The one of that id; without an id the only one that runs, else the one that ended last.
+
+        Raises:
+            NotFound: as `find`, or because there was none.
+            BadInput: if several run and no id is given.
+        """
+        if job_id:
+            return self.find(kind, job_id)
+        begun = [job for job in self.all(kind) if job.needs_no_id]
+        running = [job for job in begun if job.is_running]
+        if not begun:
+            raise NotFound(f"No {kind.kind} has been started.")
+        if len(running) > 1:
+            ids = ", ".join(job.id for job in running)
+            raise BadInput(f"{len(running)} {kind.kind}s are running: {ids}.", f"Give the {kind.kind}_id of one.")
+        return running[0] if running else begun[-1]
 
     def require_room(self, kind: type[Job]) -> None:
         """Raises `Refused` if no other of that kind may start now."""
@@ -268,8 +295,8 @@ class Jobs:
     # ── ending ─────────────────────────────────────────────────────────────────────────────────────────────────
 
     async def stop(self, kind: type[_Job], job_id: str) -> _Job:
-        """Stops one, and returns it with its last state; raises as `find`, and as `Job.stop`."""
-        job = self.find(kind, job_id)
+        """Stops one, and returns it with its last state; raises as `one`, and as `Job.stop`."""
+        job = self.one(kind, job_id)
         await job.stop()
         return job
 

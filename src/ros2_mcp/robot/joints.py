@@ -11,6 +11,7 @@ from time import monotonic
 
 from ros2_mcp.model.errors import BadData, RobotError
 from ros2_mcp.robot.graph import REQUEST_S, Graph
+from ros2_mcp.robot.kept import Kept
 from ros2_mcp.robot.listening import Listening
 from ros2_mcp.robot.values import Values
 from ros2_mcp.world.urdf import Urdf, parse
@@ -31,7 +32,7 @@ _MEASURED_S = 3.5
 Listen = Callable[[str], AbstractAsyncContextManager[Listening]]
 
 
-class RobotJoints:
+class RobotJoints(Kept):
     """What trajectories are judged by. `listen` subscribes to a topic with texts."""
 
     def __init__(self, listen: Listen, graph: Graph, values: Values) -> None:

@@ -14,6 +14,7 @@ from ros2_mcp.robot import flights
 from ros2_mcp.robot.core import Core
 from ros2_mcp.robot.failsafes import Driven
 from ros2_mcp.robot.graph import NO_END_S, REQUEST_S
+from ros2_mcp.robot.prepared import Prepared
 from ros2_mcp_common.policy.velocity import HOLD_TYPES, MOTION_TYPES
 from ros2_mcp_common.wire import protocol
 
@@ -21,11 +22,12 @@ _HEARD_S = 6.0
 """A motion waits 5 s for the first messages that it hears (`motion.FIRST_HEARD_S`)."""
 
 
-async def publish(core: Core, command: Publish) -> Sent:
+async def publish(core: Core, prepared: Prepared[Publish]) -> Sent:
     """One message, acknowledged where that is possible."""
-    body = await core.values.encode(command.type, command.value)
-    async with _sending(core, command, command.choice.qos) as driven:
+    command, body = prepared.command, await prepared.body()
+    async with _sending(core, prepared, command.choice.qos) as driven:
         answer = await core.act(
+            prepared.session,
             "publish",
             body,
             timeout_s=command.wait_match_s + command.wait_ack_s + REQUEST_S,
@@ -52,12 +54,13 @@ async def publish(core: Core, command: Publish) -> Sent:
     )
 
 
-async def repeat(core: Core, command: Repeat) -> Sent:
+async def repeat(core: Core, prepared: Prepared[Repeat]) -> Sent:
     """One message at a rate for a time, with a zero at the end of what moves."""
-    body = await core.values.encode(command.type, command.value)
-    async with _sending(core, command, command.choice.qos) as driven:
+    command, body = prepared.command, await prepared.body()
+    async with _sending(core, prepared, command.choice.qos) as driven:
         number = driven.commands if driven else 0
         answer = await core.act(
+            prepared.session,
             "repeat",
             body,
             timeout_s=command.duration_s + command.wait_match_s + REQUEST_S,
@@ -73,12 +76,14 @@ async def repeat(core: Core, command: Repeat) -> Sent:
     return _sent(command, reply)
 
 
-async def move(core: Core, command: Move) -> Moved:
+async def move(core: Core, prepared: Prepared[Move]) -> Moved:
     """A motion by feedback in the bridge from its beginning to its end, with a zero."""
-    await core.values.encode(command.type, command.value)  # which checks it; the bridge makes the commands itself
-    async with _sending(core, command, command.choice.qos) as driven:
+    command = prepared.command
+    await prepared.body()  # which checks the fastest command; the bridge makes the commands itself
+    async with _sending(core, prepared, command.choice.qos) as driven:
         number = driven.commands if driven else 0
         answer = await core.act(
+            prepared.session,
             "move",
             json.dumps(command.controller).encode(),
             timeout_s=command.duration_s + command.wait_match_s + _HEARD_S + REQUEST_S,
@@ -114,16 +119,18 @@ def _sent(command: Repeat | Move, reply: protocol.RepeatReply) -> Sent:
     )
 
 
-async def relay(core: Core, command: Relay | Play) -> RelayCounts:
+async def relay(core: Core, prepared: Prepared[Relay | Play]) -> RelayCounts:
     """A relay in the bridge from its beginning to its end, with a zero at the end of what moves."""
+    command = prepared.command
     await core.values.learn(command.type)
     arguments: dict[str, Any] = {}
     if isinstance(command, Relay) and command.source and not command.is_fed:
         arguments = {"source": command.source, "duration_s": command.duration_s or 0.0}
         arguments |= {"rate_hz": command.rate_hz} if command.rate_hz else {}
-    async with _sending(core, command, command.qos) as driven:
+    async with _sending(core, prepared, command.qos) as driven:
         number = driven.commands if driven else 0
         answer = await core.act(
+            prepared.session,
             "relay",
             timeout_s=NO_END_S,
             name=command.relay_id,
@@ -137,29 +144,31 @@ async def relay(core: Core, command: Relay | Play) -> RelayCounts:
     return counts
 
 
-async def feed(core: Core, command: Feed) -> int:
+async def feed(core: Core, prepared: Prepared[Feed]) -> int:
     """Messages for a relay that is open: opening it has left its fail-safe, which ends what these begin."""
+    command = prepared.command
     body, sizes = b"".join(command.messages), [len(message) for message in command.messages]
-    answer = await core.act("relay_feed", body, timeout_s=REQUEST_S, name=command.relay_id, sizes=sizes)
+    answer = await core.act(
+        prepared.session, "relay_feed", body, timeout_s=REQUEST_S, name=command.relay_id, sizes=sizes
+    )
     return answer.ok["passed"]
 
 
 @asynccontextmanager
-async def _sending(
-    core: Core, command: Publish | Repeat | Move | Relay | Play, qos: QoS
-) -> AsyncGenerator[Driven | None, None]:
+async def _sending(core: Core, prepared: Prepared[Any], qos: QoS) -> AsyncGenerator[Driven | None, None]:
     """Around a request that publishes: its fail-safe is in force, or it is noted that none is known.
 
     Raises:
         Stopped: if a stop came after it was accepted.
         Refused: if too many velocity topics are driven.
     """
-    core.check_stop()
+    core.check_stop(prepared.session)
+    command = prepared.command
     if command.type not in MOTION_TYPES and flights.takes_setpoints(core, command.name):
         yield None  # what stops it is the brake of that flight
         return
     if command.type not in MOTION_TYPES:
-        with core.no_known_stop.sending("topic", command.name, command.type):
+        with core.stops.unknown.sending("topic", command.name, command.type):
             yield None
         return
     if frame_id := _frame_id_of(command.value):

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import asyncio
-import copy
 import logging
-from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine, Mapping, Sequence
+from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine, Iterable, Mapping, Sequence
 from contextlib import asynccontextmanager
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.guard.guard import Guard
 from ros2_mcp.guard.policy import Policy
 from ros2_mcp.model import commands, names, qos
-from ros2_mcp.model.commands import Answer, Command, Principal, R
+from ros2_mcp.model.commands import SERVER, Answer, Command, Principal, R
 from ros2_mcp.model.errors import Refused, Rehearsed, RobotError
 from ros2_mcp.model.graph import TopicEndpoints
 from ros2_mcp.model.text import named
@@ -26,22 +24,20 @@ from ros2_mcp.robot.failsafes import ACKNOWLEDGED_S, MATCH_S, ZERO_S
 from ros2_mcp.robot.graph import Graph
 from ros2_mcp.robot.jobs import Job
 from ros2_mcp.robot.joints import MOST_DESCRIPTION_BYTES, TEXT, RobotJoints
-from ros2_mcp.robot.last_costmaps import LastCostmaps
-from ros2_mcp.robot.last_plans import LastPlans
+from ros2_mcp.robot.kept import Kept, KeptByRooms
 from ros2_mcp.robot.listening import Listening, subscribed_while
 from ros2_mcp.robot.log import LogRing
-from ros2_mcp.robot.newest import NewestSamples
-from ros2_mcp.robot.places import Places
+from ros2_mcp.robot.prepared import Prepared
+from ros2_mcp.robot.session import Session
 from ros2_mcp.robot.transforms import TransformListener
 from ros2_mcp.robot.translation import as_meant
 from ros2_mcp.robot.values import Values
-from ros2_mcp_common.policy.rules import only_reads
+from ros2_mcp_common.policy.verbs import only_reads
 from ros2_mcp_common.wire.protocol import Keep, StoppedTopic, StopReply
 
 if TYPE_CHECKING:
     from ros2_mcp.link.client import Bridge, Subscription
     from ros2_mcp.model.qos import Choice
-    from ros2_mcp.robot.stops import Accepted
 
 MAX_WAITING = 20_000
 MAX_WAITING_BYTES = 64_000_000
@@ -56,11 +52,11 @@ _MOST_REMEMBERED = 256
 """Topics of which the last subscription is remembered: more than any robot has that are read again and again."""
 
 
-async def _nothing(_core: Core, _command: Command[Any]) -> None:
+async def _nothing(_core: Core, _prepared: Prepared[Any]) -> None:
     """A recording is only decided about: it sends nothing to the robot."""
 
 
-_EXECUTORS: Mapping[type[Command[Any]], Callable[[Core, Any], Awaitable[Any]]] = {
+_EXECUTORS: Mapping[type[Command[Any]], Callable[[Core, Prepared[Any]], Awaitable[Any]]] = {
     commands.Publish: publishing.publish,
     commands.Repeat: publishing.repeat,
     commands.Move: publishing.move,
@@ -74,7 +70,7 @@ _EXECUTORS: Mapping[type[Command[Any]], Callable[[Core, Any], Awaitable[Any]]] =
     commands.SendGoal: goals.send,
     commands.CancelGoals: services.call,
 }
-"""How each command is carried out, once it has been decided: it encodes its value, leaves its fail-safe and sends."""
+"""How each command is carried out, once it has been decided: its fail-safe is left, and its bytes are sent."""
 _PUBLISHING = (commands.Publish, commands.Repeat, commands.Relay, commands.Play)
 _NEVER_STOPPED = (commands.CancelGoals, commands.Record)
 """The first one stops; the other writes files and sends nothing."""
@@ -115,16 +111,16 @@ def _check_action_topic(command: Command[Any]) -> None:
 
 
 class Robot(Core):
-    """One robot: its graph, its definitions, its topics, services and actions.
+    """One robot, which all callers share: its graph, its definitions, its topics, services and actions.
 
-    Clients act through a view of it for each call (`acting_for`).
+    `kept` has what rooms keep of it. Whatever is done with it is done in a `Session`.
     """
 
     def __init__(
         self,
         bridge: Bridge,
         guard: Guard | None = None,
-        result_bytes: int = 12_000,
+        keeps: Iterable[Kept] = (),
         *,
         graph: Graph | None = None,
         values: Values | None = None,
@@ -133,28 +129,14 @@ class Robot(Core):
         self.guard = guard or Guard()
         self.log = LogRing(bridge)
         self.transforms = TransformListener(bridge, self.graph, self.values)
-        self.places = Places()
-        self.last_plans = LastPlans(lambda topic: self.listen(topic, keep="latest"))
-        self.last_costmaps = LastCostmaps(lambda topic, keep: self.listen(topic, keep=keep), self.values, self.now_ns)
-        self.newest = NewestSamples(lambda topic: self.listen(topic, keep="latest"), self._fits)
-        self.joints = RobotJoints(
+        self._joints = RobotJoints(
             lambda topic: self.listen(topic, TEXT, keep="latest", max_bytes=MOST_DESCRIPTION_BYTES),
             self.graph,
             self.values,
         )
-        self.beginnings = Beginnings()
-        self.programs_folder: Path | None = None  # of kept programs; None: none are kept
+        self.kept = KeptByRooms([self._joints, *keeps])
+        self._beginnings = Beginnings()
         self._listened: dict[tuple[str, str, str, bool], tuple[str, Choice]] = {}
-        self.result_bytes = result_bytes
-
-    def acting_for(self, principal: Principal, accepted: Accepted | None = None) -> Robot:
-        """The same robot for one call: whatever is done through it is done for that principal, and not after a stop
-        that came after the call was accepted, which is now if it is not said.
-        """
-        robot = copy.copy(self)
-        robot.principal, robot.accepted = principal, accepted or self.stops.now()
-        robot.notes = []
-        return robot
 
     @property
     def policy(self) -> Policy:
@@ -163,10 +145,10 @@ class Robot(Core):
 
     # ── acting ─────────────────────────────────────────────────────────────────────────────────────────────────
 
-    async def do(self, command: Command[R]) -> R:
+    async def do(self, command: Command[R], session: Session | None = None) -> R:
         """Decides about a command and carries it out. Nothing is registered, left or sent before it is decided.
 
-        Through the robot itself, which is no view for one call, a command is accepted when this begins.
+        Without a session it is accepted when this begins, for the command's own principal.
 
         Raises:
             Refused: if the policy of this server forbids it, or a limit is reached.
@@ -174,28 +156,26 @@ class Robot(Core):
             Stopped: if a stop came after it was accepted; nothing was sent, unless the error says so.
             RobotError: what the command itself may raise.
         """
-        view = self if self.accepted else self.acting_for(self.principal)
-        command = await self.beginnings.settle(view, await as_meant(view, command))
-        find_facts = partial(facts_of, view, command, self.policy, self.joints)
-        if view.rehearsed is not None:
-            decision = await self.guard.foresee(command, find_facts)
+        session = session or self.session(command.principal)
+        prepared = await as_meant(Prepared(self.values, session, command))
+        prepared = await self._beginnings.settle(prepared, self.now_ns)
+        meant = prepared.command
+        find_facts = partial(facts_of, self, prepared, self._joints)
+        if session.rehearsed is not None:
+            decision = await self.guard.foresee(meant, find_facts)
             said = {"refused": f"would be refused: {decision.reason}", "consent": "would wait for a person's approval"}
-            view.rehearsed.append(f"{command.act}: {said.get(decision.verdict, 'would be done')}")
-            raise Rehearsed(view.rehearsed[-1])
-        async with self.guard.acting(
-            command,
-            find_facts,
-            stops=_ends_own_goal(self, command),
-        ) as act:
-            view.notes.extend(act.notes)
-            if not isinstance(command, _NEVER_STOPPED):
-                view.check_stop()
-            _check_room(self, command)
-            _check_action_topic(command)
-            result = await _EXECUTORS[type(command)](view, command)
+            session.rehearsed.append(f"{meant.act}: {said.get(decision.verdict, 'would be done')}")
+            raise Rehearsed(session.rehearsed[-1])
+        async with self.guard.acting(meant, find_facts, stops=_ends_own_goal(self, meant)) as act:
+            session.notes.extend(act.notes)
+            if not isinstance(meant, _NEVER_STOPPED):
+                self.check_stop(session)
+            _check_room(self, meant)
+            _check_action_topic(meant)
+            result = await _EXECUTORS[type(meant)](self, prepared)
             act.ended_by = getattr(result, "ended_by", "")
-            if isinstance(command, commands.SendGoal):
-                self._audit_end(command)
+            if isinstance(meant, commands.SendGoal):
+                self._audit_end(meant)
             return result
 
     def _audit_end(self, command: commands.SendGoal) -> None:
@@ -348,7 +328,7 @@ class Robot(Core):
 
         def subscribed(full_type: str, choice: Choice) -> Coroutine[Any, Any, Subscription]:
             qos_request = choice.qos.request()
-            return self.bridge.subscribe(
+            return self._bridge.subscribe(
                 topic,
                 full_type,
                 qos_request,
@@ -385,9 +365,6 @@ class Robot(Core):
             if subscription:
                 await subscription.close()
 
-    async def _fits(self, listening: Listening) -> bool:
-        return listening.still_fits(await self.graph.endpoints(listening.topic))
-
     def _remember(self, key: tuple[str, str, str, bool], how: tuple[str, Choice]) -> None:
         """Notes how a topic was subscribed to, for the next time; the topic that was read longest ago is forgotten."""
         self._listened.pop(key, None)
@@ -399,7 +376,7 @@ class Robot(Core):
     async def listen_again(self, former: Listening, *, max_bytes: int) -> AsyncGenerator[Listening, None]:
         """The same subscription anew, without asking the graph: a new bridge has not discovered anything yet."""
         request = former.choice.qos.request()
-        async with await self.bridge.subscribe(
+        async with await self._bridge.subscribe(
             former.topic, former.type, request, keep="all", max_samples=MAX_WAITING, max_bytes=max_bytes
         ) as subscription:
             yield Listening(former.topic, former.type, former.choice, former.publishers, subscription)
@@ -426,13 +403,13 @@ class Robot(Core):
             raise ValueError(f"{service_type} may change something: calling {service} takes a command.")
         # In the form of a command, but not decided about: reading is always allowed.
         asking = commands.ServiceCall(
-            principal=self.principal, name=service, type=service_type, value=request, timeout_s=timeout_s, wait_s=wait_s
+            principal=SERVER, name=service, type=service_type, value=request, timeout_s=timeout_s, wait_s=wait_s
         )
-        return await services.call(self, asking)
+        return await services.call(self, Prepared(self.values, self.session(SERVER), asking))
 
     async def attach(self) -> None:
         """Connects to the robot's bridge, which is started if it is not coming up already. Returns at once."""
-        await self.bridge.attach()
+        await self._bridge.attach()
 
     async def leave(self) -> None:
         """Ends all work on the robot: jobs first, while the bridge can still stop what they move; the bridge last.
@@ -440,16 +417,16 @@ class Robot(Core):
         Where nobody would be told of the end the link is closed first, so that no job waits for a robot that is away:
         this server has nothing in motion there, or the far bridge's lease ends it.
         """
-        if not self.graph.was_reached or (self.is_remote and not self.graph.is_connected):
-            await self.bridge.close()
+        if not self.graph.was_reached or (self.graph.is_remote and not self.graph.is_connected):
+            await self._bridge.close()
         try:
             await self.jobs.close()
         finally:
             try:
                 await self.transforms.close()
-                await self.newest.close()
+                await self.kept.close()
             finally:
-                await self.bridge.close()
+                await self._bridge.close()
                 self.failsafes.close()
                 if self.guard.audit:
                     self.guard.audit.close()

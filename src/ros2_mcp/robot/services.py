@@ -6,19 +6,20 @@ from typing import Any
 
 from ros2_mcp.model.commands import Answer, CancelGoals, ChangeState, SendGoal, ServiceBorne, SetParameters
 from ros2_mcp.robot.core import Core
+from ros2_mcp.robot.prepared import Prepared
 from ros2_mcp_common.policy.flight import vehicle_of
-from ros2_mcp_common.policy.rules import only_reads
+from ros2_mcp_common.policy.verbs import only_reads
 
 
-async def call(core: Core, command: ServiceBorne) -> Answer:
+async def call(core: Core, prepared: Prepared[Any]) -> Answer:
     """The answer to one request, which is checked against its definition. Raises as a `ServiceBorne`.
 
     Raises:
         BadValue: naming the path of a value that does not fit; nothing is sent.
         Stopped: if a stop came after it was accepted; nothing was sent.
     """
-    timeout_s, wait_s = command.timeout_s, command.wait_s
-    body = await core.values.encode(f"{command.service_type}_Request", command.request)
+    command: ServiceBorne = prepared.command
+    body, timeout_s, wait_s = await prepared.body(), command.timeout_s, command.wait_s
     arguments: dict[str, Any] = {
         "service": command.service,
         "type": command.service_type,
@@ -29,11 +30,12 @@ async def call(core: Core, command: ServiceBorne) -> Answer:
     if isinstance(command, CancelGoals) or only_reads(command.service_type):
         reply = await core.graph.ask("call", body, **arguments)
     elif isinstance(command, SendGoal):  # it is a job, and cancelled whatever becomes of this request
-        reply = await core.graph.ask("call", body, epoch=core.check_stop().epoch, **arguments)
+        core.check_stop(prepared.session)
+        reply = await core.graph.ask("call", body, epoch=prepared.session.accepted.epoch, **arguments)
     elif isinstance(command, SetParameters | ChangeState) or vehicle_of(command.service, command.service_type):
         # configuration is no motion (decision 21), and a flight is a job
-        reply = await core.act("call", body, **arguments)
+        reply = await core.act(prepared.session, "call", body, **arguments)
     else:
-        with core.no_known_stop.sending("service", command.service, command.service_type):
-            reply = await core.act("call", body, **arguments)
+        with core.stops.unknown.sending("service", command.service, command.service_type):
+            reply = await core.act(prepared.session, "call", body, **arguments)
     return Answer(f"{command.service_type}_Response", reply.body, reply.ok["elapsed_s"])

@@ -11,6 +11,7 @@ import anyio
 
 from ros2_mcp.model.commands import Principal
 from ros2_mcp.model.errors import Stopped
+from ros2_mcp.robot.no_known_stop import NoKnownStop
 
 if TYPE_CHECKING:
     from ros2_mcp.link.client import Bridge
@@ -33,6 +34,8 @@ class Accepted:
 class Stops:
     """How often all work, and that of each client, has been ended. The bridge keeps the epoch, too: it is told of it
     with every request that acts and with every ping, and refuses what is older where it would leave.
+
+    `unknown` names what was sent whose stop is not known.
     """
 
     def __init__(self, bridge: Bridge) -> None:
@@ -41,6 +44,7 @@ class Stops:
         self._ends = 0
         self._leaving: set[tuple[Principal, anyio.CancelScope]] = set()
         self.epoch = 0
+        self.unknown = NoKnownStop()
 
     def raise_epoch(self) -> None:
         """A stop of everything begins: from now on nothing leaves that was accepted before."""

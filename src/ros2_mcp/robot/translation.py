@@ -5,31 +5,31 @@ So it is decided, tracked and stopped like it, whichever tool it came through.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, cast
 
 from ros2_mcp.model import commands, parameters
-from ros2_mcp.model.commands import Command, R, ServiceBorne, ServiceCall
+from ros2_mcp.model.commands import ServiceBorne, ServiceCall
 from ros2_mcp.model.errors import BadValue
 from ros2_mcp.model.goals import goal_id_hex
-from ros2_mcp.robot.core import Core
-from ros2_mcp_common.policy.rules import meaning
+from ros2_mcp.robot.prepared import Prepared
+from ros2_mcp_common.policy.verbs import meaning
 
 
-async def as_meant(core: Core, command: Command[R]) -> Command[R]:
-    """The command itself, or the one that a service call stands for; its request is checked first.
+async def as_meant(prepared: Prepared[Any]) -> Prepared[Any]:
+    """The command itself, or the one that a service call stands for, of the same bytes; its request is checked first.
 
     Raises:
         BadValue: if the request does not fit the definition of the service's type.
     """
-    return cast("Command[R]", await _meaning(core, command)) if isinstance(command, ServiceCall) else command
+    command = prepared.command
+    if not isinstance(command, ServiceCall) or meaning(command.name, command.type).verb in ("call", "read"):
+        return prepared
+    return prepared.meaning(_meant(command, await prepared.full()))
 
 
-async def _meaning(core: Core, command: ServiceCall) -> ServiceBorne:
+def _meant(command: ServiceCall, request: Mapping[str, Any]) -> ServiceBorne:
     kind, meant = command.type, meaning(command.name, command.type)
-    if meant.verb in ("call", "read"):
-        return command
-    body = await core.values.encode(f"{kind}_Request", command.value)
-    request = await core.values.in_full(f"{kind}_Request", body)
     common: dict[str, Any] = {
         "principal": command.principal,
         "risk": command.risk,

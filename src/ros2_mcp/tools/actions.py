@@ -15,6 +15,7 @@ from ros2_mcp.ops.actions.status import MAX_MESSAGES, KnownGoals, StatusFrames, 
 from ros2_mcp.ops.results.results import Report
 from ros2_mcp.ops.sources.selection import Selection
 from ros2_mcp.robot import Robot
+from ros2_mcp.robot.session import Session
 from ros2_mcp.tools.arguments import Flag, Number, Pattern, Whole
 from ros2_mcp.tools.declare import tool
 from ros2_mcp.tools.injection import Waits
@@ -27,9 +28,7 @@ ActionType = Annotated[str, Field(description="Such as nav2_msgs/action/Navigate
 GoalId = Annotated[str, Field(description="ID of the goal: 32 hexadecimal digits.")]
 Duration = Annotated[Number, Field(gt=0, le=MAX_DURATION_S, description="Listening time in seconds.")]
 MaxMessages = Annotated[Whole, Field(ge=1, le=MAX_MESSAGES, description="Stop after this many messages.")]
-ResultTimeout = Annotated[
-    Number | None, Field(ge=0, le=MAX_DURATION_S, description="Maximum wait for the result, in seconds.")
-]
+ResultTimeout = Annotated[Number | None, Field(ge=0, le=MAX_DURATION_S, description="Maximum wait in seconds.")]
 
 
 @tool(title="List actions", risk="read", group="actions", finds="which actions are there, list actions, abilities")
@@ -41,12 +40,14 @@ async def ros2_list_actions(robot: Robot, pattern: Pattern = "") -> ActionList:
 @tool(
     title="Send a goal",
     risk="actuate",
+    does={"goal": ()},
     group="actions",
     program="goal",
     finds="gripper open or close, move the arm, dock, take off, start an action",
 )
 async def ros2_send_action_goal(
     robot: Robot,
+    session: Session,
     report: Report,
     action_name: ActionName,
     goal_fields: Annotated[dict[str, Any], Field(description="The goal's fields.")],
@@ -59,6 +60,7 @@ async def ros2_send_action_goal(
             description='Cancel the goal when its feedback, or a topic ("/scan: nearest(-20, 20) < 0.4"), meets this.'
         ),
     ] = "",
+    force: Annotated[Flag, Field(description="Send although several nodes serve it.")] = False,
 ) -> GoalOutcome:
     """Send a goal to an action server. Can move the robot.
 
@@ -67,11 +69,13 @@ async def ros2_send_action_goal(
     """
     return await send_goal(
         robot,
+        session,
         action_name,
         action_type,
         goal_fields,
         cancel_when=cancel_when,
         wait_for_result=wait_for_result,
+        force=force,
         timeout_s=60.0 if timeout_sec is None else timeout_sec,
         report=report,
     )
@@ -80,20 +84,20 @@ async def ros2_send_action_goal(
 @tool(title="Cancel goals", risk="actuate", group="actions", program="cancel", finds="cancel a goal, abort an action")
 async def ros2_cancel_action_goal(
     robot: Robot,
+    session: Session,
     action_name: ActionName,
-    goal_id_hex: Annotated[str, Field(description="ID of the goal; required unless cancel_all is true.")] = "",
-    cancel_all: Annotated[Flag, Field(description="Cancel every goal of the action.")] = False,
+    goal_id_hex: Annotated[str, Field(description="Required unless cancel_all is true.")] = "",
+    cancel_all: Annotated[Flag, Field(description="Cancel every goal.")] = False,
     stamp_sec: Annotated[
         Whole, Field(description="Also goals accepted up to this time; with cancel_all, only those.")
     ] = 0,
     stamp_nanosec: Annotated[Whole, Field(ge=0, lt=1_000_000_000, description="Nanoseconds of that time.")] = 0,
-    wait_timeout_sec: Annotated[
-        Number, Field(gt=0, le=60, description="Maximum wait for the answer, in seconds.")
-    ] = 3.0,
+    wait_timeout_sec: Annotated[Number, Field(gt=0, le=60, description="Maximum wait in seconds.")] = 3.0,
 ) -> Cancellation:
     """Ask an action server to cancel a goal, or all goals."""
     return await cancel(
         robot,
+        session,
         action_name,
         goal_id_hex,
         cancel_all=cancel_all,

@@ -6,12 +6,14 @@ Read-only mode, annotations, schemas and documentation follow from the declarati
 from __future__ import annotations
 
 import inspect
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any, Literal
 
+from ros2_mcp.guard.policy import Policy
 from ros2_mcp.tools.injection import Call, Makers, arguments_of, made_by, values_for
+from ros2_mcp_common.policy.verbs import Verb
 
 Risk = Literal["read", "write", "actuate", "stop"]
 """`read` changes nothing; `write` changes the software's state; `actuate` can move the robot; `stop` ends what was set
@@ -43,6 +45,8 @@ class ToolDeclaration:
     not in it. One that `runs_programs` is there where the sandbox is installed, its description shows the module, and
     where nothing may be moved it only reads. `place` is where the tool stands in `tools/list`; None: at the `PLACE` of
     its module. A tool whose `audience` is the page gives `ForPage`; one that `opens_page` has it shown beside the chat.
+    `does` is what a policy must allow for it to be of any use: by verb the types, of which one is enough (none: any).
+    `beside` are sentences at the end of the description that name another tool, by that tool: where it is offered, too.
     `finds` are words with which a person asks for it, at most fifteen: some clients show their model a tool only after
     a search. One that is `always_loaded` should be there without.
     """
@@ -61,13 +65,25 @@ class ToolDeclaration:
     place: int | None = None
     audience: Audience = "model"
     opens_page: bool = False
+    does: Mapping[Verb, Sequence[str]] = field(default_factory=dict[Verb, Sequence[str]])
+    beside: Mapping[str, str] = field(default_factory=dict[str, str])
     finds: str = ""
     always_loaded: bool = False
 
+    def is_of_use(self, policy: Policy) -> bool:
+        """Whether the policy allows anything that it does."""
+        rules = policy.rules
+        return not (rules and self.does) or any(rules.may(verb, types) for verb, types in self.does.items())
+
     @property
     def description(self) -> str:
-        """What the model reads: the function's docstring."""
+        """What the model reads first: the function's docstring."""
         return inspect.cleandoc(self.function.__doc__ or "")
+
+    def description_beside(self, offered: Collection[str]) -> str:
+        """All that the model reads where these tools are offered."""
+        beside = (sentence for name, sentence in self.beside.items() if name in offered)
+        return " ".join((self.description, *beside))
 
     @cache  # noqa: B019 - declarations live as long as the process
     def signature(self) -> inspect.Signature:
@@ -106,6 +122,8 @@ def tool(
     place: int | None = None,
     audience: Audience = "model",
     opens_page: bool = False,
+    does: Mapping[Verb, Sequence[str]] | None = None,
+    beside: Mapping[str, str] | None = None,
     finds: str = "",
     always_loaded: bool = False,
 ) -> Callable[[ToolFunction], ToolFunction]:
@@ -128,6 +146,8 @@ def tool(
                 place=place,
                 audience=audience,
                 opens_page=opens_page,
+                does=does or {},
+                beside=beside or {},
                 finds=finds,
                 always_loaded=always_loaded,
             )

@@ -17,7 +17,7 @@ from typing import Annotated, Any
 
 from ros2_mcp.model.errors import NotFound
 from ros2_mcp.ops.memory.bag_store import BagStore
-from ros2_mcp.ops.results.results import Report
+from ros2_mcp.ops.results.results import Report, answer_bytes
 from ros2_mcp.ops.sources.kinds import OWN_KINDS, Sources
 from ros2_mcp.ops.sources.live import Live
 from ros2_mcp.ops.sources.selection import Selection
@@ -26,6 +26,7 @@ from ros2_mcp.ops.sources.times import is_seconds_ago
 from ros2_mcp.programs.declare import Function
 from ros2_mcp.programs.program import Programs
 from ros2_mcp.robot import Robot
+from ros2_mcp.robot.session import Session
 from ros2_mcp.tools.arguments import (
     Duration,
     EveryN,
@@ -59,6 +60,7 @@ class Call:
     """
 
     robot: Robot
+    session: Session
     store: BagStore
     report: Report
     kinds: Sequence[SourceKind] = OWN_KINDS
@@ -124,7 +126,7 @@ def _selection(
         every_n=every_n,
         duration_s=duration,
         message_limit=message_limit,
-        max_bytes=int(call.robot.result_bytes * _FOR_VALUES),
+        max_bytes=int(answer_bytes(call.robot) * _FOR_VALUES),
     )
 
 
@@ -161,6 +163,7 @@ _BY_TYPE: Mapping[Any, MadeBy] = {
     Sources: MadeBy(_sources),
     Selection: MadeBy(_selection, ()),
     Robot: MadeBy(attrgetter("robot"), ()),
+    Session: MadeBy(attrgetter("session"), ()),
     BagStore: MadeBy(attrgetter("store"), ()),
     Report: MadeBy(attrgetter("report"), ()),
     Viewing: MadeBy(_viewing, ()),

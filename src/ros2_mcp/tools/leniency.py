@@ -3,6 +3,8 @@
 A null is never anything but *not given*. A tool that only reads cannot do harm by asking less strictly: an empty value
 that its schema does not have means *not given* there, and a number above the maximum means the maximum, which is told.
 A tool that acts takes nothing but what its schema says. No tool takes a number that is not finite.
+
+Where a list of texts or objects is expected, one of them alone is a list of one, and the other way round; that is told.
 """
 
 from __future__ import annotations
@@ -40,12 +42,28 @@ def _object(schema: Schema, values: Mapping[str, Any], path: str, acts: bool, to
 
 
 def _value(node: Schema, value: object, path: str, acts: bool, told: list[str]) -> object:
+    value = _one_or_many(node, value, path, told)
     if isinstance(value, dict) and "properties" in node:
         return _object(node, cast("dict[str, object]", value), f"{path}.", acts, told)
     if isinstance(value, list) and "items" in node:
         items = enumerate(cast("list[object]", value))
         return [_value(cast("Schema", node["items"]), item, f"{path}[{index}]", acts, told) for index, item in items]
     return cast("object", value) if acts else _bounded(node, cast("object", value), path, told)
+
+
+def _one_or_many(node: Schema, value: object, path: str, told: list[str]) -> object:
+    """A list of one for a text or an object alone, and the text for a list of one, as the schema has it."""
+    alone = {"string": str, "object": dict}
+    kind = alone.get(str(node.get("items", {}).get("type"))) if node.get("type") == "array" else None
+    if kind and value and isinstance(value, kind):
+        told.append(f"{path}: taken as a list of one.")
+        return [cast("object", value)]
+    if node.get("type") == "string" and isinstance(value, list):
+        texts = cast("list[object]", value)
+        if len(texts) == 1 and isinstance(texts[0], str):
+            told.append(f"{path}: the only element of the list was taken.")
+            return texts[0]
+    return cast("object", value)
 
 
 def _bounded(node: Schema, value: object, path: str, told: list[str]) -> object:

@@ -97,6 +97,7 @@ async def ros2_health_check(
     group="measure",
     recorded=True,
     program="statistics",
+    beside={"ros2_topic_stats": "For sizes and ages of messages use ros2_topic_stats."},
     finds="average, minimum, maximum, noise, drift, stuck values, analyse numbers",
 )
 async def ros2_topic_statistics(
@@ -109,7 +110,7 @@ async def ros2_topic_statistics(
 ) -> statistics.Statistics:
     """Measure numeric fields of topics at the same time: min, max, mean, std, slope, gaps, jumps, stuck values, NaN.
 
-    Also trends, and when extremes were reached. For sizes and ages of messages use ros2_topic_stats.
+    Also trends, and when extremes were reached.
     """
     return await statistics.measure(source.lasting(duration), topic_names, selection, report)
 

@@ -13,6 +13,7 @@ from ros2_mcp.ops.results.results import Report
 from ros2_mcp.ops.sources.kinds import Sources
 from ros2_mcp.ops.sources.source import SourceRequest
 from ros2_mcp.robot import Robot
+from ros2_mcp.robot.session import Session
 from ros2_mcp.tools.arguments import (
     BagEnd,
     BagName,
@@ -38,18 +39,20 @@ HISTORY_PLACE = 120
 Bytes = Annotated[Whole, Field(ge=0, le=record.MAX_BYTES)]
 Topics = Annotated[list[str] | None, Field(min_length=1, description="Only these topics.")]
 RecordingId = Annotated[str, Field(description="ID from ros2_record_start. Default: the only running recording.")]
-PlaybackId = Annotated[str, Field(description="ID from ros2_bag_play.")]
+PlaybackId = Annotated[str, Field(description="ID from ros2_bag_play. Default: the only one.")]
 
 
 @tool(
     title="Record topics",
     risk="write",
+    does={"record": ()},
     group="memory",
     by_default=False,
     finds="record a bag, rosbag, save topics to a file",
 )
 async def ros2_record_start(
     robot: Robot,
+    session: Session,
     store: BagStore,
     topics: Annotated[
         list[str] | None, Field(min_length=1, description="Topics to record, also if they appear later.")
@@ -77,7 +80,7 @@ async def ros2_record_start(
         split_bytes=split_bytes,
         name=name,
     )
-    return await record.start(robot, store, request)
+    return await record.start(robot, session, store, request)
 
 
 @tool(title="Recordings", risk="read", group="memory", by_default=False, finds="is it recording, how large is the bag")
@@ -144,9 +147,17 @@ async def ros2_bag_read(
     return await bags.read(robot, store, bag, topic_name, chosen, start=start, end=end)
 
 
-@tool(title="Play a bag", risk="actuate", group="memory", by_default=False, finds="replay, play back a bag")
+@tool(
+    title="Play a bag",
+    risk="actuate",
+    does={"play": ()},
+    group="memory",
+    by_default=False,
+    finds="replay, play back a bag",
+)
 async def ros2_bag_play(
     robot: Robot,
+    session: Session,
     store: BagStore,
     report: Report,
     bag: BagName,
@@ -173,7 +184,7 @@ async def ros2_bag_play(
     request = play.PlayRequest(
         bag=bag, rate=rate, start=start, end=end, topics=topics or (), remaps=remaps or {}, loop=loop, force=force
     )
-    return await play.play(robot, store, request, wait_sec, report)
+    return await play.play(robot, session, store, request, wait_sec, report)
 
 
 @tool(title="Playbacks", risk="read", group="memory", by_default=False, finds="how far is the playback")
@@ -185,7 +196,7 @@ async def ros2_bag_play_status(
 
 
 @tool(title="Stop playing", risk="write", group="memory", by_default=False, finds="end a playback")
-async def ros2_bag_play_stop(robot: Robot, playback_id: PlaybackId) -> play.PlaybackState:
+async def ros2_bag_play_stop(robot: Robot, playback_id: PlaybackId = "") -> play.PlaybackState:
     """Stop playing a bag."""
     return await play.stop(robot, playback_id)
 

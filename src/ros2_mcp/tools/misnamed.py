@@ -1,8 +1,11 @@
-"""Which argument was meant by a name that the tool does not have: models write the names of other tools and systems."""
+"""Which argument was meant by a name that the tool does not have: models write the names of other tools and systems.
+
+Names that mean the same are taken for one another, which the answer tells; other names are only hinted at.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 from ros2_mcp.model.names import did_you_mean
 
@@ -36,6 +39,40 @@ MEANT: Mapping[str, Sequence[str]] = {
     **dict.fromkeys(("end_time", "to", "until"), ("end", "time_end")),
 }
 """What is written, and what it may mean; the first of these that the tool has is named."""
+
+
+_SAME: Sequence[Sequence[str]] = (
+    ("duration", "duration_s", "duration_sec"),
+    ("timeout", "timeout_s", "timeout_sec", "wait_timeout_sec"),
+    ("node", "nodes", "node_name", "node_names"),
+    ("topic", "topic_name", "topics", "topic_names"),
+    ("service", "service_name"),
+    ("action", "action_name"),
+    ("type", "msg_type", "message_type", "topic_type"),
+    ("recording_id", "recording", "bag", "bag_name"),
+    ("playback_id", "playback"),
+    ("relay_id", "relay"),
+)
+"""Names that mean the same wherever a tool has exactly one of them."""
+_SAME_FOR_READING: Sequence[Sequence[str]] = ((*_SAME[0], *_SAME[1]),)
+"""The same for tools that only read: there, both say how long the call may take."""
+
+
+def taken_for(name: str, known: Collection[str], *, acts: bool) -> str:
+    """The argument of a tool that is meant by another name for it; the name itself where that is not certain.
+
+    Args:
+        name: as it was given.
+        known: the arguments of the tool.
+        acts: whether the tool can change or move something.
+    """
+    if name in known:
+        return name
+    for same in (*_SAME, *(() if acts else _SAME_FOR_READING)):
+        meant = [one for one in same if one in known]
+        if name.lower() in same and len(meant) == 1:
+            return meant[0]
+    return name
 
 
 def hint_for(name: str, known: Sequence[str]) -> str:

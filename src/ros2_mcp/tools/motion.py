@@ -8,10 +8,13 @@ from pydantic import Field
 
 from ros2_mcp.ops.motion import drive, until
 from ros2_mcp.ops.motion import joints as joint_move
+from ros2_mcp.ops.motion.controllers import FOLLOW
 from ros2_mcp.ops.results.results import Report
 from ros2_mcp.robot import Robot
+from ros2_mcp.robot.session import Session
 from ros2_mcp.tools.arguments import Flag, Number, TopicName
 from ros2_mcp.tools.declare import tool
+from ros2_mcp_common.policy.velocity import HOLD_TYPES, VELOCITY_TYPES
 from ros2_mcp_common.wire.limits import MAX_DURATION_S
 
 PLACE = 62
@@ -19,36 +22,38 @@ PLACE = 62
 
 VelocityTopic = Annotated[str, Field(description="Velocity topic. Default: from the graph.")]
 OdometryTopic = Annotated[str, Field(description="Odometry topic. Default: from the graph.")]
-ScanTopic = Annotated[str, Field(description="Laser scan topic. Default: from the graph.")]
+ScanTopic = Annotated[str, Field(description="Scan or cloud topic. Default: from the graph.")]
 MetresPerSecond = Annotated[Number, Field(ge=-10, le=10, description="In m/s.")]
 
 
 @tool(
     title="Drive by odometry",
     risk="actuate",
+    does={"publish": tuple(VELOCITY_TYPES)},
     group="motion",
     program="drive",
     finds="forward, back, drive a distance, turn around, rotate",
 )
 async def ros2_drive(
     robot: Robot,
+    session: Session,
     report: Report,
     distance_m: Annotated[Number | None, Field(description="Metres ahead; negative: back.")] = None,
     angle_deg: Annotated[Number | None, Field(description="Degrees to turn on the spot; positive: left.")] = None,
-    radius_m: Annotated[Number | None, Field(description="With angle_deg: radius in metres of an arc ahead.")] = None,
+    radius_m: Annotated[Number | None, Field(description="With angle_deg: radius (m) of an arc ahead.")] = None,
     speed: Annotated[Number | None, Field(description="m/s; on the spot °/s.")] = None,
     guard_m: Annotated[
         Number | None,
-        Field(description="Stop when an obstacle in the way is this near (m) to the outline, by a laser scan."),
+        Field(description="Metres kept free ahead of the outline; default 0.2, 0: off."),
     ] = None,
     topic_name: VelocityTopic = "",
     odometry: OdometryTopic = "",
     scan: ScanTopic = "",
 ) -> drive.Driven:
-    """Drive a distance or turn an angle by odometry feedback; returns when the robot stands still. Moves the robot.
+    """Drive a distance or turn an angle by odometry, to 2 cm or 1°; returns when the robot stands. Moves the robot.
 
-    Reports how far the robot came, what is missing, and what ended the motion. Stops when odometry or scan
-    falls silent.
+    Keeps clear of obstacles. Reports how far it came and what ended it. Stops when odometry or scan falls silent, and
+    after 1.5 times the expected time + 15 s.
     """
     request = drive.DriveRequest(
         distance_m=distance_m,
@@ -60,12 +65,13 @@ async def ros2_drive(
         odometry=odometry,
         scan=scan,
     )
-    return await drive.drive(robot, request, report)
+    return await drive.drive(robot, session, request, report)
 
 
 @tool(
     title="Move until a condition holds",
     risk="actuate",
+    does={"publish": tuple(VELOCITY_TYPES)},
     group="motion",
     by_default=False,
     program="move_until",
@@ -73,6 +79,7 @@ async def ros2_drive(
 )
 async def ros2_move_until(
     robot: Robot,
+    session: Session,
     report: Report,
     topic_name: TopicName,
     condition: Annotated[str, Field(description='As in ros2_wait_until, such as "nearest(-20, 20) < 0.6" of a scan.')],
@@ -105,12 +112,13 @@ async def ros2_move_until(
         command_topic=command_topic,
         odometry_topic=odometry,
     )
-    return await until.move_until(robot, request, report)
+    return await until.move_until(robot, session, request, report)
 
 
 @tool(
     title="Move joints",
     risk="actuate",
+    does={"goal": (FOLLOW,), "publish": tuple(HOLD_TYPES)},
     group="motion",
     by_default=False,
     program="joint_move",
@@ -118,6 +126,7 @@ async def ros2_move_until(
 )
 async def ros2_joint_move(
     robot: Robot,
+    session: Session,
     report: Report,
     joints: Annotated[dict[str, Number], Field(description='Targets in rad, or m: {"elbow_joint": 0.5}.')],
     relative: Annotated[Flag, Field(description="Targets are relative to the current positions.")] = False,
@@ -144,4 +153,4 @@ async def ros2_joint_move(
         tolerance=tolerance,
         controller=controller,
     )
-    return await joint_move.move_joints(robot, request, report)
+    return await joint_move.move_joints(robot, session, request, report)

@@ -7,12 +7,14 @@ from typing import Annotated, Any, cast
 from pydantic import BeforeValidator, Field
 from pydantic_core import PydanticCustomError
 
+from ros2_mcp.model.nav2 import COMPUTE_PATH, NAVIGATE
 from ros2_mcp.model.text import excerpt
 from ros2_mcp.ops.navigation.navigate import Navigated, navigate
 from ros2_mcp.ops.navigation.places import PlaceKept, PlaceList, PlaceRequest, list_places, set_place
 from ros2_mcp.ops.navigation.preview import Preview, preview
 from ros2_mcp.ops.results.results import Report
 from ros2_mcp.robot import Robot
+from ros2_mcp.robot.session import Session
 from ros2_mcp.tools.arguments import WHOLE_SENTENCE, Flag, Number, Pattern
 from ros2_mcp.tools.declare import tool
 from ros2_mcp_common.wire.limits import MAX_DURATION_S
@@ -56,12 +58,14 @@ Metres = Annotated[Number | None, Field(description="Metres. Without x and y: th
 @tool(
     title="Navigate",
     risk="actuate",
+    does={"goal": (NAVIGATE,)},
     group="motion",
     program="navigate",
     finds="go to the kitchen, drive to a place or room, navigation, waypoints, Nav2",
 )
 async def ros2_navigate(
     robot: Robot,
+    session: Session,
     report: Report,
     to: Annotated[
         list[dict[str, Any]] | None,
@@ -77,18 +81,20 @@ async def ros2_navigate(
     Reports the time taken and how near the robot came; for a failed goal, the cause and what would help. After a
     time-out, call again with the job_id; ros2_stop ends the job.
     """
-    return await navigate(robot, to, action=action_name, job_id=job_id, timeout_s=timeout_sec, report=report)
+    return await navigate(robot, session, to, action=action_name, job_id=job_id, timeout_s=timeout_sec, report=report)
 
 
 @tool(
     title="Preview a path",
     risk="write",
+    does={"goal": (COMPUTE_PATH,)},
     group="motion",
     by_default=False,
     finds="plan a path without moving, route, is a place reachable",
 )
 async def ros2_nav_preview(
     robot: Robot,
+    session: Session,
     report: Report,
     to: Pose,
     start: Annotated[
@@ -101,7 +107,7 @@ async def ros2_nav_preview(
 ) -> Preview:
     """Ask Nav2's planner for the path to a place: picture, length, points, narrowest spot. Nothing moves. If there is
     no path, the result says why."""
-    return await preview(robot, to, start, planner_id=planner_id, action=action_name, report=report)
+    return await preview(robot, session, to, start, planner_id=planner_id, action=action_name, report=report)
 
 
 @tool(
@@ -117,10 +123,12 @@ async def ros2_place_list(robot: Robot, pattern: Pattern = "") -> PlaceList:
     risk="write",
     group="space",
     by_default=False,
+    beside={"ros2_navigate": "ros2_navigate drives to one by its name."},
     finds="remember this place, name or save a location",
 )
 async def ros2_place_set(
     robot: Robot,
+    session: Session,
     name: Annotated[str, Field(description="Name of the place, such as door.")],
     x: Metres = None,
     y: Metres = None,
@@ -128,6 +136,6 @@ async def ros2_place_set(
     frame: Annotated[str, Field(description="Coordinate frame.")] = "map",
     remove: Annotated[Flag, Field(description="Delete the place instead.")] = False,
 ) -> PlaceKept:
-    """Save a pose under a name for ros2_navigate, or delete one. Places outlive this server."""
+    """Save a pose under a name, or delete one. Places outlive this server."""
     request = PlaceRequest(name=name, x_m=x, y_m=y, yaw_deg=yaw_deg, frame=frame, remove=remove)
-    return await set_place(robot, request)
+    return await set_place(robot, session, request)

@@ -9,6 +9,7 @@ from pydantic import Field
 from ros2_mcp.ops.nodes import info, lifecycle, parameters
 from ros2_mcp.ops.nodes.list import NodeList, list_nodes
 from ros2_mcp.robot import Robot
+from ros2_mcp.robot.session import Session
 from ros2_mcp.tools.arguments import Flag, Hidden, Limit, Pattern
 from ros2_mcp.tools.declare import tool
 
@@ -63,25 +64,27 @@ async def ros2_parameter_get(
     names: Annotated[list[str] | None, Field(description="Names of parameters; default: all, to be set back.")] = None,
     whole: Annotated[Flag, Field(description="Also return long values, in full.")] = False,
 ) -> parameters.Dump:
-    """Read parameters of a node as name → value, in the form that ros2_parameter_set takes."""
+    """Read parameters of a node as name → value, in the form in which they can be set."""
     return await parameters.dump(robot, node_name, names, whole=whole)
 
 
 @tool(
     title="Set parameters",
     risk="actuate",
+    does={"set": ()},
     group="parameters",
     program="set_parameter",
     finds="change a setting, configure, tune, parameter",
 )
 async def ros2_parameter_set(
     robot: Robot,
+    session: Session,
     node_name: NodeName,
     values: Annotated[dict[str, Any], Field(description='Name → value, such as {"max_speed": 0.5}.')],
     atomic: Annotated[Flag, Field(description="Set all of them or none.")] = False,
 ) -> parameters.SetResult:
     """Set parameters of a node. Values are checked against type and range first, and read back afterwards."""
-    return await parameters.set_values(robot, node_name, values, atomic=atomic)
+    return await parameters.set_values(robot, session, node_name, values, atomic=atomic)
 
 
 @tool(
@@ -99,14 +102,16 @@ async def ros2_lifecycle_state(robot: Robot, node_names: NodeNames = None) -> li
 @tool(
     title="Change a lifecycle state",
     risk="actuate",
+    does={"transition": ()},
     group="lifecycle",
     by_default=False,
     finds="activate, deactivate, configure, start a lifecycle node",
 )
 async def ros2_lifecycle_change(
     robot: Robot,
+    session: Session,
     node_name: NodeName,
     transition: Annotated[str, Field(description="Transition that is possible now, such as configure or activate.")],
 ) -> lifecycle.Transition:
     """Trigger a transition of a lifecycle node by name."""
-    return await lifecycle.change(robot, node_name, transition)
+    return await lifecycle.change(robot, session, node_name, transition)

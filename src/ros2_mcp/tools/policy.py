@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from ros2_mcp.ops.policy import in_force
 from ros2_mcp.robot import Robot
-from ros2_mcp.tools.declare import tool
+from ros2_mcp.tools.declare import DECLARED, tool
 
 PLACE = 11
 """Right behind the status: whoever wants to act asks it first."""
@@ -15,4 +17,5 @@ async def ros2_policy(robot: Robot) -> in_force.InForce:
     """Show what this server's policy allows, in words and numbers: topics, speeds, rates, durations, approvals. Plan
     within it; no tool changes it.
     """
-    return await in_force.in_force(robot)
+    refused = [tool.name for tool in DECLARED if not tool.is_of_use(robot.policy)]
+    return replace(await in_force.in_force(robot), tools_not_allowed=refused)

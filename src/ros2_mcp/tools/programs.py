@@ -8,9 +8,10 @@ from pydantic import Field
 
 from ros2_mcp.ops.results.results import Report
 from ros2_mcp.programs.keeping import ProgramList, ProgramRequest, ProgramSaved, list_programs, save_program
-from ros2_mcp.programs.kept import KeptPrograms
+from ros2_mcp.programs.kept import programs_of
 from ros2_mcp.programs.run import Ran, run
 from ros2_mcp.robot import Robot
+from ros2_mcp.robot.session import Session
 from ros2_mcp.tools.arguments import Flag, Number, Pattern
 from ros2_mcp.tools.declare import tool
 from ros2_mcp.tools.injection import ProgramsHere
@@ -44,6 +45,7 @@ Inputs = Annotated[
 )
 async def ros2_program_run(
     robot: Robot,
+    session: Session,
     report: Report,
     programs: ProgramsHere,
     program: Annotated[str, Field(description="Python code (import robot), or the name of a kept program.")],
@@ -59,8 +61,8 @@ async def ros2_program_run(
     _dropped. Limits: timeout, 5 s of computing between two calls, 60 s in all, 64 MB of values. Whatever ends it stops
     what it moves. help() prints all functions, help(robot.drive) one of them.
     """
-    code, given = await KeptPrograms(robot.programs_folder).resolve(program, inputs or {})
-    return await run(robot, programs, code, given, timeout, report, dry_run=dry_run)
+    code, given = await programs_of(robot).resolve(program, inputs or {})
+    return await run(robot, session, programs, code, given, timeout, report, dry_run=dry_run)
 
 
 @tool(
@@ -70,6 +72,7 @@ async def ros2_program_run(
     group="programs",
     by_default=False,
     recorded=True,
+    beside={"ros2_program_run": "ros2_program_run runs one by its name."},
     finds="kept programs, scripts that exist already",
 )
 async def ros2_program_list(
@@ -77,7 +80,7 @@ async def ros2_program_list(
     pattern: Pattern = "",
     code: Annotated[Flag, Field(description="Also return their code.")] = False,
 ) -> ProgramList:
-    """List the kept programs with their purposes and inputs. ros2_program_run runs one by its name."""
+    """List the kept programs with their purposes and inputs."""
     return await list_programs(robot, pattern, with_code=code)
 
 
@@ -91,6 +94,7 @@ async def ros2_program_list(
 )
 async def ros2_program_save(
     robot: Robot,
+    session: Session,
     programs: ProgramsHere,
     name: Annotated[str, Field(description="Such as follow-wall.")],
     program: Annotated[
@@ -106,4 +110,4 @@ async def ros2_program_save(
     request = ProgramRequest(
         name=name, code=program, description=description, inputs=inputs or (), overwrite=replace, remove=remove
     )
-    return await save_program(robot, programs, request)
+    return await save_program(robot, session, programs, request)

@@ -8,6 +8,7 @@ from pydantic import Field
 
 from ros2_mcp.ops.relay import relay
 from ros2_mcp.robot import Robot
+from ros2_mcp.robot.session import Session
 from ros2_mcp.tools.arguments import MessageType, Number
 from ros2_mcp.tools.declare import tool
 from ros2_mcp_common.wire.limits import MAX_RATE_HZ, MIN_RATE_HZ
@@ -28,10 +29,15 @@ Mapping = Annotated[
 
 
 @tool(
-    title="Start a relay", risk="actuate", group="relay", finds="forward a topic, throttle, republish, convert, filter"
+    title="Start a relay",
+    risk="actuate",
+    does={"relay": ()},
+    group="relay",
+    finds="forward a topic, throttle, republish, convert, filter",
 )
 async def ros2_relay_start(
     robot: Robot,
+    session: Session,
     source_topic: Annotated[str, Field(description="Topic to read.")],
     destination_topic: Annotated[str, Field(description="Topic to publish on.")],
     message_type: MessageType = "",
@@ -63,7 +69,7 @@ async def ros2_relay_start(
         mapping=mapping or {},
         destination_type=destination_type,
     )
-    return await relay.start(robot, request)
+    return await relay.start(robot, session, request)
 
 
 @tool(title="List relays", risk="read", group="relay", finds="which relays are running")
@@ -74,7 +80,7 @@ async def ros2_relay_list(robot: Robot) -> relay.RelayList:
 
 @tool(title="Stop a relay", risk="write", group="relay", finds="end a relay")
 async def ros2_relay_stop(
-    robot: Robot, relay_id: Annotated[str, Field(description="ID from ros2_relay_start.")]
+    robot: Robot, relay_id: Annotated[str, Field(description="ID from ros2_relay_start. Default: the only one.")] = ""
 ) -> relay.RelayState:
     """Stop a relay; returns its final counts."""
     return await relay.stop(robot, relay_id)

@@ -10,6 +10,7 @@ from ros2_mcp.ops.results.results import Report
 from ros2_mcp.ops.services.call import ServiceAnswer, call
 from ros2_mcp.ops.services.list import ServiceList, list_services
 from ros2_mcp.robot import Robot
+from ros2_mcp.robot.session import Session
 from ros2_mcp.tools.arguments import Flag, Hidden, Limit, Number, Pattern
 from ros2_mcp.tools.declare import tool
 from ros2_mcp.tools.injection import Waits
@@ -42,22 +43,22 @@ async def ros2_service_list(
     title="Call a service",
     risk="actuate",
     group="services",
-    aliases={"timeout": "timeout_sec"},
     program="call",
     finds="call a service: take off, land, drone, arm, reset, enable, set mode",
 )
 async def ros2_service_call(
     robot: Robot,
+    session: Session,
     report: Report,
     service_name: Annotated[str, Field(description="Such as /set_mode.")],
     fields: Annotated[
         dict[str, Any] | None,
         BeforeValidator(_empty_request),
-        Field(description='Request fields, such as {"data": true}; omit if there are none.'),
+        Field(description='Request fields, such as {"data": true}.'),
     ] = None,
     service_type: Annotated[str, Field(description="Such as std_srvs/srv/SetBool. Default: the service's own.")] = "",
     force_call: Annotated[
-        Flag, Field(description="Call even if request fields are missing; they get defaults.")
+        Flag, Field(description="Call even if fields are missing, or several nodes serve it.")
     ] = False,
     timeout_sec: Annotated[Number, Field(gt=0, le=MAX_DURATION_S, description="Maximum wait in seconds.")] = 10.0,
     *,
@@ -69,6 +70,7 @@ async def ros2_service_call(
     """
     return await call(
         robot,
+        session,
         service_name,
         service_type,
         fields,

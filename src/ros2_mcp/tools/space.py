@@ -8,6 +8,7 @@ from pydantic import Field
 
 from ros2_mcp.ops.results.results import Report
 from ros2_mcp.ops.sources.source import Source
+from ros2_mcp.ops.space.brief import Part
 from ros2_mcp.ops.space.robot import RobotInBrief, in_brief
 from ros2_mcp.ops.space.scene import scene
 from ros2_mcp.ops.space.scene_picture import ScenePicture, SceneRequest
@@ -31,12 +32,13 @@ PLACE = 35
 )
 async def ros2_robot(
     robot: Robot,
-    whole: Annotated[Flag, Field(description="Return everything, even beyond 2 kB.")] = False,
+    part: Annotated[Part, Field(description="Only this part, in full. Default: all in brief.")] = "",
+    whole: Annotated[Flag, Field(description="All parts in full.")] = False,
     *,
     source: RecordingSource,
 ) -> RobotInBrief:
     """Start here: kind, size, command inputs, sensors, joints, where it is, and what is unhealthy."""
-    return await in_brief(robot, source, whole=whole)
+    return await in_brief(robot, source, part=part, whole=whole)
 
 
 @tool(

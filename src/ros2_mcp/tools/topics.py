@@ -12,6 +12,7 @@ from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.ops.topics import info, publish, stats, subscribe
 from ros2_mcp.ops.topics.list import TopicList, list_topics
 from ros2_mcp.robot import Robot
+from ros2_mcp.robot.session import Session
 from ros2_mcp.tools.arguments import (
     Duration,
     Flag,
@@ -108,6 +109,7 @@ async def ros2_topic_info(robot: Robot, topic_name: TopicName) -> info.TopicInfo
     risk="read",
     recorded=True,
     aliases={"message_type": "msg_type"},
+    beside={"ros2_topic_stats": "For rates use ros2_topic_stats."},
     finds="camera picture image photo, laser scan obstacle, odometry, battery level, sensor values, echo topic",
 )
 async def ros2_topic_subscribe(
@@ -116,8 +118,8 @@ async def ros2_topic_subscribe(
     """Read messages of a topic: for a duration, or until a number of messages came. With neither, the first message.
 
     QoS is chosen to match the publishers. Images and maps come as pictures.
-    Long arrays are summarised: use fields to see a part in full. For rates use ros2_topic_stats. From a recording:
-    messages from start on, or without start the last seconds or messages.
+    Long arrays are summarised: use fields to see a part in full. From a recording: messages from
+    start on, or without start the last seconds or messages.
     """
     return await subscribe.read(source, topic_name, msg_type, selection, report)
 
@@ -179,6 +181,7 @@ async def ros2_topic_echo_wait(
     risk="read",
     recorded=True,
     program="rates",
+    beside={"ros2_topic_statistics": "For the values of fields use ros2_topic_statistics."},
     finds="rate, Hz, frequency, bandwidth, delay, latency, lost messages",
 )
 async def ros2_topic_stats(
@@ -196,7 +199,7 @@ async def ros2_topic_stats(
 ) -> stats.Stats:
     """Measure the traffic of topics, several at once: rate, jitter, gaps, bandwidth, loss, age by header stamp.
 
-    The largest come first. For the values of fields use ros2_topic_statistics.
+    The largest come first.
     """
     lasting = source.lasting(duration or MEASURE_S, recorded_s=duration, whole=True)
     return await stats.measure(lasting, topic_names, report)
@@ -205,6 +208,7 @@ async def ros2_topic_stats(
 @tool(
     title="Publish",
     risk="actuate",
+    does={"publish": ()},
     place=_PUBLISHING_PLACE,
     aliases={"msg_type": "message_type"},
     program="publish",
@@ -212,6 +216,7 @@ async def ros2_topic_stats(
 )
 async def ros2_topic_publish(
     robot: Robot,
+    session: Session,
     report: Report,
     topic_name: Destination,
     data: Data,
@@ -227,20 +232,22 @@ async def ros2_topic_publish(
     request = publish.PublishRequest(
         topic_name=topic_name, message_type=message_type, data=data, frequency=frequency, duration=duration
     )
-    return await publish.publish(robot, request, report)
+    return await publish.publish(robot, session, request, report)
 
 
 @tool(
     title="Publish on several topics",
     risk="actuate",
+    does={"publish": ()},
     place=_PUBLISHING_PLACE,
     finds="send on several topics together",
 )
 async def ros2_publish_multiple_topics(
     robot: Robot,
+    session: Session,
     report: Report,
     topics: Annotated[list[TopicToPublish], _SEVERAL, Field(description="Topics and their messages.")],
 ) -> publish.PublishedSeveral:
     """Publish repeatedly on several topics at the same time, each with its own frequency and duration."""
     requests = [publish.PublishRequest(**dict(topic)) for topic in topics]
-    return await publish.publish_several(robot, requests, report)
+    return await publish.publish_several(robot, session, requests, report)

@@ -12,6 +12,7 @@ from pydantic import BeforeValidator, Field
 
 from ros2_mcp.ops.results.results import HIDDEN, Report
 from ros2_mcp.robot import Robot
+from ros2_mcp.robot.session import Session
 from ros2_mcp.tools.arguments import FromBag, RecordedTime
 from ros2_mcp.tools.declare import ForPage, tool
 from ros2_mcp.tools.injection import AtOneTime, ShowsPages
@@ -74,6 +75,7 @@ class ViewState:
 )
 async def ros2_view(
     robot: Robot,
+    session: Session,
     report: Report,
     shows_pages: ShowsPages,
     viewing: Viewing,
@@ -92,7 +94,7 @@ async def ros2_view(
     that shows no pages gets a picture, and how to open the scene in a browser."""
     at_s = source.covers_ns[1] / 1e9 if time and source.covers_ns else None
     request = OpeningRequest(topics=topics or (), kind=kind, fields=fields or (), bag=bag, at_s=at_s)
-    others = sum(state.is_open for state in viewing.states(robot.principal.name))
+    others = sum(state.is_open for state in viewing.states(session.principal.name))
     return await opened(robot, source, request, shows_pages=shows_pages, others=others, report=report)
 
 
@@ -104,10 +106,10 @@ async def ros2_view(
     recorded=True,
     finds="what did the user click, pick or point at",
 )
-async def ros2_view_state(robot: Robot, viewing: Viewing) -> ViewState:
+async def ros2_view_state(session: Session, viewing: Viewing) -> ViewState:
     """Show what your user sees on the pages, and what they picked there: a place (metres in a frame), a point in 3D, a
     box in a picture, a time in a plot."""
-    states = viewing.states(robot.principal.name)
+    states = viewing.states(session.principal.name)
     told: list[str] = []
     pages: list[PageSeen] = []
     for state in states:
@@ -130,9 +132,9 @@ async def ros2_view_state(robot: Robot, viewing: Viewing) -> ViewState:
 
 
 @tool(title="Update of the page", risk="read", group="view", by_default=False, recorded=True, audience="page")
-async def ros2_view_frame(robot: Robot, viewing: Viewing, asked: PageRequest, bag: FromBag = "") -> ForPage:
+async def ros2_view_frame(session: Session, viewing: Viewing, asked: PageRequest, bag: FromBag = "") -> ForPage:
     """For the page alone: what is new in its panels."""
-    update = await viewing.update(asked, bag, robot.principal.name)
+    update = await viewing.update(asked, bag, session.principal.name)
     return ForPage(update, f"New: {', '.join(update['panels']) or 'nothing'}.")
 
 

@@ -12,7 +12,7 @@ from rosbags.serde import SerdeError
 from ros2_mcp.model.errors import BadData
 from ros2_mcp.model.interfaces import FieldType
 from ros2_mcp.values.definitions import Definitions
-from ros2_mcp.values.store import attribute
+from ros2_mcp.values.store import Misfit, attribute
 
 Message: TypeAlias = object
 """A message as an object with one attribute for each field; numeric arrays are read-only NumPy arrays."""
@@ -40,13 +40,16 @@ class Codec:
         try:
             message, rest = store.read(type_name, data)
             if len(rest) > _PADDING and any(rest) and len(rest) > _PADDING + 4 * self._estimates(type_name, message):
-                raise ValueError(f"{len(rest)} bytes are left over")
+                raise _misfit(data, type_name, f"{len(rest)} bytes are left over")
             return message
-        except (ValueError, StructError, SerdeError) as error:
-            raise BadData(
-                f"A message of {len(data)} bytes is not a {type_name}: {error}.",
-                "Its publisher may have been built with another version of this type.",
-            ) from error
+        except Misfit as error:
+            raise _misfit(data, type_name, str(error)) from error
+        except (
+            ValueError,
+            StructError,
+            SerdeError,
+        ) as error:  # in its library's words: bytes are missing
+            raise _misfit(data, type_name, "it ends before its last field does") from error
 
     def encode(self, type_name: str, message: Message) -> bytes:
         """The message as little-endian CDR with its header; the same values always give the same bytes.
@@ -91,3 +94,10 @@ class RememberingCodec(Codec):
             while len(self._last) > _REMEMBERED:
                 self._last.popitem(last=False)
         return message
+
+
+def _misfit(data: bytes, type_name: str, why: str) -> BadData:
+    return BadData(
+        f"A message of {len(data)} bytes is not a {type_name}: {why}.",
+        "Its publisher may have been built with another version of this type.",
+    )

@@ -63,7 +63,7 @@ class ColumnReader:
         self._type = type_name
         self._paths = paths
         self._names = [".".join(step.field.name for step in path.steps) for path in paths]
-        self._suits = all(_suits(path) for path in paths)
+        self._suits = definitions.is_cdr(type_name) and all(_suits(path) for path in paths)
         self._known: dict[tuple[bytes, int], list[_Layout]] = {}
         self._store: MessageStore | None = None
 
@@ -144,7 +144,9 @@ class ExcerptReader:
     """
 
     def __init__(self, definitions: Definitions, type_name: str, paths: Sequence[FieldPath]) -> None:
-        self.suits = all(_suits(path) and path.steps[-1].pick is None and not path.is_list for path in paths)
+        self.suits = definitions.is_cdr(type_name) and all(
+            _suits(path) and path.steps[-1].pick is None and not path.is_list for path in paths
+        )
         self._reader = ColumnReader(definitions, type_name, paths)
         self._places: _Tree = {}
         for number, path in enumerate(paths):

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, cast
 
 from rosbags.interfaces import Nodetype
@@ -22,7 +23,7 @@ from ros2_mcp.model.interfaces import (
     Interface,
     Structure,
 )
-from ros2_mcp.model.names import did_you_mean
+from ros2_mcp.model.names import defining_type, did_you_mean
 from ros2_mcp.model.text import named, quoted
 from ros2_mcp.values.msg_text import read_structure, split_sections
 from ros2_mcp.values.store import MessageStore, type_hash
@@ -40,8 +41,13 @@ _ALWAYS_KNOWN: Mapping[str, DefinitionText] = {
     TIME: DefinitionText("msg", "int32 sec\nuint32 nanosec\n"),
     "builtin_interfaces/msg/Duration": DefinitionText("msg", "int32 sec\nuint32 nanosec\n"),
     "unique_identifier_msgs/msg/UUID": DefinitionText("msg", "uint8[16] uuid\n"),
+    "service_msgs/msg/ServiceEventInfo": DefinitionText(
+        "msg",
+        "uint8 REQUEST_SENT=0\nuint8 REQUEST_RECEIVED=1\nuint8 RESPONSE_SENT=2\nuint8 RESPONSE_RECEIVED=3\n"
+        "uint8 event_type\nbuiltin_interfaces/Time stamp\nchar[16] client_gid\nint64 sequence_number\n",
+    ),
 }
-"""What the services of an action refer to, for robots that send only the action itself."""
+"""What services and actions imply without a word in their definitions: their events, and the services of an action."""
 
 _IMPLIED: Mapping[str, Mapping[str, str]] = {
     "msg": {},
@@ -84,10 +90,48 @@ class Definitions:
             if new:
                 self._set = self._set.with_texts(new)
 
+    def add_plain(self, structures: Sequence[Structure]) -> None:
+        """Takes structures of messages that are no CDR, under names that no text may have; they replace others."""
+        with self._lock:
+            plain = {**self._set.plain, **{structure.type: structure for structure in structures}}
+            self._set = self._set.with_plain(plain)
+
+    def refuse(self, type_name: str, error: UnknownInterface) -> None:
+        """Notes why nothing is known of a type: who asks for its structure is told that."""
+        with self._lock:
+            self._set.refused[type_name] = error
+
     def knows(self, type_name: str) -> bool:
         """Whether there is a definition, also of derived types such as `std_srvs/srv/SetBool_Request`."""
         current = self._set
-        return type_name in current.texts or type_name in current.owners
+        return type_name in current.texts or type_name in current.owners or type_name in current.plain
+
+    def is_cdr(self, type_name: str) -> bool:
+        """Whether its messages are CDR, whose bytes can be read without decoding them."""
+        return type_name not in self._set.plain and type_name not in self._set.refused
+
+    def unknown_in(self, type_name: str) -> list[str]:
+        """The names of interfaces that a known type refers to, and of which there is no definition.
+
+        Raises:
+            UnknownInterface: if a definition cannot be read.
+        """
+        found: dict[str, None] = {}
+        seen: set[str] = set()
+
+        def look(name: str) -> None:
+            if name in seen:
+                return
+            seen.add(name)
+            if not self.knows(name):
+                found[defining_type(name)] = None
+                return
+            for field in self.structure(name).fields:
+                if field.type.is_message:
+                    look(field.type.base)
+
+        look(type_name)
+        return list(found)
 
     def structure(self, type_name: str) -> Structure:
         """The fields and constants of a message, or of one side of a service or an action.
@@ -123,6 +167,8 @@ class Definitions:
 
     def starts_with_header(self, type_name: str) -> bool:
         """Whether the first field is a std_msgs/msg/Header, so that the message begins with a stamp."""
+        if not self.is_cdr(type_name):
+            return False
         fields = self.structure(type_name).fields
         return bool(fields) and fields[0].type == FieldType(HEADER)
 
@@ -142,22 +188,38 @@ class Definitions:
 class _DefinitionSet:
     """One consistent set of texts with what has been made from them so far."""
 
-    def __init__(self, texts: Mapping[str, DefinitionText]) -> None:
+    def __init__(
+        self, texts: Mapping[str, DefinitionText], plain: Mapping[str, Structure] = MappingProxyType({})
+    ) -> None:
         self.texts = dict(texts)
         self.owners = {made: name for name in texts for made in _types_of(name)}
-        self.structures: dict[str, Structure] = {}
+        self.plain = dict(plain)
+        self.refused: dict[str, UnknownInterface] = {}
+        self.structures: dict[str, Structure] = dict(plain)
         self.compiled: set[str] = set()
         self.store = MessageStore()
 
+    def with_plain(self, plain: Mapping[str, Structure]) -> _DefinitionSet:
+        """A set with these structures of messages that are no CDR; what has been made of texts is kept."""
+        result = _DefinitionSet(self.texts, plain)
+        result.structures = {**self.structures, **plain}
+        result.compiled, result.store, result.refused = self.compiled, self.store, self.refused
+        return result
+
     def with_texts(self, new: Mapping[str, DefinitionText]) -> _DefinitionSet:
         """A set with these texts too. What has been made is kept unless a text that was there changes."""
-        result = _DefinitionSet({**self.texts, **new})
+        result = _DefinitionSet({**self.texts, **new}, self.plain)
+        result.refused = {name: error for name, error in self.refused.items() if name not in result.owners}
         if not any(name in self.texts for name in new):
             result.structures, result.compiled, result.store = self.structures, self.compiled, self.store
         return result
 
     def load(self, type_name: str) -> Structure:
+        if type_name in self.plain:
+            return self.plain[type_name]
         owner = self.owners.get(type_name)
+        if owner is None and (refused := self.refused.get(type_name)):
+            raise UnknownInterface(refused.message, refused.hint)
         if owner is None:
             raise UnknownInterface(
                 f"No definition of {named(type_name)} is known.", did_you_mean(type_name, list(self.texts))

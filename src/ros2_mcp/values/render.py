@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import base64
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from struct import Struct
 from typing import Any, NamedTuple
@@ -38,6 +38,8 @@ _ANGLE_DIGITS = 4
 """0.006°: no scanner is as exact."""
 
 _FLOAT32 = Struct("<f")
+_ABSENT = object()
+"""Of a field that a message does not have, as JSON may."""
 # What is tried, one after the other, where a message is longer than it may be: first shorter arrays and texts, each
 # step about a quarter of the one before, then fewer levels.
 _ARRAY_STEPS = (16, 4, 0)
@@ -72,12 +74,13 @@ class RenderOptions:
 class Rendered:
     """A message as JSON: its fields, or path → value where fields were selected.
 
-    `truncated` are the paths of what is summarised (`poses[*].name` stands for every index); `bytes` is the length
-    of the compact JSON text, with hidden characters as they are shown.
+    `truncated` are the paths of what is summarised (`poses[*].name` stands for every index), each with the field that
+    shows more of it: a text or message by its name, of a list a slice. `bytes` is the length of the compact JSON text,
+    with hidden characters as they are shown.
     """
 
     value: dict[str, Any]
-    truncated: list[str]
+    truncated: Mapping[str, str]
     bytes: int
 
 
@@ -99,7 +102,7 @@ def render(definitions: Definitions, type_name: str, message: object, *, options
         BadValue: for a path in `fields` that does not exist, or an index beyond the list.
     """
     selections = parse_fields(definitions, type_name, options.fields) if options.fields else None
-    result = Rendered({}, [], 2)
+    result = Rendered({}, {}, 2)
     for limits in _attempts(options):
         result = _Render(definitions, limits, options).whole(type_name, message, selections)
         if options.exact or options.native or result.bytes <= options.max_bytes:
@@ -134,7 +137,7 @@ class _Render:
         self._native = options.native
         self._hold = options.hold
         self._limits = limits
-        self._truncated: dict[str, None] = {}
+        self._truncated: dict[str, str] = {}
 
     def whole(self, type_name: str, message: object, selections: Sequence[FieldPath] | None) -> Rendered:
         if selections is None:
@@ -142,9 +145,9 @@ class _Render:
         else:
             value = {chosen.path: self._follow(chosen.path, chosen.steps, message) for chosen in selections}
         if self._native:  # it does not become JSON
-            return Rendered(value, [], 0)
+            return Rendered(value, {}, 0)
         _, text = visible_json(value)
-        return Rendered(value, list(self._truncated), len(text.encode()))
+        return Rendered(value, self._truncated, len(text.encode()))
 
     def _message(self, type_name: str, message: object, path: str, depth: int) -> dict[str, Any]:
         if depth <= 0:
@@ -153,12 +156,16 @@ class _Render:
         result: dict[str, Any] = {}
         for field in self._definitions.structure(type_name).fields:
             below = f"{path}.{field.name}" if path else field.name
-            result[field.name] = self._value(field.type, getattr(message, attribute(field.name)), below, depth - 1)
+            value = getattr(message, attribute(field.name), _ABSENT)
+            if value is not _ABSENT:
+                result[field.name] = self._value(field.type, value, below, depth - 1)
         if type_name == _SCAN:
             _add_angle(result)
         return result
 
     def _value(self, field_type: FieldType, value: Any, path: str, depth: int) -> Any:
+        if value is None:  # in JSON
+            return None
         if field_type.arity != "single":
             return self._several(field_type, value, path, depth, self._limits.array)
         if field_type.is_message:
@@ -180,7 +187,7 @@ class _Render:
             if diagonal is not None:
                 return {DIAGONAL: _json_numbers(field_type, diagonal)}
             return _json_numbers(field_type, values, exact=self._exact)
-        self._cut(path)
+        self._cut(path, slice_of=path)
         return _numbers_summary(field_type, values, min(most, _MOST_FIRST))
 
     def _list(self, field_type: FieldType, values: list[Any], path: str, depth: int, most: int) -> Any:
@@ -188,7 +195,7 @@ class _Render:
         first = [self._value(element, value, f"{path}[*]", depth) for value in values[:most]]
         if len(values) <= most:
             return first
-        self._cut(path)
+        self._cut(path, slice_of=path)
         return _list_summary(field_type, len(values), first)
 
     def _text(self, text: str, path: str, most: int) -> Any:
@@ -203,7 +210,9 @@ class _Render:
     def _follow(self, path: str, steps: tuple[Step, ...], value: Any) -> Any:
         """What a selected path leads to; beyond a slice, a list with what the rest of the path leads to in each."""
         step, rest = steps[0], steps[1:]
-        field_type, value = step.field.type, getattr(value, attribute(step.field.name))
+        field_type, value = step.field.type, getattr(value, attribute(step.field.name), None)
+        if value is None:  # in JSON: null, or there is no such field in this message
+            return None
         if isinstance(step.pick, int):
             field_type, value = field_type.element, element_at(value, step.pick, path)
         elif step.pick is not None:
@@ -222,8 +231,8 @@ class _Render:
             return self._text(value, path, self._limits.slice)
         return self._value(field_type, value, path, self._limits.depth)
 
-    def _cut(self, path: str) -> None:
-        self._truncated[path] = None
+    def _cut(self, path: str, slice_of: str = "") -> None:
+        self._truncated[path] = f"{slice_of}[0:100]" if slice_of and "[" not in slice_of else path
 
 
 # ── numbers and texts, exactly or as a summary ────────────────────────────────────────────────────────────────────
@@ -291,7 +300,7 @@ def _add_angle(scan: dict[str, Any]) -> None:
     """Writes the angle of the smallest range into the summary of a scan's ranges; a strange definition may lack all."""
     ranges: Any = scan.get("ranges") or ()
     start, step = scan.get("angle_min"), scan.get("angle_increment")
-    if isinstance(start, (int, float)) and isinstance(step, (int, float)) and "min_at" in ranges:
+    if isinstance(start, (int, float)) and isinstance(step, (int, float)) and step and "min_at" in ranges:
         ranges["min_at_angle"] = _json_number("float64", round(float(start + ranges["min_at"] * step), _ANGLE_DIGITS))
 
 

@@ -25,6 +25,10 @@ _LENGTHS = {"le": Struct("<I"), "be": Struct(">I")}
 _WIDE = {"le": "utf-32-le", "be": "utf-32-be"}
 
 
+class Misfit(ValueError):
+    """Why bytes are not a message of their type, in our words."""
+
+
 class MessageStore(Typestore):
     """Types that have been compiled; one store for one consistent set of definitions."""
 
@@ -60,7 +64,7 @@ class MessageStore(Typestore):
             ValueError, struct.error, SerdeError: if they do not fit.
         """
         if len(data) < _HEADER_SIZE or data[0] or data[1] > 1:
-            raise ValueError(f"it starts with {data[:4].hex(' ') or 'nothing'}, which is not a plain CDR header")
+            raise Misfit(f"it starts with {data[:4].hex(' ') or 'nothing'}, which is not a plain CDR header")
         definition = self.get_msgdef(type_name)
         read = definition.deserialize_cdr_le if data[1] else definition.deserialize_cdr_be
         body = memoryview(data)[_HEADER_SIZE:]
@@ -138,10 +142,10 @@ def _string_type() -> Msgdef[object]:
         def read(raw: memoryview, pos: int, _cls: object, _store: object) -> tuple[str, int]:
             end = pos + 4 + length_of(raw, pos)[0]
             if end > len(raw):
-                raise ValueError(f"a string of {end - pos - 4} bytes at offset {pos} goes beyond the end")
+                raise Misfit(f"a string of {end - pos - 4} bytes at offset {pos} goes beyond the end")
             data = bytes(raw[pos + 4 : end])
             if data and data[-1]:
-                raise ValueError(f"a string at offset {pos} does not end with a zero byte")
+                raise Misfit(f"a string at offset {pos} does not end with a zero byte")
             return data[:-1].decode("utf-8", "surrogateescape"), end
 
         return read
@@ -169,7 +173,7 @@ def _wide_string_type() -> Msgdef[object]:
         def read(raw: memoryview, pos: int, _cls: object, _store: object) -> tuple[str, int]:
             end = pos + 4 + 4 * length_of(raw, pos)[0]
             if end > len(raw):
-                raise ValueError(f"a wide string at offset {pos} goes beyond the end")
+                raise Misfit(f"a wide string at offset {pos} goes beyond the end")
             wide = bytes(raw[pos + 4 : end]).decode(_WIDE[order], "surrogatepass")
             return wide.encode("utf-16-le", "surrogatepass").decode("utf-16-le", "surrogatepass"), end
 

@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from time import time
 from typing import Any
 
-from ros2_mcp.guard.approvals import PENDING_S
 from ros2_mcp.guard.chain import files_of, tail
 from ros2_mcp.guard.consent import AUDIT
 from ros2_mcp.guard.operators import name_of, own_uid
 from ros2_mcp.guard.servers import Row, Server, servers_in
 from ros2_mcp.guard.state import StateFolder
 from ros2_mcp.model.errors import NotFound, RobotError
-from ros2_mcp.model.times import iso_time
-from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.robot import Robot
-from ros2_mcp.view.acts import acts_in, presses_as_one, told_as_lapsed
-from ros2_mcp.view.look import Content, Look, Panel
-from ros2_mcp.view.recorded_acts import RecordedActs
+from ros2_mcp.view.acts import MOST_ACTS, acts_in, presses_as_one
 from ros2_mcp_common.policy.velocity import VELOCITY_TYPES
 
 _ALIVE_S = 1.0
@@ -29,14 +23,8 @@ _STOPPED_S = 15.0
 """For the whole answer of a stop, which waits some seconds for goals to end and to see that the robot stands."""
 _LATE_S = 2.0
 """For that of a server that was found silent, and may only have been slow: all is done in its place meanwhile."""
-_ASKED_EVERY_S = 0.5
-"""Servers are asked what they do: a person sees what has changed within a second."""
 _TAIL_BYTES = 96_000
 """Of the audit: some hundred lines."""
-_MOST_ACTS = 60
-_SETTLED_S = 2.0
-_MOST_ENDED = 20
-"""Jobs that have ended while the page was open: the audit has no line of their ends."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -129,7 +117,7 @@ class Acting:
         files = files_of(folder)[-1:] if folder.is_dir() else []
         seen = tuple((path.name, path.stat().st_size) for path in files)
         if seen != self._audit[0]:
-            self._audit = seen, presses_as_one([*acts_in(tail(folder, _TAIL_BYTES))])[-_MOST_ACTS:]
+            self._audit = seen, presses_as_one([*acts_in(tail(folder, _TAIL_BYTES))])[-MOST_ACTS:]
         return self._audit[1]
 
     async def stop(self, robot: Robot) -> StoppedAll:
@@ -210,88 +198,6 @@ class Acting:
         chosen = {name: kind for name, kind in topics.items() if name in known}
         failed = await robot.still(chosen)
         return sorted(chosen.keys() - failed.keys()), [f"No zero on {name}: {why}" for name, why in failed.items()]
-
-
-class AgentPanel(Panel):
-    """What the agent does now: commands, what moves, what waits for approval, the latch."""
-
-    name = "agent"
-    period_s = 0.25
-
-    def __init__(self, acting: Acting, recording: Source | None = None, now_s: Callable[[], float] = time) -> None:
-        self._acting = acting
-        self._recorded = RecordedActs(recording) if recording else None
-        self._now_s = now_s
-        self._asked_at = 0.0
-        self._servers: list[Mapping[str, Any]] = []
-        self._waited: dict[str, float] = {}
-        """When each request was last among what waits."""
-        self._why = ""
-        self._jobs: dict[str, Mapping[str, Any]] = {}
-        self._ended: list[Mapping[str, Any]] = []
-
-    async def show(self, look: Look) -> Content | None:
-        """The state of all servers that act now, and the newest acts; of a recording, those before what is shown."""
-        if abs(self._now_s() - self._asked_at) > _ASKED_EVERY_S:
-            self._asked_at, self._why = self._now_s(), ""
-            self._servers = await _or_none(self._acting.servers, self._fail)
-            waiting = {one["id"] for server in self._servers for one in server.get("waiting", ())}
-            self._waited |= dict.fromkeys(waiting, self._asked_at)
-            self._note_ended()
-        content = {
-            "servers": self._servers,
-            "latch": self._acting.latch(),
-            "folder": self._acting.at.path.name,
-            "why": self._why,
-        }
-        if self._recorded is None:
-            acts = await asyncio.to_thread(self._acting.acts)
-            told = sorted([*told_as_lapsed(acts, self._waits_no_longer), *self._ended], key=lambda act: act["time"])
-            return {**content, "acts": told[-_MOST_ACTS:]}
-        entries, origin = await self._recorded.until(look.now_ns, self._acting.at.path / AUDIT)
-        valid_since = iso_time(look.now_ns - round(PENDING_S * 1e9))
-        acts = told_as_lapsed(presses_as_one([*acts_in(entries)]), lambda act: act["time"] < valid_since)
-        return {**content, "acts": acts[-_MOST_ACTS:], "origin": origin}
-
-    def _note_ended(self) -> None:
-        """Keeps which jobs run no more. Of a server that hangs it is not known."""
-        if self._why:
-            return
-        running = {job["id"]: job for server in self._servers for job in server.get("jobs", ())}
-        if all(server["answers"] for server in self._servers):
-            gone = [job for job_id, job in self._jobs.items() if job_id not in running]
-            self._ended = [*self._ended, *(_ended(job, self._asked_at) for job in gone)][-_MOST_ENDED:]
-            self._jobs = {}
-        self._jobs |= running
-
-    def _waits_no_longer(self, act: Mapping[str, Any]) -> bool:
-        """Of a call that nobody has answered: it was asked too long ago, a stop ended it, or its server has ended.
-
-        A moment passes until servers and audit tell the same; of a server that hangs it is not known.
-        """
-        settled_s = self._now_s() - _SETTLED_S
-        is_known = not self._why and all(server["answers"] for server in self._servers)
-        is_old = act["time"] < iso_time(round(settled_s * 1e9))
-        return is_known and is_old and self._waited.get(act.get("approval", ""), 0.0) < settled_s
-
-    def _fail(self, error: RobotError) -> None:
-        self._why = str(error)
-
-
-async def _or_none(
-    ask: Callable[[], Awaitable[list[Mapping[str, Any]]]], failed: Callable[[RobotError], None]
-) -> list[Mapping[str, Any]]:
-    try:
-        return await ask()
-    except RobotError as error:
-        failed(error)
-        return []
-
-
-def _ended(job: Row, now_s: float) -> Row:
-    """The end of a job as an act, when it was seen."""
-    fields = {"name": job["id"], "verb": job["kind"], "reason": job.get("doing", ""), "duration_s": job.get("for_s")}
-    return {"time": iso_time(round(now_s * 1e9)), "kind": "ended", "who": "", "seq": None, "value": None, **fields}
 
 
 def _waiting(request: Row) -> Row:

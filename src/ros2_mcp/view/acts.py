@@ -8,6 +8,8 @@ from typing import Any
 
 from ros2_mcp.model.times import iso_time
 
+MOST_ACTS = 60
+"""The newest, which a page shows."""
 _MOST_TEXT = 300
 """Of a field: the audit writes no longer ones."""
 _ANSWERS = ("approved", "denied", "granted", "withdrawn")

@@ -7,20 +7,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from ros2_mcp.model.errors import RobotError
-from ros2_mcp.model.pictures import COMPRESSED_IMAGE, IMAGE, OCCUPANCY_GRID, POINT_CLOUD
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.results.results import HIDDEN, Report, WithPictures, silent
 from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.ops.space.scene import scene
 from ros2_mcp.ops.space.scene_picture import SceneRequest
 from ros2_mcp.robot import Robot
+from ros2_mcp.view.panels import panel_types
 
-_PANELS: Mapping[str, str] = {
-    **{IMAGE: "image", COMPRESSED_IMAGE: "image", OCCUPANCY_GRID: "map"},
-    POINT_CLOUD: "cloud",
-}
-"""Type of a topic → the panel that shows it; any other is shown by its values."""
-_KINDS: Mapping[str, str] = {"image": "image", "pointcloud": "cloud", "plot": "plot"}
 _OTHERS = (
     "This is a new page: {others} open already and unchanged. On an open page, the user selects what it shows in the "
     "heads of its panels."
@@ -74,13 +68,15 @@ async def opened(
         NotFound: for a topic that there is not.
     """
     panels: dict[str, str] = {}
+    by_kind = {kind.shows_kind: kind.name for kind in panel_types()}
+    by_type = {type_name: kind.name for kind in panel_types() for type_name in kind.shows_types}
     for topic in request.topics:
-        panel = _KINDS.get(request.kind) or _PANELS.get(await source.type_of(topic), "values")
+        panel = by_kind.get(request.kind) or by_type.get(await source.type_of(topic), "values")
         panels.setdefault(panel, topic)
     if request.fields and request.topics:
         panels["plot"] = ",".join(f"{request.topics[0]}:{one}" for one in request.fields)
     subject = "the robot, live" if source.is_live else f"the recording {source.title}"
-    chosen = "".join(f", {panel} {named(topic)}" for panel, topic in panels.items())
+    chosen = "".join(f", in the panel {panel} {named(topic)}" for panel, topic in panels.items())
     told = OpenedView(
         on="page" if shows_pages else "picture", subject=subject, bag=request.bag, at_s=request.at_s, panels=panels
     )

@@ -21,16 +21,11 @@ from ros2_mcp.model.times import iso_time
 from ros2_mcp.ops.sources.newest import NewestOfRobot
 from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.robot import Robot
-from ros2_mcp.view.acting import Acting, AgentPanel
-from ros2_mcp.view.around import MapPanel
-from ros2_mcp.view.frames import FramesPanel
-from ros2_mcp.view.image import ImagePanel
-from ros2_mcp.view.look import Chunks, Content, Look, Panel
+from ros2_mcp.view.acting import Acting
+from ros2_mcp.view.look import Chunks, Content, Look, PageContext, Panel
+from ros2_mcp.view.panels import panel_types
+from ros2_mcp.view.panels.image import ImagePanel
 from ros2_mcp.view.picks import Pick, keep, picks_of
-from ros2_mcp.view.plot import PlotPanel
-from ros2_mcp.view.space import SpacePanel
-from ros2_mcp.view.values import LogPanel, RobotPanel, ValuesPanel
-from ros2_mcp.view.words import in_words
 
 MOST_VIEWS = 4
 """Pages at once: somebody has it open on a screen and a phone, and forgets to close one."""
@@ -176,7 +171,7 @@ class View:
             subject=f"{subject}{at}",
             is_open=is_open,
             asked_at=self._told_at,
-            shows=[in_words(one.panel.name, one.content) for one in seen if one.panel.name != "robot"],
+            shows=[_told(one.panel, one.content) for one in seen if one.panel.name != "robot"],
             picks=self.picks,
         )
 
@@ -334,16 +329,9 @@ class Views:
     def _open(self) -> View:
         if len(self._views) >= MOST_VIEWS and not self._give_up_oldest():
             raise BadInput(f"{MOST_VIEWS} pages are open already.", "Close one; it is given up ten seconds later.")
-        chunks, recording = Chunks(), None if self._source.is_live else self._source
-        panels = (
-            *(ImagePanel(), MapPanel(chunks), ValuesPanel(), LogPanel()),
-            *(
-                RobotPanel(self._title, self._source),
-                AgentPanel(self.acting, recording),
-                *(FramesPanel(), PlotPanel(), SpacePanel(chunks, self._prefixes)),
-            ),
-        )
-        view = View(self._robot, self._source, panels, chunks)
+        chunks = Chunks()
+        page = PageContext(self._title, self._source, self.acting, chunks, self._prefixes)
+        view = View(self._robot, self._source, [kind(page) for kind in panel_types()], chunks)
         self._views[view.id] = view
         self._tasks.start_soon(self._run, view)
         return view
@@ -379,6 +367,14 @@ async def press(acting: Acting, robot: Robot) -> Mapping[str, Any]:
         "latched": stopped.latched,
         "problems": stopped.problems,
     }
+
+
+def _told(panel: Panel, content: Content | None) -> str:
+    """One line for the model: what a panel shows, if it shows anything yet."""
+    if content is None:
+        return f"{panel.name}: nothing yet"
+    told = filter(None, (panel.words(content), str(content.get("why") or "")))
+    return f"{panel.name}: {'; '.join(told) or 'nothing'}"
 
 
 def _part(chunks: Chunks, key: str, begin: Any) -> Mapping[str, Any]:

@@ -37,13 +37,39 @@ def outline(urdf: Urdf, base: str) -> Sequence[Point]:
     Shapes of collision count; of a link that has none, those that are seen. Meshes have no size in a description. Empty
     where the description has no such link, or nothing with a size.
     """
+    return hull([(x, y) for x, y, _ in _points(urdf, base)])
+
+
+def heights(urdf: Urdf, base: str) -> tuple[float, float] | None:
+    """From where to where the same parts go along z of the frame `base`, in metres; None where they have no size."""
+    z = [at[2] for at in _points(urdf, base)]
+    return (min(z), max(z)) if z else None
+
+
+def beyond(points: Sequence[Point], x: float, y: float) -> float:
+    """How far a point is from an outline (a convex hull, counter-clockwise), in m; 0 inside."""
+    if all(_turn(one, two, (x, y)) >= 0 for one, two in zip(points, (*points[1:], points[0]), strict=True)):
+        return 0.0
+    return min(_from_line(one, two, x, y) for one, two in zip(points, (*points[1:], points[0]), strict=True))
+
+
+def _from_line(one: Point, two: Point, x: float, y: float) -> float:
+    along_x, along_y = two[0] - one[0], two[1] - one[1]
+    length = along_x * along_x + along_y * along_y
+    share = ((x - one[0]) * along_x + (y - one[1]) * along_y) / length if length else 0.0
+    share = min(1.0, max(0.0, share))
+    return math.hypot(x - one[0] - share * along_x, y - one[1] - share * along_y)
+
+
+def _points(urdf: Urdf, base: str) -> Sequence[Vector]:
+    """The corners of all parts of the outline, in the frame `base`."""
     if base not in urdf.links:
         return ()
     body = urdf.fixed_to(base)
     base_in_body = urdf.mount(base, body)
     if base_in_body is None:
         return ()
-    points: list[Point] = []
+    points: list[Vector] = []
     rotors = {joint.child: joint for joint in rotors_of(urdf)}
     for name in parts_of(urdf, body):
         link, mount = urdf.links[name], urdf.mount(name, body)
@@ -53,7 +79,7 @@ def outline(urdf: Urdf, base: str) -> Sequence[Point]:
             own = list(corners(shape, Mount()))
             own = list(_swept(own, rotors[name].axis)) if name in rotors else own
             points += [_in_base(mount.of(Mount(at)).xyz, base_in_body) for at in own]
-    return hull(points)
+    return points
 
 
 def _swept(points: Sequence[Vector], axis: Vector) -> Iterator[Vector]:
@@ -116,12 +142,12 @@ def parts_of(urdf: Urdf, body: str) -> Sequence[str]:
     return [name for name in urdf.links if (top := urdf.fixed_to(name)) == body or top in moved]
 
 
-def _in_base(at: tuple[float, float, float], base: Mount) -> Point:
+def _in_base(at: Vector, base: Mount) -> Vector:
     """A point of the body in the frame of the base, which is fixed to it."""
     dx, dy, dz = (one - other for one, other in zip(at, base.xyz, strict=True))
-    axes = [Mount(rpy=base.rpy).of(Mount(axis)).xyz for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))]
-    x, y = (dx * axis[0] + dy * axis[1] + dz * axis[2] for axis in axes)
-    return x, y
+    axes = [Mount(rpy=base.rpy).of(Mount(axis)).xyz for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))]
+    x, y, z = (dx * axis[0] + dy * axis[1] + dz * axis[2] for axis in axes)
+    return x, y, z
 
 
 def corners(shape: Geometry, link: Mount) -> Iterator[tuple[float, float, float]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,11 +14,14 @@ from ros2_mcp.model.errors import BadData
 from ros2_mcp.model.meanings import SECTOR_RAD, SECTORS, ScanMeaning
 from ros2_mcp.model.poses import Pose, rotated
 from ros2_mcp.model.text import counted
+from ros2_mcp.world.footprint import Point, beyond
 
 _COVERED = 0.5
 """A sector is told as free only where the valid beams cover this share of it: of less, too little is known."""
 _TILTED_DEG = 10.0
 """A scan plane that is tilted more than that meets the floor: at a height of 0.3 m in less than 2 m."""
+_MOST_TURN_RAD = 2 * math.tau
+"""No scanner tells more than two turns in one message; one whose steps are in degrees would tell 57."""
 _MOST_BEAMS = 1_000_000
 """More than any scanner has in a turn; so large a message is broken."""
 
@@ -49,12 +53,24 @@ def scan_points(message: Any) -> ScanPoints:
     and what is less than `range_min` invalid. Many drivers write 0 where they saw nothing: that is invalid, too.
 
     Raises:
-        BadData: if its angles are no numbers, or it has too many beams.
+        BadData: if its angles are no numbers or the same for all beams, if they are of many turns, or if it has too
+            many beams.
     """
     ranges = np.asarray(message.ranges, np.float64)
     angle, step = float(message.angle_min), float(message.angle_increment)
     if len(ranges) > _MOST_BEAMS or not (math.isfinite(angle) and math.isfinite(step)):
         raise BadData(f"The scan has {len(ranges)} beams from {angle} rad in steps of {step} rad.")
+    if step == 0 and len(ranges) > 1:
+        raise BadData(
+            f"The scan has no bearings: angle_increment is 0 for {len(ranges)} ranges.",
+            "Its driver has not filled it in; the ranges themselves can be read.",
+        )
+    if abs(step) * (len(ranges) - 1) > _MOST_TURN_RAD:
+        raise BadData(
+            f"The scan has no bearings: {len(ranges)} ranges in steps of {step:.4g} rad are "
+            f"{abs(step) * len(ranges) / math.tau:.3g} turns.",
+            "Is angle_increment in degrees? It is in radians.",
+        )
     least, most = float(message.range_min), float(message.range_max)
     least = least if math.isfinite(least) and least > 0 else 0.0
     echoed = np.isfinite(ranges) & (ranges > 0) & (ranges >= least)
@@ -102,6 +118,25 @@ def scan_meaning(message: Any, mount: Pose | None = None, base: str = "") -> Sca
         invalid=points.invalid,
         note=_note(points, pose, mount is not None),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class Nearest:
+    """What is nearest to an outline: how far from it, m, and its bearing from the base's origin, °, left positive."""
+
+    gap_m: float
+    bearing_deg: float
+
+
+def nearest_to(points: Sequence[Point], message: Any, mount: Pose) -> Nearest | None:
+    """What of a scan is nearest to a robot's outline outside of it; None where nothing is in its field of view.
+
+    Raises:
+        BadData: as `scan_points`.
+    """
+    hits = moved(scan_points(message).hits, mount)[:, :2]
+    gaps = [(beyond(points, x, y), math.degrees(math.atan2(y, x))) for x, y in hits.tolist()]
+    return min((Nearest(*gap) for gap in gaps if gap[0] > 0), key=lambda one: one.gap_m, default=None)
 
 
 def moved(xy: NDArray[np.float64], pose: Pose) -> NDArray[np.float64]:

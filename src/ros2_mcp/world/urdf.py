@@ -71,13 +71,15 @@ class Limits:
     """Of one joint: positions in rad (m for a prismatic one), `velocity` per s, `effort` in N m (N).
 
     A position is None where it has no bound, the others where the description does not tell them. Where a
-    `safety_controller` has soft limits, the positions are these.
+    `safety_controller` has soft limits, the positions are these. Where a bound is written that is no number, they are
+    not `known`, and both 0: nothing may rely on more.
     """
 
     lower: float | None = None
     upper: float | None = None
     velocity: float | None = None
     effort: float | None = None
+    known: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -322,7 +324,10 @@ def _limits(element: ElementTree.Element, kind: str, name: str, problems: list[s
     velocity, effort = (_number(limit, each, name, problems) for each in ("velocity", "effort"))
     if kind not in ("revolute", "prismatic"):
         return Limits(velocity=velocity, effort=effort)
-    lower, upper = (_number(limit, each, name, problems) or 0.0 for each in ("lower", "upper"))
+    bounds = {each: _number(limit, each, name, problems) for each in ("lower", "upper")}
+    if any(limit.get(each) is not None and bound is None for each, bound in bounds.items()):
+        return Limits(0.0, 0.0, velocity, effort, known=False)
+    lower, upper = (bound or 0.0 for bound in bounds.values())
     if soft is not None:
         softest = [_number(soft, f"soft_{each}_limit", name, problems) for each in ("lower", "upper")]
         lower = lower if softest[0] is None else max(lower, softest[0])

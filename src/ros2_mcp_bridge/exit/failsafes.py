@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, Protocol
 
 from ros2_mcp_bridge.request import Cancelled, OperationError, Request, Steps
 from ros2_mcp_common.policy.flight import brakes, only_asks, vehicle_of
-from ros2_mcp_common.policy.rules import meaning
+from ros2_mcp_common.policy.verbs import meaning
 from ros2_mcp_common.wire import protocol
 
 # A request that only keeps a fail-safe has nothing to wake up for: cancelling ends this sleep. Any long time would do.

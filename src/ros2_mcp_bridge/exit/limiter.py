@@ -24,9 +24,10 @@ from ros2_mcp_common.policy.feedback import rules_of
 from ros2_mcp_common.policy.fields import QuickCheck, floats_of, put
 from ros2_mcp_common.policy.flight import brakes
 from ros2_mcp_common.policy.ramp import Bucket, PerMinute, Ramp
-from ros2_mcp_common.policy.rules import Limit, Rules, Ruling, Verb, judged_part, meaning
+from ros2_mcp_common.policy.rules import Limit, Rules, Ruling, judged_part
 from ros2_mcp_common.policy.trajectory_limits import LookAtJoints, nobody_measures
 from ros2_mcp_common.policy.velocity import VELOCITY_TYPES
+from ros2_mcp_common.policy.verbs import Verb, meaning
 from ros2_mcp_common.wire.limits import MAX_JUDGED_BYTES
 from ros2_mcp_common.wire.protocol import Spent
 
@@ -203,9 +204,9 @@ class Limiter:
 
     def judge(self, ruling: Ruling, value: Any) -> None:
         """Raise `OperationError` of kind `refused` for a value that breaks a limit."""
-        rule, problem = ruling.judge(value, self.look_at_joints)
-        if problem:
-            raise refused(f"The policy of this robot: {problem} ({rule}).")
+        judged = ruling.judge(value, self.look_at_joints)
+        if judged.problem:
+            raise refused(f"The policy of this robot: {judged.problem} ({judged.rule}).")
 
     def _rules_for(self, name: str) -> Rules:
         """The rules; raises `OperationError` of kind `refused` while they have not come, or for an odd name."""

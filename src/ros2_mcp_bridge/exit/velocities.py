@@ -397,6 +397,10 @@ class Velocities:
         """Those for whose end somebody answers."""
         return [topic for topic in list(self._topics.values()) if topic.is_driven]
 
+    def moving_joints(self) -> set[str]:
+        """The joints that a fail-safe would have to hold now."""
+        return {joint for topic in self.driven() if topic.moves for joint in topic.joints}
+
     def topic(self, request: Request) -> VelocityTopic | None:
         """The velocity topic that a request names; None if it is of another type."""
         name, type_name = request.text("topic"), request.text("type")

@@ -15,7 +15,7 @@ from ros2_mcp_bridge.ros import interfaces
 from ros2_mcp_bridge.ros.graph import Graph
 from ros2_mcp_bridge.ros.message_types import MessageTypes
 from ros2_mcp_bridge.topics.clients import Clients
-from ros2_mcp_common.policy.rules import meaning
+from ros2_mcp_common.policy.verbs import meaning
 from ros2_mcp_common.wire.protocol import CancelWhenReply, RepeatBegun
 
 if TYPE_CHECKING:

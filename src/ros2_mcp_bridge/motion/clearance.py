@@ -1,6 +1,7 @@
-"""How fast a robot may go by what its scan shows: it keeps its distance, and stands before what moves is there. No ROS.
+"""How fast a robot may go by what its sensors show: it keeps its distance, and stands before what moves is there.
 
-Points are in the base's frame (x ahead, y to the left, m; REP 103). What a beam does not tell is not free (REP 117).
+No ROS. Points are in the base's frame (x ahead, y to the left, z up, m; REP 103). What a beam does not tell is not free
+(REP 117). A scan is read whole, of a cloud what stands between the ground and the top of the robot (`points.py`).
 """
 
 from __future__ import annotations
@@ -8,6 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
+
+from ros2_mcp_bridge.motion.points import places
 
 # From a scan to a command at the driver: the scanner's turn, the way, our looks. Chosen, with room.
 REACTION_S = 0.15
@@ -23,6 +26,8 @@ LEAST_MPS, LEAST_RADPS = 0.02, 0.05
 SECTORS = 36
 # To each side of the course, sectors.
 SEEN_SECTORS = 2
+# Of a cloud one point is kept in each direction of this size, the nearest: as fine as a common scanner.
+DIRECTION_RAD = math.radians(1.0)
 # Halvings to find the speed: 1/64 of the fastest.
 HALVINGS = 6
 
@@ -41,22 +46,32 @@ class Body(NamedTuple):
 
 
 class Mount(NamedTuple):
-    """Where a scanner's plane is in the base's frame, seen from above: x = xx·a + xy·b + x0, y likewise; m."""
+    """Where a sensor is in the base's frame: a point (a, b, c) of its own is at x = x0 + xx·a + xy·b + xz·c, y and z
+    likewise; m. Of a scan c is 0.
+    """
 
     x0: float
     y0: float
+    z0: float
     xx: float
     xy: float
+    xz: float
     yx: float
     yy: float
+    yz: float
+    zx: float
+    zy: float
+    zz: float
 
     @classmethod
     def of(cls, at: Sequence[float], rotation: Sequence[float]) -> Mount:
         """From a translation (x, y, z) and a quaternion (x, y, z, w); one that lies on its back is seen, too."""
         x, y, z, w = rotation
-        xx, xy = 1 - 2 * (y * y + z * z), 2 * (x * y - z * w)
-        yx, yy = 2 * (x * y + z * w), 1 - 2 * (x * x + z * z)
-        return cls(float(at[0]), float(at[1]), xx, xy, yx, yy)
+        x0, y0, z0 = (float(each) for each in at)
+        xx, xy, xz = 1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)
+        yx, yy, yz = 2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)
+        zx, zy, zz = 2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)
+        return cls(x0, y0, z0, xx, xy, xz, yx, yy, yz, zx, zy, zz)
 
 
 class Near(NamedTuple):
@@ -81,30 +96,45 @@ NOTHING_NEAR = math.inf
 
 
 class Clearance:
-    """What the newest scan shows, and how fast that lets the robot go. `guard_m` is kept free ahead of its body."""
+    """What the newest message of one sensor shows, and how fast that lets the robot go. `guard_m` is kept free ahead of
+    its body; of a cloud what is between `heights` (m above the base's origin) is in the way.
+    """
 
-    def __init__(self, guard_m: float, body: Body, mount: Mount) -> None:
+    def __init__(
+        self, guard_m: float, body: Body, mount: Mount, heights: tuple[float, float] = (-math.inf, math.inf)
+    ) -> None:
         self.guard_m = guard_m
         self.body = body
         self.mount = mount
+        self.heights = heights
         self.heard_at = -math.inf
+        self.heard_along = 0.0
         self._points: list[tuple[float, float]] = []
         self._seen: set[int] = set()
         self._table: tuple[tuple[float, float, int], list[tuple[float, float]]] = ((0.0, 0.0, 0), [])
         self._near: dict[tuple[float, int], list[Near]] = {}
 
     @classmethod
-    def of(cls, asked: Mapping[str, Any]) -> Clearance:
-        """From what the server asks for: `guard_m`, `body`, and the `mount` as `translation` and `rotation`."""
-        body, mount = asked["body"], asked["mount"]
+    def of(cls, asked: Mapping[str, Any], sensor: Mapping[str, Any]) -> Clearance:
+        """From what the server asks for: `guard_m` and `body`, and of the sensor its `mount` as `translation` and
+        `rotation`, and its `heights`.
+        """
+        body, mount = asked["body"], sensor["mount"]
+        low_m, high_m = sensor.get("heights") or (-math.inf, math.inf)
         return cls(
             float(asked["guard_m"]),
             Body(*(float(body[name]) for name in Body._fields)),
             Mount.of(mount["translation"], mount["rotation"]),
+            (float(low_m), float(high_m)),
         )
 
-    def hear(self, scan: Any, now: float) -> None:
-        """A sensor_msgs/msg/LaserScan."""
+    def hear(self, message: Any, now: float, along: float = 0.0) -> None:
+        """A sensor_msgs/msg/LaserScan or PointCloud2, heard when the robot was so far `along` its course."""
+        points, seen = self._of_scan(message) if hasattr(message, "ranges") else self._of_cloud(message)
+        self._points, self._seen, self.heard_at, self.heard_along = points, seen, now, along
+        self._near.clear()
+
+    def _of_scan(self, scan: Any) -> tuple[list[tuple[float, float]], set[int]]:
         points: list[tuple[float, float]] = []
         seen: set[int] = set()
         mount, body = self.mount, self.body
@@ -120,18 +150,36 @@ class Clearance:
             x, y = mount.x0 + reach * along_x, mount.y0 + reach * along_y
             if not body.has_inside(x, y):
                 points.append((x, y))
-        self._points, self._seen, self.heard_at = points, seen, now
-        self._near.clear()
+        return points, seen
 
-    def sees(self, bearing: float) -> bool:
-        """Whether the scan tells something of that direction (rad) and around it."""
-        middle = _sector(bearing)
-        return all((middle + step) % SECTORS in self._seen for step in range(-SEEN_SECTORS, SEEN_SECTORS + 1))
+    def _of_cloud(self, cloud: Any) -> tuple[list[tuple[float, float]], set[int]]:
+        """As of a scan: the nearest point of each direction is in the way; the ground shows that a way is seen."""
+        nearest: dict[int, tuple[float, float, float]] = {}
+        seen: set[int] = set()
+        mount, body, (low_m, high_m) = self.mount, self.body, self.heights
+        for a, b, c in places(cloud):
+            x = mount.x0 + mount.xx * a + mount.xy * b + mount.xz * c
+            y = mount.y0 + mount.yx * a + mount.yy * b + mount.yz * c
+            if body.has_inside(x, y):
+                continue
+            bearing = math.atan2(y, x)
+            seen.add(_sector(bearing))
+            if not low_m <= mount.z0 + mount.zx * a + mount.zy * b + mount.zz * c <= high_m:
+                continue
+            far, direction = x * x + y * y, math.floor(bearing / DIRECTION_RAD)
+            if direction not in nearest or far < nearest[direction][0]:
+                nearest[direction] = far, x, y
+        return [(x, y) for _, x, y in nearest.values()], seen
 
-    def allowed(self, fastest: float, curvature: float, direction: int, gone_m: float, now: float) -> Allowed:
+    def shows(self, sector: int) -> bool:
+        """Whether it tells something of that part of the circle (`SECTORS`)."""
+        return sector in self._seen
+
+    def allowed(self, fastest: float, curvature: float, direction: int, along: float, now: float) -> Allowed:
         """How fast it may go (m/s) ahead (`direction` 1) or back (-1) on a circle of that curvature (1/m, left is
-        positive), `gone_m` after the scan.
+        positive), now that it is so far `along` its course (m).
         """
+        gone_m = abs(along - self.heard_along)
         key = (curvature, direction)
         if key not in self._near:
             self._near[key] = self._along(curvature, direction)
@@ -148,7 +196,10 @@ class Clearance:
             return all(math.hypot(max(0.0, each.ahead - stops_m), max(0.0, each.aside)) >= apart for each in near)
 
         speed = _fastest(fastest, is_safe)
-        nearest = in_way or min(near, key=lambda each: math.hypot(max(0.0, each.ahead), each.aside), default=None)
+        closest = min(near, key=_away, default=None)
+        if in_way is not None and speed < LEAST_MPS and in_way.ahead - gone_m > self.guard_m + MARGIN_M:
+            in_way = None  # what holds it is beside it
+        nearest = in_way or closest
         if nearest is None:
             return Allowed(speed, NOTHING_NEAR, 0.0)
         gap = nearest.ahead - gone_m if in_way else math.hypot(max(0.0, nearest.ahead), max(0.0, nearest.aside))
@@ -192,6 +243,36 @@ class Clearance:
         ahead = direction * angle * abs(radius)
         aside = abs(math.hypot(from_centre_x, from_centre_y) - abs(radius)) - body.radius
         return None if ahead < -body.radius else Near(ahead - body.radius, aside, bearing)
+
+
+class Guard:
+    """All sensors by which one drive keeps its distance, by their roles: it goes as fast as each of them allows."""
+
+    def __init__(self, clearances: Mapping[str, Clearance]) -> None:
+        self._clearances = clearances
+
+    def hear(self, role: str, message: Any, now: float, along: float) -> None:
+        """As `Clearance.hear`."""
+        self._clearances[role].hear(message, now, along)
+
+    def sees(self, bearing: float) -> bool:
+        """Whether the sensors tell something of that direction (rad) and around it."""
+        middle = _sector(bearing)
+        around = [(middle + step) % SECTORS for step in range(-SEEN_SECTORS, SEEN_SECTORS + 1)]
+        return all(any(one.shows(sector) for one in self._clearances.values()) for sector in around)
+
+    def allowed(self, fastest: float, curvature: float, direction: int, along: float, now: float) -> Allowed:
+        """As `Clearance.allowed`, by the sensor that allows least."""
+        return min(one.allowed(fastest, curvature, direction, along, now) for one in self._clearances.values())
+
+    def allowed_turn(self, fastest: float, now: float) -> Allowed:
+        """As `Clearance.allowed_turn`, by the sensor that allows least."""
+        return min(one.allowed_turn(fastest, now) for one in self._clearances.values())
+
+
+def _away(near: Near) -> float:
+    """From the body, m."""
+    return math.hypot(max(0.0, near.ahead), max(0.0, near.aside))
 
 
 def _fastest(fastest: float, is_safe: Callable[[float], bool]) -> float:

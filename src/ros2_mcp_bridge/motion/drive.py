@@ -1,7 +1,7 @@
-"""Driving a distance, an angle or an arc, closed by odometry and guarded by a scan. No ROS: times are given, in s.
+"""Driving a distance, an angle or an arc, closed by odometry and guarded by scans or clouds. No ROS; times are in s.
 
 It speeds up and slows down on a ramp, keeps on its course, stands, looks where it came to stand, and corrects that. It
-stands as soon as odometry or the scan is late, and goes on where that was a short pause; else it ends.
+stands as soon as odometry or a sensor is late, and goes on where that was a short pause; else it ends.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from ros2_mcp_bridge.motion.clearance import LEAST_MPS, LEAST_RADPS, NOTHING_NEAR, Allowed, Clearance
+from ros2_mcp_bridge.motion.clearance import LEAST_MPS, LEAST_RADPS, NOTHING_NEAR, Allowed, Clearance, Guard
 from ros2_mcp_bridge.motion.controller import Feed, Velocity
 from ros2_mcp_bridge.motion.course import Circle, Line, Place, Pose, Turn, wrapped
 from ros2_mcp_bridge.motion.nudges import Nudge, Nudges
@@ -55,6 +55,8 @@ PERIODS, LONGEST_PERIOD_S = 8, 1.0
 FIRST_MESSAGES = 3
 # So long it is commanded and moves by less than a tenth of that, at least so far (m, rad): it does not move.
 STUCK_S, STUCK_SHARE, STUCK_M, STUCK_RAD = 3.0, 0.1, 0.06, 0.12
+# Between two looks at how fast the sensors let it go, where nothing new has come from them: as of the commands.
+LOOKS_AGAIN_S = 0.05
 # A step from one odometry message to the next that is no motion, beyond what the fastest command makes of it.
 JUMP_M, JUMP_RAD = 0.3, math.radians(40)
 
@@ -132,25 +134,26 @@ class Drive:
     or `time_out`.
 
     Made of what the server asks for: `distance_m`, or `angle` (rad) with or without `radius_m`; `speed` (m/s, on the
-    spot rad/s), `time_limit_s`, `odometry` and perhaps `scan` with `topic` and `type`, and for a scan what
-    `Clearance.of` takes.
+    spot rad/s), `time_limit_s`, and perhaps `pauses_s`, by which pauses may prolong it; `odometry` with `topic` and
+    `type`, and perhaps `sensors`, each with these and what `Clearance.of` takes.
     """
 
     def __init__(self, asked: Mapping[str, Any]) -> None:
         self.outcome = ""
         self.why = ""
-        self.feeds: Sequence[Feed] = [
-            Feed(role, asked[role]["topic"], asked[role]["type"]) for role in ("odometry", "scan") if asked.get(role)
-        ]
+        sensors = {f"sensor {number}": sensor for number, sensor in enumerate(asked.get("sensors") or ())}
+        heard = {"odometry": asked["odometry"], **sensors}
+        self.feeds: Sequence[Feed] = [Feed(role, each["topic"], each["type"]) for role, each in heard.items()]
         self._distance_m: float | None = asked.get("distance_m")
         self._angle: float | None = asked.get("angle")
         self._radius_m = float(asked.get("radius_m") or 0.0)
         self._fastest = float(asked["speed"])
         self._time_limit_s = float(asked["time_limit_s"])
+        self._pauses_s = float(asked.get("pauses_s") or 0.0)
         if self._fastest <= 0 or (self._distance_m is None) == (self._angle is None):
             raise ValueError("a speed above 0, and a distance or an angle, are needed")
         self._beats = {feed.role: Beat(feed.topic) for feed in self.feeds}
-        self._clearance = Clearance.of(asked) if asked.get("scan") else None
+        self._guard = Guard({role: Clearance.of(asked, one) for role, one in sensors.items()}) if sensors else None
         self._pose: Pose | None = None
         self._course: Line | Circle | Turn | None = None
         self._squaring: Turn | None = None
@@ -165,7 +168,6 @@ class Drive:
         self._nudge: Nudge | None = None
         self._nudged_at = self._nudged_along = self._nudged_s = 0.0
         self._recent: deque[tuple[float, float, float]] = deque()
-        self._scanned_along = 0.0
         self._corrections = 0
         self._paused_s = 0.0
         self._allowed: Allowed | None = None
@@ -188,13 +190,12 @@ class Drive:
         return late_in_s(self._beats.values(), now)
 
     def hear(self, role: str, message: Any, now: float) -> None:
-        """Odometry (whatever has a pose), or a scan."""
-        if role == "scan" and self._clearance:
-            self._clearance.hear(message, now)
-            self._scanned_along = self._here().along if self._course else 0.0
-            self._allowed_at = -math.inf
-        elif role == "odometry":
+        """Odometry (whatever has a pose), or a message of a sensor."""
+        if role == "odometry":
             self._hear_pose(_pose_of(message), now)
+        elif self._guard:
+            self._guard.hear(role, message, now, self._along())
+            self._allowed_at = -math.inf
         self._beats[role].heard(now)
 
     def _hear_pose(self, pose: Pose, now: float) -> None:
@@ -228,7 +229,7 @@ class Drive:
             return None if self.outcome else self._stop()
         if self._standing:
             return self._look_where(self._standing, now)
-        if now - self._began_at > self._time_limit_s:
+        if now - self._began_at - min(self._paused_s, self._pauses_s) > self._time_limit_s:
             return self._stand("time_out", f"The time limit of {self._time_limit_s:.0f} s was reached.", now)
         if self._is_stuck(now):
             topic = self._beats["odometry"].topic
@@ -266,6 +267,10 @@ class Drive:
         assert self._course and self._pose
         return self._course.place(self._pose)
 
+    def _along(self) -> float:
+        """How far it has come on a line or a circle, m; 0 before it begins, and on the spot."""
+        return 0.0 if self._course is None or self._course.is_turn else self._here().along
+
     def _drive(self, now: float, seconds: float) -> Velocity | None:
         assert self._course and self._pose
         course = self._squaring or self._course
@@ -290,8 +295,8 @@ class Drive:
         wanted = min(fastest, max(creep, math.sqrt(dead * dead + 2 * slow_down * abs(left)) - dead))
         wanted = min(fastest, max(wanted, pushed))
         speed = min(wanted, abs(self._speed) + speed_up * seconds)
-        if self._clearance:
-            allowed = self._guarded(self._clearance, course, direction, speed, now)
+        if self._guard:
+            allowed = self._guarded(self._guard, course, direction, speed, now)
             if allowed is None:
                 return self._stop()
             speed = min(speed, allowed)
@@ -308,8 +313,8 @@ class Drive:
         if self._nudged_s >= nudge.length_s:
             return self._stand("", "", now)
         speed = abs(nudge.speed)
-        if self._clearance:
-            allowed = self._guarded(self._clearance, course, 1 if nudge.speed > 0 else -1, speed, now)
+        if self._guard:
+            allowed = self._guarded(self._guard, course, 1 if nudge.speed > 0 else -1, speed, now)
             if allowed is None:
                 return self._stop()
             speed = min(speed, allowed)
@@ -342,22 +347,22 @@ class Drive:
         return asked, abs(recent[-1][2] - recent[0][2]), recent[-1][0] - recent[0][0]
 
     def _guarded(
-        self, clearance: Clearance, course: Line | Circle | Turn, direction: int, speed: float, now: float
+        self, guard: Guard, course: Line | Circle | Turn, direction: int, speed: float, now: float
     ) -> float | None:
-        """How fast it may go by the scan; None where that is not at all, and it ends."""
-        period_s = self._beats["scan"].period_s
-        is_blind = not course.is_turn and not clearance.sees(0.0 if direction > 0 else math.pi)
+        """How fast it may go by the sensors; None where that is not at all, and it ends."""
+        is_blind = not course.is_turn and not guard.sees(0.0 if direction > 0 else math.pi)
         if is_blind and not self._corrections:  # a correction is some centimetres
             way = "ahead" if direction > 0 else "back"
-            self._end_at_once("guard", f"{self._beats['scan'].topic} does not show the way {way}: it may not be free.")
+            topics = [beat.topic for role, beat in self._beats.items() if role != "odometry"]
+            shows = f"{' and '.join(topics)} {'does' if len(topics) == 1 else 'do'} not show"
+            self._end_at_once("guard", f"{shows} the way {way}: it may not be free.")
             return None
-        if now - self._allowed_at >= min(0.05, period_s):
-            gone_m = abs(self._here().along - self._scanned_along) if not course.is_turn else 0.0
+        if now - self._allowed_at >= LOOKS_AGAIN_S:
             fastest = max(self._fastest, speed)
             self._allowed = (
-                clearance.allowed_turn(fastest, now)
+                guard.allowed_turn(fastest, now)
                 if course.is_turn
-                else clearance.allowed(fastest, course.curvature, direction, gone_m, now)
+                else guard.allowed(fastest, course.curvature, direction, self._along(), now)
             )
             self._allowed_at = now
         assert self._allowed
@@ -365,7 +370,8 @@ class Drive:
         if self._allowed.speed < (LEAST_RADPS if course.is_turn else LEAST_MPS):
             gap_m, bearing = max(0.0, self._allowed.gap), math.degrees(self._allowed.bearing)
             self._standing, self._ending = Standing(now), "guard"
-            self.why = f"The nearest beam is {gap_m:.2f} m from the robot's body, at {bearing:.0f}° (left is positive)."
+            where = f"{gap_m:.2f} m from the robot's outline, at {bearing:.0f}° (left is positive)"
+            self.why = f"The nearest obstacle is {where}."
             return None
         return self._allowed.speed
 
@@ -389,19 +395,21 @@ class Drive:
         if pose is None:
             return self._stop()
         self._pose, self._standing = pose, None
+        assert self._course
         if self._ending:
             self.outcome = self._ending
+            if self._ending == "time_out" and self._is_there(self._course.place(pose), BAR_M, BAR_RAD):
+                self.outcome, self.why = "reached", ""
             return None
-        assert self._course
         course = self._squaring or self._course
         self._learn(course, pose)
         place = self._course.place(pose)
         is_turn, is_last = self._course.is_turn, self._corrections == CORRECTIONS
         error = self._course.whole - place.along
         heading = 0.0 if is_turn else wrapped(place.heading)
-        most_rad = BAR_RAD if is_last else WRONG_RAD
-        most = most_rad if is_turn else BAR_M if is_last else WRONG_M
-        if abs(error) <= most and abs(heading) <= most_rad:
+        most_m, most_rad = (BAR_M, BAR_RAD) if is_last else (WRONG_M, WRONG_RAD)
+        most = most_rad if is_turn else most_m
+        if self._is_there(place, most_m, most_rad):
             self.outcome, self.why = "reached", ""
             return None
         if is_last:
@@ -412,6 +420,14 @@ class Drive:
         if self._corrections >= NUDGED_FROM:
             self._nudge = self._next_nudge(self._squaring or self._course, -heading if self._squaring else error)
         return self._stop()
+
+    def _is_there(self, place: Place, most_m: float, most_rad: float) -> bool:
+        """Whether that place is the end of the course, within these."""
+        assert self._course
+        error = abs(self._course.whole - place.along)
+        if self._course.is_turn:
+            return error <= most_rad
+        return error <= most_m and abs(wrapped(place.heading)) <= most_rad
 
     def _next_nudge(self, course: Line | Circle | Turn, left: float) -> Nudge:
         creep, fastest = CREEP_MPS, self._fastest
@@ -439,7 +455,7 @@ class Drive:
             late_s = beat.late_s(now)
             if late_s > SILENT_S:
                 self._end_at_once("silent", f"{beat.topic} has sent nothing for {beat.age_s(now):.2f} s.")
-            if late_s > 0 and not (role == "scan" and self._standing):
+            if late_s > 0 and (role == "odometry" or not self._standing):
                 self._paused_s += seconds
                 return True
         return False

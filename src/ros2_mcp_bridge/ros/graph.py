@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from ros2_mcp_bridge.request import OperationError, Request, Steps
@@ -17,6 +18,7 @@ from ros2_mcp_common.wire.protocol import (
     EndpointsReply,
     NodeReply,
     NodesReply,
+    ServersReply,
     ServicesReply,
     TopicsReply,
 )
@@ -86,6 +88,17 @@ class Graph:
         """Every service with its types."""
         yield from self._wait_settled(request)
         return {"services": self._node.get_service_names_and_types(), "settled": self.settled}
+
+    def servers(self, request: Request) -> Steps[ServersReply]:
+        """The nodes that serve a service, ROS tells it node by node; those that share a name count each."""
+        service = request.text("service")
+        yield from self._wait_settled(request)
+        found: list[tuple[str, str]] = []
+        for name, namespace in self._node.get_node_names_and_namespaces():
+            with suppress(rcl.RCLError):  # it has left meanwhile
+                served = self._node.get_service_names_and_types_by_node(name, namespace)
+                found += [(name, namespace)] if any(service == one for one, _ in served) else []
+        return {"servers": found}
 
     def nodes(self, request: Request) -> Steps[NodesReply]:
         """Every node."""

@@ -6,7 +6,7 @@ import json
 import math
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ros2_mcp_bridge.request import OperationError, Request, Steps
@@ -38,9 +38,15 @@ class JointStates:
     """The newest position of each joint, of all topics with joint states that there are.
 
     A subscription that nobody takes from costs nothing but the middleware's own work: its queue has one place.
+
+    What this bridge publishes itself measures nothing. The middleware does not tell who sent a sample (rclpy reports no
+    publisher), so the bridge notes the joints that it names: until those samples are stale, their positions are
+    unknown. `relied_on` returns the joints that would have to be held now; nothing may be published of these.
     """
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, relied_on: Callable[[], Collection[str]] = tuple) -> None:
+        self.relied_on = relied_on
+        self._published_at: dict[str, float] = {}
         self._node = node
         self._interface: Any = None
         self._subscriptions: dict[str, rcl.RawSubscription] = {}
@@ -63,7 +69,12 @@ class JointStates:
         """Those that nobody has told of lately. From any thread."""
         self._look()
         oldest = time.monotonic() - STALE_S
-        return [joint for joint in joints if self._positions.get(joint, (0.0, -math.inf))[1] < oldest]
+        return [
+            joint
+            for joint in joints
+            if self._positions.get(joint, (0.0, -math.inf))[1] < oldest
+            or self._published_at.get(joint, -math.inf) >= oldest
+        ]
 
     def positions(self, joints: Sequence[str]) -> list[float]:
         """Where these joints are now. From any thread.
@@ -71,8 +82,26 @@ class JointStates:
         Raises `ValueError`, in words, where that is not known.
         """
         if missing := self.missing(joints):
-            raise ValueError(f"no joint state of the last {STALE_S:g} s has the position of {', '.join(missing)}")
+            own = " but those that this server publishes itself" if self._published_at.keys() & missing else ""
+            raise ValueError(f"no joint state of the last {STALE_S:g} s{own} has the position of {', '.join(missing)}")
         return [self._positions[joint][0] for joint in joints]
+
+    def publishes(self, message: Any) -> None:
+        """This bridge is about to publish a JointState. ROS thread only.
+
+        Raises `OperationError` of kind `refused` while one of its joints moves by a trajectory of this bridge: the hold
+        that ends this motion would jump to the position in the message.
+        """
+        joints = dict.fromkeys(map(str, message.name))
+        if moving := [joint for joint in joints if joint in self.relied_on()]:
+            raise OperationError(
+                "refused",
+                f"{', '.join(moving)} moves by a trajectory of this server: its joint states must come from the robot.",
+                "End that motion first (ros2_stop).",
+            )
+        now = time.monotonic()
+        fresh = {joint: at for joint, at in self._published_at.items() if at >= now - STALE_S}
+        self._published_at = {**fresh, **dict.fromkeys(joints, now)}
 
     def known(self, joints: Sequence[str]) -> Joints:
         """How these joints move now, and their limits in the robot's description. From any thread. Raises as above."""

@@ -31,7 +31,7 @@ from ros2_mcp_bridge.ros.graph import Graph
 from ros2_mcp_bridge.ros.joint_states import JointStates
 from ros2_mcp_bridge.stopper import survival, udp
 from ros2_mcp_common.policy.flight import brakes
-from ros2_mcp_common.policy.rules import meaning
+from ros2_mcp_common.policy.verbs import meaning
 
 if TYPE_CHECKING:
     from rclpy.client import Client

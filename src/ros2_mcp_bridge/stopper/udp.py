@@ -11,15 +11,19 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Generator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from pathlib import Path
 
 from rclpy.utilities import get_rmw_implementation_identifier
 
 from ros2_mcp_bridge.ros import participants
 
-# Where Fast DDS itself keeps files, in memory; gone as soon as the profile has been read.
-_FOLDER = "/dev/shm"
+# Where Fast DDS itself keeps files, in memory; or where temporary files go, as that may be full. Fast DDS takes only a
+# profile that has a place in a file system. The file is gone as soon as it has been read.
+_SHARED_MEMORY = "/dev/shm"
+_FOLDERS = (_SHARED_MEMORY, None)
+# A participant's segment takes 0.55 MB there, and each of its ports 0.05 MB; with much room.
+_PARTICIPANT_BYTES = 1_000_000
 # Fast DDS 2 reads the first, Fast DDS 3 the second.
 _PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 _PROFILE_FILES = ("DEFAULT_FASTRTPS_PROFILES.xml", "DEFAULT_FASTDDS_PROFILES.xml")
@@ -67,26 +71,51 @@ def alone() -> Generator[None, None, None]:
         yield
         return
     stays_here, former = participants.reach_is_local(), dict(os.environ)
-    try:
-        file = tempfile.NamedTemporaryFile("w", dir=_FOLDER, prefix="ros2_mcp_", suffix=".xml")  # noqa: SIM115
-    except OSError:  # where nothing can be written there, there is no shared memory to be locked either
+    path = _written(profile(stays_here=stays_here))
+    if path is None:  # where no file has room, no shared memory that could be locked has
         yield
         return
-    with file:
-        file.write(profile(stays_here=stays_here))
-        file.flush()
-        os.environ.update(dict.fromkeys(_PROFILE_VARIABLES, file.name))
-        if stays_here:  # which the profile says now
-            os.environ[_RANGE] = "SYSTEM_DEFAULT"
-            os.environ.pop(_LOCAL_ONLY, None)
+    os.environ.update(dict.fromkeys(_PROFILE_VARIABLES, str(path)))
+    if stays_here:  # which the profile says now
+        os.environ[_RANGE] = "SYSTEM_DEFAULT"
+        os.environ.pop(_LOCAL_ONLY, None)
+    try:
+        yield
+    finally:
+        for name in (*_PROFILE_VARIABLES, _RANGE, _LOCAL_ONLY):
+            if name in former:
+                os.environ[name] = former[name]
+            else:
+                os.environ.pop(name, None)
+        path.unlink(missing_ok=True)
+
+
+def alone_if_memory_is_full() -> AbstractContextManager[None]:
+    """As `alone` where /dev/shm has no room for another participant, else a context that changes nothing.
+
+    Fast DDS itself goes on without shared memory then, but leaves an empty file there each time.
+    """
+    with suppress(OSError):  # where there is no such folder
+        room = os.statvfs(_SHARED_MEMORY)
+        if room.f_bavail * room.f_frsize < _PARTICIPANT_BYTES:
+            return alone()
+    return nullcontext()
+
+
+def _written(text: str) -> Path | None:
+    """A new file with that text, in the first of the folders that has room for it."""
+    for folder in _FOLDERS:
+        path = None
         try:
-            yield
-        finally:
-            for name in (*_PROFILE_VARIABLES, _RANGE, _LOCAL_ONLY):
-                if name in former:
-                    os.environ[name] = former[name]
-                else:
-                    os.environ.pop(name, None)
+            descriptor, name = tempfile.mkstemp(".xml", "ros2_mcp_", folder)
+            path = Path(name)
+            with os.fdopen(descriptor, "w") as file:
+                file.write(text)
+            return path
+        except OSError:
+            if path:
+                path.unlink(missing_ok=True)
+    return None
 
 
 def _is_ours_to_choose() -> bool:

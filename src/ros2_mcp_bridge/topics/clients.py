@@ -20,7 +20,7 @@ from ros2_mcp_bridge.topics.pace import Pace
 from ros2_mcp_bridge.topics.pool import Pool
 from ros2_mcp_common.policy import stamps
 from ros2_mcp_common.policy.flight import SET_MODE, brakes
-from ros2_mcp_common.policy.rules import READING_TYPES
+from ros2_mcp_common.policy.verbs import READING_TYPES
 from ros2_mcp_common.wire import protocol
 from ros2_mcp_common.wire.protocol import CallReply
 

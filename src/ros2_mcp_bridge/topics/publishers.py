@@ -14,6 +14,7 @@ from ros2_mcp_bridge.exit.velocities import Decoded, Outgoing, Raw, Velocities, 
 from ros2_mcp_bridge.request import Cancelled, OperationError, Request, Steps
 from ros2_mcp_bridge.ros import qos, rcl
 from ros2_mcp_bridge.ros.graph import Graph
+from ros2_mcp_bridge.ros.joint_states import JOINT_STATE, JointStates
 from ros2_mcp_bridge.topics.pool import Pool
 from ros2_mcp_common.policy.velocity import MOTION_TYPES
 from ros2_mcp_common.wire import protocol
@@ -57,6 +58,7 @@ class Publisher:
         graph: Graph,
         velocities: Velocities,
         limiter: Limiter,
+        joint_states: JointStates,
         request: Request,
         max_depth: int | None = None,
     ) -> None:
@@ -64,6 +66,7 @@ class Publisher:
         self._graph = graph
         self._velocities = velocities
         self._topic, self._type = request.text("topic"), request.text("type")
+        self._joint_states = joint_states if self._type == JOINT_STATE else None
         # Fast DDS asks for acknowledgement at once (5 ms) only when its history is full, else every 3 s. A depth of 1
         # is always full. Nobody can tell the difference but late joiners of a transient-local topic.
         is_volatile = request.qos().get("durability") != "transient_local"
@@ -94,7 +97,7 @@ class Publisher:
             check_size(data)
         if self.velocity is not None:
             message: Outgoing = self.velocity.command(data)
-        elif needs_value:
+        elif needs_value or self._joint_states:
             message = Decoded(decoded(data, self._interface, self._type))
         else:
             return Raw(data)
@@ -108,6 +111,8 @@ class Publisher:
         """
         with self.limits.passing(message.value, request) as is_held_back:
             request.leave()
+            if self._joint_states:
+                self._joint_states.publishes(message.value)
             data = message.data()  # from here on it moves, as far as the stopper knows
             self._raw.publish_raw(data)
         message.has_left()

@@ -38,7 +38,7 @@ class FieldType:
     @property
     def is_message(self) -> bool:
         """Whether it is made of messages."""
-        return "/" in self.base
+        return "/" in self.base or ":" in self.base  # as in `json:app.State`, of a recording
 
     @property
     def is_number(self) -> bool:

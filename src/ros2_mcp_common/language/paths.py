@@ -9,19 +9,21 @@ from __future__ import annotations
 import difflib
 import keyword
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, reduce
 from operator import attrgetter
 from typing import Any, cast
 
 from ros2_mcp_common.language.field_types import TEXTS, FieldType, TypedField, Types
 
 _PART = re.compile(r"(?P<name>[A-Za-z]\w*)(?P<brackets>(?:\[[^\[\]]*\])?)", re.ASCII)
+_AFTER = re.compile(r"(?P<brackets>(?:\[[^\[\]]*\])?)(?:\.(?P<rest>.+))?", re.DOTALL)
 _DOT = re.compile(r"\.(?![^\[]*\])")  # not within brackets
 _WHERE = re.compile(r"""\s*(?P<path>[\w.]+)\s*==\s*(?:"(?P<text>[^"]*)"|'(?P<other>[^']*)'|(?P<number>-?\d+))\s*""")
 _INDEX = re.compile(r"-?\d+", re.ASCII)
 _SLICE = re.compile(r"(-?\d+)?:(-?\d+)?(?::([1-9]\d*))?", re.ASCII)
+_ABSENT = "this message has no such value."
 _NOT_AN_INDEX = 'Write [3], [-1], [0:10], [::5], [*] or [name == "x"].'
 
 
@@ -108,12 +110,19 @@ class FieldPath:
         """The value in a message; beyond a slice, a flat list of all that the path leads to.
 
         Raises:
-            PathError: where a list has no such element.
+            PathError: where a list has no such element, or a JSON message has no such field, or null.
         """
-        if all(step.pick is None for step in self.steps):
-            value = value_at(message, self.path)
-            return _integers(value) if self.type.base == "byte" else value
-        return _follow(self.path, self.steps, message)
+        try:
+            if all(step.pick is None for step in self.steps):
+                value = _getter(tuple(step.field.name for step in self.steps))(message)
+                value = _integers(value) if self.type.base == "byte" else value
+            else:
+                value = _follow(self.path, self.steps, message)
+        except (AttributeError, TypeError) as error:
+            raise PathError(self.path, _ABSENT) from error
+        if value is None:
+            raise PathError(self.path, _ABSENT)
+        return value
 
 
 def parse(types: Types, type_name: str, path: str) -> FieldPath:
@@ -124,20 +133,38 @@ def parse(types: Types, type_name: str, path: str) -> FieldPath:
     """
     steps: list[Step] = []
     inside = FieldType(type_name)
-    for part in _DOT.split(path.strip()):
-        match = _PART.fullmatch(part)
-        if match is None:
+    rest: str | None = path.strip()
+    while rest is not None:
+        name, brackets, following = _first_of(types, inside, rest)
+        if not name:
+            part = _DOT.split(rest, 1)[0]
             raise PathError(
                 path, f"{part!r} is not a field.", f"A path is like pose.position or ranges[0:10]. {_NOT_AN_INDEX}"
             )
-        steps.append(_step(types, path, inside, match["name"], match["brackets"]))
-        inside = steps[-1].type
+        steps.append(_step(types, path, inside, name, brackets))
+        inside, rest = steps[-1].type, following
     return FieldPath(path.strip(), tuple(steps))
+
+
+def _first_of(types: Types, inside: FieldType, rest: str) -> tuple[str, str, str | None]:
+    """Name and brackets of the first field of a path, both empty where it is none, and what follows it, if anything.
+
+    JSON has names that are like none of ROS (`front light`, `v.x`): such a name stands in a path as it is.
+    """
+    if inside.is_message and inside.arity == "single":
+        odd = [name for name in types.fields(inside.base) if not _PART.fullmatch(name) and rest.startswith(name)]
+        for name in sorted(odd, key=len, reverse=True):
+            if match := _AFTER.fullmatch(rest, len(name)):
+                return name, match["brackets"], match["rest"]
+    part, *following = _DOT.split(rest, 1)
+    if match := _PART.fullmatch(part):
+        return match["name"], match["brackets"], following[0] if following else None
+    return "", "", None
 
 
 def value_at(message: object, path: str) -> Any:
     """The value at a path that is made of names and dots."""
-    return _getter(path)(message)
+    return _getter(tuple(path.split(".")))(message)
 
 
 def attribute(name: str) -> str:
@@ -146,8 +173,10 @@ def attribute(name: str) -> str:
 
 
 @lru_cache(maxsize=4096)
-def _getter(path: str) -> attrgetter[Any]:
-    return attrgetter(".".join(map(attribute, path.split("."))))
+def _getter(path: tuple[str, ...]) -> Callable[[object], Any]:
+    if all(map(str.isidentifier, path)):
+        return attrgetter(".".join(map(attribute, path)))
+    return lambda message: reduce(getattr, path, message)  # a name in JSON may have dots and blanks
 
 
 def _step(types: Types, path: str, inside: FieldType, name: str, brackets: str) -> Step:

@@ -16,160 +16,36 @@ from ros2_mcp_common.policy.checks import Checks, Pace, Zone, clamp
 from ros2_mcp_common.policy.checks import problem as problem_of
 from ros2_mcp_common.policy.field_values import get
 from ros2_mcp_common.policy.trajectory_limits import CurveLimits, JointBounds, LookAtJoints, nobody_measures
+from ros2_mcp_common.policy.verbs import Verb, is_meta, matches, meaning
 
-Verb = Literal["publish", "relay", "play", "call", "goal", "cancel", "set", "transition", "record", "read"]
-"""What is done; `publish` once or repeatedly, `set` parameters, make a `transition` of a lifecycle node. `read` is a
-call of a service that only tells something."""
 Over = Literal["refuse", "clamp"]
-
-SET_PARAMETERS = "rcl_interfaces/srv/SetParameters"
-SET_PARAMETERS_ATOMICALLY = "rcl_interfaces/srv/SetParametersAtomically"
-CHANGE_STATE = "lifecycle_msgs/srv/ChangeState"
-CANCEL_GOAL = "action_msgs/srv/CancelGoal"
-_SEND_GOAL, _GET_RESULT, _ATOMICALLY = "_SendGoal", "_GetResult", "set_parameters_atomically"
-
-READING_TYPES = frozenset(
-    {
-        "rcl_interfaces/srv/DescribeParameters",
-        "rcl_interfaces/srv/GetParameterTypes",
-        "rcl_interfaces/srv/GetParameters",
-        "rcl_interfaces/srv/ListParameters",
-        "lifecycle_msgs/srv/GetAvailableStates",
-        "lifecycle_msgs/srv/GetAvailableTransitions",
-        "lifecycle_msgs/srv/GetState",
-        "controller_manager_msgs/srv/ListControllers",
-        "type_description_interfaces/srv/GetTypeDescription",
-        "lora_msgs/srv/GetMessages",
-        "wisevision_msgs/srv/InfluxGetMessages",
-    }
-)
-"""Types of services whose definition says that they read something and change nothing; the last two are those of the
-Data Black Box."""
-
-META_TYPES: Sequence[str] = (
-    "composition_interfaces/**",
-    "controller_manager_msgs/**",
-    "rcl_interfaces/srv/SetParameters",
-    "rcl_interfaces/srv/SetParametersAtomically",
-    "rcl_interfaces/srv/SetLoggerLevels",
-    "lifecycle_msgs/srv/ChangeState",
-    "nav2_msgs/srv/ManageLifecycleNodes",
-    "nav2_msgs/srv/Toggle",
-    "nav2_msgs/srv/LoadMap",
-    "nav2_msgs/srv/SaveMap",
-    "nav_msgs/srv/LoadMap",
-    "nav_msgs/srv/SetMap",
-    "slam_toolbox/**",
-    "cartographer_ros_msgs/**",
-    "rosbag2_interfaces/**",
-    "topic_tools_interfaces/**",
-    "rosapi_msgs/**",
-    "rosbridge_msgs/**",
-    "gazebo_msgs/**",
-    "ros_gz_interfaces/**",
-    "simulation_interfaces/**",
-    "robot_localization/**",
-    "diagnostic_msgs/srv/AddDiagnostics",
-    "moveit_msgs/srv/LoadMap",
-    "moveit_msgs/srv/SaveMap",
-    "moveit_msgs/srv/ApplyPlanningScene",
-    "moveit_msgs/srv/ChangeControlDimensions",
-    "moveit_msgs/srv/ChangeDriftDimensions",
-    "moveit_msgs/srv/SetPlannerParams",
-    "moveit_msgs/srv/ServoCommandType",
-    "mavros_msgs/srv/FileOpen",
-    "mavros_msgs/srv/FileWrite",
-    "mavros_msgs/srv/FileRemove",
-    "mavros_msgs/srv/FileRename",
-    "mavros_msgs/srv/FileTruncate",
-    "mavros_msgs/srv/FileMakeDir",
-    "mavros_msgs/srv/FileRemoveDir",
-    "mavros_msgs/srv/ParamPush",
-    "mavros_msgs/srv/ParamSet",
-    "mavros_msgs/srv/ParamSetV2",
-    "mavros_msgs/srv/CommandLong",
-    "mavros_msgs/srv/CommandInt",
-    "ur_dashboard_msgs/**",
-    "webots_ros2_msgs/**",
-    "rmw_dds_common/**",
-    "*/action/*_SendGoal",
-    "action_msgs/srv/CancelGoal",
-)
-"""Types of services that change what else may happen: they load code, write files, switch controllers and what watches
-over the robot, or are goals and cancellations under a name that is no action's. No pattern allows them but a rule that
-says `meta: true`; setting parameters and transitions have verbs of their own."""
-
-
-def segments_match(pattern: Sequence[str], name: Sequence[str], *, hidden: bool) -> bool:
-    """Whether segments fit a pattern: `*` is any one, `**` any number of them, none included.
-
-    A segment that begins with an underscore, which ROS hides, fits no wildcard unless `hidden`.
-    """
-    # Whether the parts of the pattern so far fit the first 0, 1, … segments: no pattern takes long for any name.
-    fits = [True, *(False for _ in name)]
-    for part in pattern:
-        if part == "**":
-            for place, segment in enumerate(name):
-                fits[place + 1] = fits[place + 1] or (fits[place] and (hidden or not segment.startswith("_")))
-        else:
-            is_fit = (fits[place] and _fits(part, segment, hidden) for place, segment in enumerate(name))
-            fits = [False, *is_fit]
-    return fits[-1]
-
-
-def _fits(part: str, segment: str, hidden: bool) -> bool:
-    """Whether one segment fits one part of a pattern."""
-    if part == "*":
-        return hidden or not segment.startswith("_")
-    return segment.endswith(part[1:]) if part.startswith("*") else segment == part  # `*_SendGoal`, of types alone
-
-
-def matches(patterns: Sequence[str], name: str, *, hidden: bool = False) -> bool:
-    """Whether a full name or type fits one of the patterns, segment by segment."""
-    parts = name.strip("/").split("/")
-    return any(segments_match(pattern.strip("/").split("/"), parts, hidden=hidden) for pattern in patterns)
-
-
-def only_reads(service_type: str) -> bool:
-    """Whether a service of that type reads something and changes nothing; asking for the result of a goal does, too."""
-    return service_type in READING_TYPES or ("/action/" in service_type and service_type.endswith(_GET_RESULT))
-
-
-def is_meta(service_type: str) -> bool:
-    """Whether a service of that type changes what else may happen."""
-    return matches(META_TYPES, service_type, hidden=True)
-
-
-@dataclass(frozen=True)
-class Meaning:
-    """What calling a service means: the verb, and name and type of what is acted on."""
-
-    verb: Verb
-    name: str
-    type: str
-
-
-def meaning(service: str, service_type: str) -> Meaning:
-    """What calling a service of that name and type means, whichever way the call comes.
-
-    By the name, too: a service of such a type that is no action's or node's own is called as it is named.
-    """
-    subject, _, last = service.rpartition("/")
-    subject = subject or "/"
-    if only_reads(service_type):
-        return Meaning("read", service, service_type)
-    if service.endswith("/_action/send_goal") and "/action/" in service_type and service_type.endswith(_SEND_GOAL):
-        return Meaning("goal", subject[: -len("/_action")], service_type[: -len(_SEND_GOAL)])
-    if service.endswith("/_action/cancel_goal") and service_type == CANCEL_GOAL:
-        return Meaning("cancel", subject[: -len("/_action")], service_type)
-    if (service_type, last) in ((SET_PARAMETERS, "set_parameters"), (SET_PARAMETERS_ATOMICALLY, _ATOMICALLY)):
-        return Meaning("set", subject, service_type)
-    if service_type == CHANGE_STATE and last == "change_state":
-        return Meaning("transition", subject, service_type)
-    return Meaning("call", service, service_type)
 
 
 # ── the rules as data ──────────────────────────────────────────────────────────────────────────────────────────────
+
+
+NO_VALUE: Any = object()
+"""Stands for a value that is not known, or that no rule is about: only what is asked for beside it is judged."""
+
+
+@dataclass(frozen=True)
+class Terms:
+    """What a command asks for beside its value, as far as rules have bounds for it.
+
+    `rate_hz` and `for_s` are None for what happens once; a duration of 0 has no end. `source` is the topic that a relay
+    takes its messages from. `speed` is how many times faster than recorded a velocity is played. `publishers` are the
+    robot's own nodes that publish there, as they are to be named.
+    """
+
+    rate_hz: float | None = None
+    for_s: float | None = None
+    source: str | None = None
+    force: bool = False
+    speed: float = 1.0
+    publishers: Sequence[str] = ()
+
+
+NO_TERMS = Terms()
 
 
 @dataclass(frozen=True)
@@ -205,8 +81,12 @@ class Allowance:
             return False
         return verb in ("cancel", "record", "set", "transition") or matches(self.types, type_name, hidden=True)
 
-    def problem(self, value: Any, zones: Mapping[str, Zone], look: LookAtJoints = nobody_measures) -> str:
-        """Why it does not allow a value, in words; empty if it does."""
+    def problem(self, terms: Terms, value: Any, zones: Mapping[str, Zone], look: LookAtJoints = nobody_measures) -> str:
+        """Why it does not allow what is asked for, or a value, in words; empty if it does."""
+        if problem := self._problem_beside(terms):
+            return problem
+        if value is NO_VALUE:
+            return ""
         if self.verb == "set" and "**" not in self.parameters:
             others = [name for name in value if name not in self.parameters]
             if others:
@@ -215,6 +95,27 @@ class Allowance:
         if is_bound and (problem := _transition_problem(get(value, "transition"), self.transitions)):
             return problem
         return problem_of(self.checks, value, zones, look)
+
+    def _problem_beside(self, terms: Terms) -> str:
+        """Why it does not allow what is asked for beside the value."""
+        if self.rate_hz is not None and terms.rate_hz is not None and not terms.rate_hz <= self.rate_hz:
+            return f"{terms.rate_hz:g} Hz is asked for, at most {self.rate_hz:g} Hz is allowed"
+        if self.for_s is not None and terms.for_s is not None and not 0 < terms.for_s <= self.for_s:
+            lasts = f"{terms.for_s:g} s is asked for" if terms.for_s else "no end is asked for"
+            return f"{lasts}, at most {self.for_s:g} s is allowed"
+        if terms.source is not None and not self.allows_source(terms.source):
+            return f"messages of {terms.source} may not be relayed there, only those of {', '.join(self.sources)}"
+        if terms.force and not self.force:
+            return "force is not allowed"
+        if not terms.speed <= 1:
+            return f"{terms.speed:g} times the recorded speed is asked for, velocities may be played at 1 at most"
+        if self.sole_publisher and terms.publishers:
+            return f"{', '.join(terms.publishers)} of the robot publishes there itself"
+        return ""
+
+    def allows_source(self, source: str) -> bool:
+        """Whether a relay may take its messages from there."""
+        return matches(self.sources, source)
 
 
 def _transition_problem(transition: Any, labels: Sequence[str]) -> str:
@@ -301,6 +202,17 @@ class RuleSet:
 
 
 @dataclass(frozen=True)
+class Judged:
+    """What is said to a value: `problem` says how it breaks `rule`, both empty where it does not. Then `allowances` has
+    those that allow it, of each policy that has some.
+    """
+
+    rule: str = ""
+    problem: str = ""
+    allowances: Sequence[Sequence[Allowance]] = ()
+
+
+@dataclass(frozen=True)
 class Settled:
     """What became of a value: `problem` says how it breaks `rule`, both empty where it does not; `clamped` that it was
     changed.
@@ -348,7 +260,7 @@ class Ruling:
 
     def allows_source(self, source: str) -> bool:
         """Whether a relay may take its messages from there: each policy has to allow it."""
-        return all(any(matches(entry.sources, source) for entry in each.allow) for each in self.policies if each.allow)
+        return all(any(entry.allows_source(source) for entry in each.allow) for each in self.policies if each.allow)
 
     @property
     def hold_s(self) -> float | None:
@@ -362,21 +274,33 @@ class Ruling:
         return has_names or any(not part.checks.is_empty for part in (*self.allowances, *self.limits))
 
     @property
+    def needs_publishers(self) -> bool:
+        """Whether it matters who else publishes there."""
+        return any(entry.sole_publisher for entry in self.allowances)
+
+    @property
     def curves(self) -> Sequence[str]:
         """The paths of trajectories whose whole curve has limits."""
         parts = (*self.allowances, *self.limits)
         return list(dict.fromkeys(path for part in parts for path in part.checks.curve))
 
-    def judge(self, value: Any, look: LookAtJoints = nobody_measures) -> tuple[str, str]:
-        """Which rule a value breaks, and how, in words; both empty if it is within all limits."""
+    def judge(self, value: Any, look: LookAtJoints = nobody_measures, terms: Terms = NO_TERMS) -> Judged:
+        """Judges a value, and what is asked for beside it, by every policy: of its allowances one has to allow it, of
+        its limits each.
+        """
+        allowing: list[Sequence[Allowance]] = []
         for policy in self.policies:
-            for limit in policy.limits:
-                if found := problem_of(limit.checks, value, policy.rules.zones, look):
-                    return limit.rule, found
-            found = [(entry.rule, entry.problem(value, policy.rules.zones, look)) for entry in policy.allow]
-            if found and all(reason for _, reason in found):
-                return found[0]
-        return "", ""
+            zones = policy.rules.zones
+            tried = [(entry, entry.problem(terms, value, zones, look)) for entry in policy.allow]
+            fitting = [entry for entry, problem in tried if not problem]
+            if tried and not fitting:
+                return Judged(tried[0][0].rule, tried[0][1])
+            if fitting:
+                allowing.append(fitting)
+            for limit in policy.limits if value is not NO_VALUE else ():
+                if problem := problem_of(limit.checks, value, zones, look):
+                    return Judged(limit.rule, problem)
+        return Judged(allowances=allowing)
 
     def settle(self, value: Any, way: Literal["tool", "stream"], look: LookAtJoints = nobody_measures) -> Settled:
         """Judges a value of a tool call, or of a relay, feed or playback; where its limits say `clamp`, it is brought
@@ -388,8 +312,8 @@ class Ruling:
                 clamped = clamp(limit.checks, value) or clamped
         for entry in self.allowances if way == "stream" else ():
             clamped = clamp(entry.checks, value) or clamped
-        rule, found = self.judge(value, look)
-        return Settled(rule, found, clamped)
+        judged = self.judge(value, look)
+        return Settled(judged.rule, judged.problem, clamped)
 
 
 @dataclass(frozen=True)
@@ -401,6 +325,15 @@ class Rules:
 
     digest: str
     policies: tuple[RuleSet, ...]
+
+    def may(self, verb: Verb, types: Sequence[str] = ()) -> bool:
+        """Whether each policy allows this on some name, whatever the value; with `types`, for one of these at least."""
+
+        def allows(entry: Allowance) -> bool:
+            is_typed = bool(types) and verb not in ("cancel", "record", "set", "transition")
+            return entry.verb == verb and (not is_typed or any(matches(entry.types, one, hidden=True) for one in types))
+
+        return all(policy.allows_all or any(map(allows, policy.allow)) for policy in self.policies)
 
     def ruling(self, verb: Verb, name: str, type_name: str) -> Ruling:
         """What all policies say about it, whatever the value."""

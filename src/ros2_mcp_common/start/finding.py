@@ -49,6 +49,12 @@ _ENVIRONMENTS_OF_CONDA = (
     "~/*/.pixi/envs/*",
 )
 _OWN_WORKSPACES = ("~/ros2_ws/install", "~/*_ws/install", "~/ros2_*/install")
+# Where `ros_environment` writes down its distribution, in a merged install folder and in an isolated one.
+_OF_THE_DISTRO = (
+    "share/ros_environment/environment/*ros_distro.sh",
+    "ros_environment/share/ros_environment/environment/*ros_distro.sh",
+)
+_DISTRO_IN_IT = re.compile(r"\bROS_DISTRO=[\"']?(\w+)")
 # A Python starts in 20 ms, from the card of a small machine in a second or two. Chosen.
 _PYTHON_S = 10.0
 # For all those on PATH together: stage 1 ends itself 30 s after its start, and ROS is to start in that time, too.
@@ -149,8 +155,9 @@ def in_environment(
 def find(search: Search, env: Mapping[str, str]) -> Found:
     """The ROS 2 of a machine of which nothing is known.
 
-    In this order: what was asked for; a sourced environment; that of ROS processes which already run; the newest
-    installation; conda or pixi; a Python on PATH that has rclpy. Then come the workspaces.
+    In this order: what was asked for; a sourced environment; that of ROS processes which already run; a ROS that was
+    built in a folder that was given; the newest installation; conda or pixi; a workspace in the home folder in which
+    ROS was built; a Python on PATH that has rclpy. Then come the workspaces.
 
     Raises:
         NotFound: if there is none, or not what was asked for.
@@ -165,6 +172,7 @@ def find(search: Search, env: Mapping[str, str]) -> Found:
         (python_with_rclpy(search, env) if python else None)
         or sourced(search, env)
         or running(search, env)
+        or given(search, env)
         or unsourced(search, env)
         or conda(search, env)
         or built_from_source(search, env)
@@ -178,7 +186,7 @@ def find(search: Search, env: Mapping[str, str]) -> Found:
             "Humble is the oldest supported version.",
         )
     overlays = [workspace_setup(workspace) for workspace in search.workspaces] or own_workspace(found)
-    return replace(found, scripts=(*found.scripts, *overlays))
+    return replace(found, scripts=tuple(dict.fromkeys((*found.scripts, *overlays))))
 
 
 def _nothing(search: Search, env: Mapping[str, str]) -> NotFound:
@@ -304,7 +312,8 @@ def unsourced(search: Search, env: Mapping[str, str]) -> Found | None:
         return None
     prefix = root / distro
     clean = environment_for(search, env, keep_sourced=False)
-    package = next(rclpy_below(prefix), None)
+    package = _rclpy_in(prefix)
+    distro = distro_of(prefix) or distro  # the folder may have another name, such as `install`
     # The system's own Python first: another one of that version would lack what rclpy needs, such as NumPy.
     python = search.python or (package and interpreter(package, [prefix, Path("/usr")], clean)) or "python3"
     reason = "asked for" if search.distro else "the newest of " + ", ".join(installed)
@@ -364,25 +373,54 @@ def _conda_distro(prefix: Path) -> str:
     return next((name[1] for name in names if name), "")
 
 
+def given(search: Search, env: Mapping[str, str]) -> Found | None:
+    """A workspace, or a ROS root, that was given and holds ROS 2 itself: built from source, or unpacked."""
+    places = [*(workspace_setup(workspace).parent for workspace in search.workspaces), search.ros_root]
+    return _first_built(places, search, env)
+
+
 def built_from_source(search: Search, env: Mapping[str, str]) -> Found | None:
-    """A workspace in the home folder, or one that was given, in which ROS 2 itself was built."""
-    given = [workspace_setup(workspace).parent for workspace in search.workspaces]
-    places = [*given, *(folder for pattern in _OWN_WORKSPACES for folder in _places(pattern, env))]
-    for install in dict.fromkeys(places):
-        package = next((found for prefix in (install, install / "rclpy") for found in rclpy_below(prefix)), None)
+    """A workspace in the home folder in which ROS 2 itself was built."""
+    return _first_built((folder for pattern in _OWN_WORKSPACES for folder in _places(pattern, env)), search, env)
+
+
+def _first_built(places: Iterable[Path | str], search: Search, env: Mapping[str, str]) -> Found | None:
+    """The first of these install folders, merged or isolated, that has rclpy and is of the distribution asked for."""
+    for install in dict.fromkeys(map(Path, places)):
+        package = _rclpy_in(install)
         if not package or not (install / "setup.bash").is_file():
+            continue
+        distro = distro_of(install) or _conda_distro(install) or search.distro
+        if search.distro not in ("", distro):
             continue
         clean = environment_for(search, env, keep_sourced=False)
         return Found(
             kind="built",
-            distro=search.distro,
+            distro=distro,
             prefix=install,
             why=f"ROS 2 was built in {install}.",
-            python=search.python or interpreter(package, [Path("/usr")], clean) or "python3",
+            python=search.python or interpreter(package, [install, Path("/usr")], clean) or "python3",
             scripts=(install / "setup.bash",),
             environment=clean,
         )
     return None
+
+
+def _rclpy_in(install: Path) -> Path | None:
+    """Where an install folder, merged or isolated, has rclpy."""
+    return next((found for prefix in (install, install / "rclpy") for found in rclpy_below(prefix)), None)
+
+
+def distro_of(install: Path) -> str:
+    """The distribution that an install folder says it is; "" if it does not."""
+    for told in (told for pattern in _OF_THE_DISTRO for told in install.glob(pattern)):
+        try:
+            found = _DISTRO_IN_IT.search(told.read_text(errors="replace"))
+        except OSError:
+            continue
+        if found:
+            return found[1]
+    return ""
 
 
 def _places(pattern: str, env: Mapping[str, str]) -> list[Path]:

@@ -272,6 +272,12 @@ class NodeReply(TypedDict):
     clients: NamesAndTypes
 
 
+class ServersReply(TypedDict):
+    """Names and namespaces of the nodes that serve a service."""
+
+    servers: list[tuple[str, str]]
+
+
 class EndpointsReply(Settled):
     """Who publishes and who subscribes."""
 

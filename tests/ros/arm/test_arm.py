@@ -225,6 +225,24 @@ def test_a_stop_in_the_middle_of_a_trajectory_on_a_topic_holds_the_joints_where_
     assert stopped["confirmed"] or "NOT observed still" in stopped["note"], stopped["note"]
 
 
+def test_joint_states_of_the_agent_itself_are_no_measurement_and_are_refused_while_they_could_move_the_hold(
+    agent, witness
+) -> None:
+    forged = {"topic_name": "/joint_states", "data": {"name": [PAN], "position": [-1.5]}}
+    agent.call("ros2_topic_publish", **forged)
+    before = witness.joints()[PAN]
+    sent = agent.call("ros2_topic_publish", topic_name=TOPIC, data=trajectory(far(), TAKES_S))
+    assert "holds the joints" in sent["note"]  # it has waited until the forged position was stale
+    assert abs(witness.joints()[PAN] - before) < 0.5
+    before = witness.until_moving()
+    with pytest.raises(Refusal, match=PAN):
+        agent.call("ros2_topic_publish", **forged)
+    agent.call("ros2_stop")
+    held(witness, before)
+    witness.until_still()
+    until(lambda: not agent.whole("ros2_topic_publish", forged).is_error)  # as soon as nothing of it moves any more
+
+
 @pytest.fixture
 def begin() -> Iterator[Callable[[RawServer, str], None]]:
     """Begins a move of the shoulder to the far side. Asked for before `start_server`, it waits after the test until

@@ -44,7 +44,7 @@ def as_it_was(agent, robot):
 
 
 @pytest.mark.promise(
-    "ros2_parameter_get", "Read parameters of a node as name → value, in the form that ros2_parameter_set takes"
+    "ros2_parameter_get", "Read parameters of a node as name → value, in the form in which they can be set"
 )
 @pytest.mark.promise("ros2_parameter_set", "Set parameters of a node")
 def test_a_whole_node_is_read_in_a_form_that_can_be_set_back(agent, robot) -> None:

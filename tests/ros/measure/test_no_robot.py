@@ -6,6 +6,9 @@ import signal
 import subprocess
 import sys
 import time
+from typing import Any
+
+import pytest
 
 from support.agent import FULL, Agent, until
 from support.processes import peer_command, running
@@ -28,6 +31,45 @@ def test_where_there_is_no_robot_it_is_said_and_health_is_critical(
     )
     assert f"[note] Robot: {nobody}" in doctor.stdout
     assert doctor.stdout.endswith(f"\n\nROS 2 is found and the bridge starts. {nobody}\n")
+
+
+ASKED: dict[str, dict[str, Any]] = {
+    "ros2_action_request_result": {"action_name": "/dock", "goal_id_hex": "ab" * 16, "timeout_sec": 1},
+    "ros2_action_status": {},
+    "ros2_action_subscribe_feedback": {"action_name": "/dock"},
+    "ros2_action_subscribe_status": {"action_name": "/dock"},
+    "ros2_cancel_action_goal": {"action_name": "/dock", "cancel_all": True},
+    "ros2_drive": {"distance_m": 1},
+    "ros2_get_map_as_image": {},
+    "ros2_get_pointcloud_as_bev": {},
+    "ros2_joint_move": {"joints": {"elbow": 1}},
+    "ros2_lifecycle_state": {},
+    "ros2_log_read": {},
+    "ros2_move_until": {"topic_name": "/scan", "condition": "range_max > 1", "linear_x": 0.1},
+    "ros2_nav_preview": {"to": {"x": 1, "y": 0}},
+    "ros2_navigate": {"to": [{"x": 1, "y": 0}]},
+    "ros2_parameter_get": {"node_name": "/driver", "names": ["rate"]},
+    "ros2_plot": {"series": ["/odom:pose.pose.position.x"]},
+    "ros2_robot": {},
+    "ros2_scene": {},
+    "ros2_send_action_goal": {"action_name": "/dock", "goal_fields": {}},
+    "ros2_service_call": {"service_name": "/reset", "timeout_sec": 1},
+    "ros2_tf_lookup": {"target": "map", "source": "base_link"},
+    "ros2_tf_tree": {},
+    "ros2_topic_info": {"topic_name": "/scan"},
+    "ros2_topic_publish": {"topic_name": "/cmd_vel", "data": {}},
+    "ros2_topic_statistics": {"topic_names": ["/scan"]},
+    "ros2_topic_stats": {"topic_names": ["/scan"]},
+    "ros2_topic_subscribe": {"topic_name": "/scan"},
+    "ros2_wait_until": {"topic_name": "/scan", "condition": "range_max > 1"},
+}
+"""Tools that want a robot, beside those that list."""
+
+
+@pytest.mark.parametrize("tool", ASKED)
+def test_without_a_robot_every_tool_says_the_same_sentence(agent: Agent, domain_id: int, tool: str) -> None:
+    told = " ".join(getattr(part, "text", "") for part in agent.whole(tool, ASKED[tool]).content)
+    assert f"No robot is seen in domain {domain_id}." in told
 
 
 def test_a_robot_that_has_left_is_missed_by_its_names(agent: Agent, ros_environment: dict[str, str]) -> None:

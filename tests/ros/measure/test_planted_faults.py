@@ -67,7 +67,7 @@ EXPECTED = {
     "/driver_never_configured": "unconfigured",
     "/tuned": "share is 1.5, outside 0 to 1",
     "/chatter_remapped": "/chatter, which nobody hears",
-    "/robot_description": "/waits_for_description waits for it, and nobody publishes it. /gripper",
+    "/robot_description": "/waits_for_description waits for /robot_description, which nobody publishes",
     "hardware: parts": "«ArmHW» is «unconfigured»",
     "/pressure": "/lidar publishes it, but no message came",
 }

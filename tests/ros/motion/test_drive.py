@@ -30,7 +30,8 @@ def place(robot: CommandedProcess, agent: Agent, **given: Any) -> str:
     """The robot anew, below a name that nobody has used before, once the server knows it."""
     base = f"/robot_{next(_numbers)}"
     robot.put(base=base, **given)
-    agent.knows(*(f"{base}/{topic}" for topic in ("cmd_vel", "odom", "scan", "robot_description")))
+    seen = {"": (), "cloud": ("points",), "two": ("front", "rear")}.get(given.get("sees", "scan"), ("scan",))
+    agent.knows(*(f"{base}/{topic}" for topic in ("cmd_vel", "odom", "robot_description", *seen)))
     return base
 
 
@@ -45,7 +46,7 @@ def truth(robot: CommandedProcess) -> tuple[float, float, float]:
     return x, y, yaw
 
 
-@pytest.mark.promise("ros2_drive", "Reports how far the robot came, what is missing, and what ended the motion")
+@pytest.mark.promise("ros2_drive", "Reports how far it came and what ended it")
 @pytest.mark.parametrize("seed", range(ROUNDS))
 def test_it_comes_to_stand_where_it_was_told(agent: Agent, robot: CommandedProcess, seed: int) -> None:
     rng = random.Random(seed)
@@ -88,19 +89,24 @@ def test_it_parks_before_what_stands_in_its_way(agent: Agent, robot: CommandedPr
     if FULL:
         assert gap_m - 0.01 <= nearest
     assert f"The robot's size comes from {base}/robot_description: 0.20 m ahead" in result["note"]
-    assert "The nearest beam is" in result["note"]
+    assert "The nearest obstacle is" in result["note"]
+    assert result["guard_m"] == pytest.approx(gap_m)
 
 
 @pytest.mark.full  # each round is some seconds of driving; a thousand are stepped in tests/unit/bridge/test_drive.py
 @pytest.mark.parametrize("seed", range(ROUNDS))
-def test_it_runs_into_nothing_of_what_moves_around_it(agent: Agent, robot: CommandedProcess, seed: int) -> None:
+@pytest.mark.parametrize("is_default", [True, False])
+def test_it_runs_into_nothing_of_what_moves_around_it(
+    agent: Agent, robot: CommandedProcess, seed: int, is_default: bool
+) -> None:
     rng = random.Random(seed)
     for _ in range(TIMES):  # again where this machine held up the robot's process or the bridge
         discs = surroundings(rng)
         base = place(robot, agent, discs=[[disc.x, disc.y, disc.radius, disc.vx, disc.vy] for disc in discs], seed=seed)
         distance_m, speed = rng.uniform(0.5, 1.5) * rng.choice([1, -1]), rng.uniform(0.2, 0.6)
         with standstills(STOOD_STILL_S) as held_up:
-            result = drive(agent, base, distance_m=distance_m, speed=speed, guard_m=rng.uniform(0.1, 0.5))
+            guard = {} if is_default else {"guard_m": rng.uniform(0.1, 0.5)}
+            result = drive(agent, base, distance_m=distance_m, speed=speed, **guard)
             truth(robot)
         state = robot.state()
         if state["stood_s"] < STOOD_STILL_S and not held_up:
@@ -158,18 +164,95 @@ def test_a_robot_that_is_stuck_is_told_with_what_may_hold_it(agent: Agent, robot
     base = place(robot, agent, deadband=9.0, discs=[[0.55, 0.0, 0.2]])
     for name, value in (("max_linear_vel", 0.0), ("max_vel_y", 0.0), ("max_accel", 0.0), ("max_angular_vel", 1.0)):
         robot.limit(name=name, value=value)
-    result = drive(agent, base, distance_m=1.0, speed=0.3)
+    result = drive(agent, base, distance_m=1.0, speed=0.3, guard_m=0.1)
     robot.limit(name="max_linear_vel", value=1.0)
     assert result["outcome"] == "stuck"
-    nearest = re.search(f"{base}/scan: Nearest obstacle (0.3[0-9]) m", result["note"])
+    nearest = re.search(f"{base}/scan: nearest obstacle (0.1[0-9]) m from the robot's outline", result["note"])
     assert nearest, result["note"]
-    assert float(nearest[1]) == pytest.approx(0.35, abs=0.025)  # the nearest of five beams, each 5 mm wrong
+    assert float(nearest[1]) == pytest.approx(0.15, abs=0.025)  # the nearest of five beams, each 5 mm wrong
     assert "/driven_robot has the limit max_linear_vel = 0.0." in result["note"]
 
 
-def test_a_guard_of_nothing_is_refused(agent: Agent, robot: CommandedProcess) -> None:
-    with pytest.raises(Refusal, match="guard_m"):
-        drive(agent, place(robot, agent), distance_m=0.2, guard_m=0)
+def towards_a_wall(agent: Agent, robot: CommandedProcess, seed: int) -> tuple[dict[str, Any], dict[str, Any]]:
+    """A drive with default arguments: its result, and the state of the robot that stands."""
+    rng = random.Random(seed)
+    wall_m, wide = rng.uniform(0.6, 1.5), 1000.0  # as good as flat
+    base = place(robot, agent, seed=seed, discs=[[wall_m + wide, 0.0, wide]], delay_s=rng.uniform(0.0, 0.1))
+    result = drive(agent, base, distance_m=5.0)
+    truth(robot)
+    state = robot.state()
+    print(f"wall at {wall_m:.2f} m: {state['nearest']:.3f} m near, {result}")
+    return result, state
+
+
+@pytest.mark.promise("ros2_drive", "Keeps clear of obstacles")
+def test_without_a_word_of_obstacles_it_stops_before_a_wall(agent: Agent, robot: CommandedProcess) -> None:
+    result, state = towards_a_wall(agent, robot, 0)
+    assert (result["outcome"], result["guard_m"]) == ("guard", 0.2)
+    assert result["free_m"] < 0.3, "told from the outline"
+    assert state["collisions"] == 0
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("seed", range(50))
+def test_it_touches_no_wall_with_default_arguments(agent: Agent, robot: CommandedProcess, seed: int) -> None:
+    for _ in range(TIMES):  # again where this machine held up the robot's process or the bridge
+        with standstills(STOOD_STILL_S) as held_up:
+            result, state = towards_a_wall(agent, robot, seed)
+        if state["stood_s"] < STOOD_STILL_S and not held_up:
+            break
+    assert (result["outcome"], result["guard_m"], state["collisions"]) == ("guard", 0.2, 0)
+    assert 0.19 <= state["nearest"] <= 0.26
+    assert result["free_m"] == pytest.approx(state["nearest"], abs=0.05), "told from the outline"
+
+
+def test_a_guard_of_zero_looks_at_nothing_and_the_result_says_so(agent: Agent, robot: CommandedProcess) -> None:
+    base = place(robot, agent, discs=[[0.65, 0.0, 0.2]])  # 0.25 m before the body
+    result = drive(agent, base, distance_m=0.15, guard_m=0)
+    assert (result["outcome"], result["guard_m"], result["free_m"]) == ("reached", 0.0, None)
+    assert "guard_m" in result["note"]
+    assert "guard_m=0" in agent.refusal("ros2_drive", distance_m=0.1, guard_m=0, scan=f"{base}/scan")
+
+
+def test_a_robot_without_sensors_says_of_a_long_way_that_it_was_blind(agent: Agent, robot: CommandedProcess) -> None:
+    base = place(robot, agent, sees="")
+    short = drive(agent, base, distance_m=0.2)
+    assert (short["outcome"], short["guard_m"], "blind" in short["note"]) == ("reached", 0.0, False)
+    far = drive(agent, base, distance_m=-1.1, speed=0.6)
+    assert (far["outcome"], "blind" in far["note"]) == ("reached", True)
+    assert "scan" in agent.refusal("ros2_drive", topic_name=f"{base}/cmd_vel", distance_m=0.2, guard_m=0.3)
+
+
+def test_a_camera_that_sees_in_depth_guards_as_a_scanner_does(agent: Agent, robot: CommandedProcess) -> None:
+    base = place(robot, agent, sees="cloud", discs=[[0.9, 0.0, 0.2]])  # 0.5 m before the body
+    result = drive(agent, base, distance_m=2.0, speed=0.3)
+    truth(robot)
+    assert (result["outcome"], result["guard_m"], result["scan"]) == ("guard", 0.2, f"{base}/points")
+    assert 0.0 < robot.state()["nearest"] <= 0.26
+    back = drive(agent, base, distance_m=-0.3)
+    assert back["outcome"] == "guard", "it looks ahead alone"
+    assert not back["measured"]
+    assert "guard_m=0" in back["note"]
+
+
+def test_with_two_scanners_both_ways_are_guarded(agent: Agent, robot: CommandedProcess) -> None:
+    base = place(robot, agent, sees="two", discs=[[-0.9, 0.0, 0.2]])  # 0.5 m behind the body
+    ahead = drive(agent, base, distance_m=0.1)
+    assert (ahead["outcome"], ahead["scan"]) == ("reached", f"{base}/rear, {base}/front")
+    back = drive(agent, base, distance_m=-2.0, speed=0.3)
+    truth(robot)
+    assert back["outcome"] == "guard", back["note"]
+    assert 0.0 < robot.state()["nearest"] <= 0.26
+
+
+def test_a_sensor_that_is_silent_is_no_guard_and_it_says_what_drives_without(
+    agent: Agent, robot: CommandedProcess
+) -> None:
+    base = place(robot, agent)
+    robot.silence(topic="scan")
+    refused = agent.refusal("ros2_drive", topic_name=f"{base}/cmd_vel", distance_m=0.2)
+    assert f"{base}/scan" in refused and "guard_m=0" in refused
+    assert robot.state()["moved_at"] == 0.0
 
 
 def test_a_stop_ends_it_and_it_says_so(agent: Agent, robot: CommandedProcess) -> None:

@@ -184,6 +184,20 @@ def test_a_condition_is_judged_beside_the_robot_though_the_server_sleeps(start: 
 
 
 @pytest.mark.full
+@pytest.mark.parametrize("_", range(ROUNDS))
+def test_a_metre_at_15_centimetres_a_second_fits_into_what_teleop_slow_allows(
+    start: Start, robot: CommandedProcess, _: int
+) -> None:
+    server, base = start("--policy", "teleop-slow"), fresh("slow")
+    robot.put(base=base)
+    server.knows(f"{base}/cmd_vel", 1)
+    until(lambda: server.do("ros2_topic_info", topic_name=f"{base}/scan")["publishers"])
+    result = server.result(server.tool("ros2_drive", topic_name=f"{base}/cmd_vel", distance_m=1.0, speed=0.15))
+    assert result["outcome"] == "reached", result
+    assert result["elapsed_s"] <= 10.0
+
+
+@pytest.mark.full
 @pytest.mark.parametrize("way", WAYS)
 def test_a_policy_holds_in_its_middle(start: Start, robot: CommandedProcess, way: str, tmp_path: Path) -> None:
     """Its speed is asked of the whole motion before anything moves, its ramp and its time of each command."""

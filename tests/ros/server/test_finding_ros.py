@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shlex
+import subprocess
 import sys
 import time
 import venv
@@ -77,6 +79,33 @@ def test_a_sourced_shell(start_raw, ros_environment, bare_python: str) -> None:
     path = os.pathsep.join([ros_environment["PYTHONPATH"], str(SITE_PACKAGES)])
     server = opened(lambda: start_raw(command=[bare_python, "-m", "ros2_mcp"], **{**shell, "PYTHONPATH": path}))
     assert "This shell is sourced" in found(server)
+
+
+@pytest.mark.parametrize("has_setup_file", [True, False])
+def test_a_ros_outside_opt_is_found_by_what_config_printed_in_its_sourced_shell(
+    start_raw, ros_environment, bare_python: str, tmp_path: Path, has_setup_file: bool
+) -> None:
+    """A prefix like that of RoboStack or of a merged build, without COLCON_PREFIX_PATH; or with nothing to source."""
+    prefix = tmp_path / "ros"
+    (prefix / "lib").mkdir(parents=True)
+    (prefix / "lib" / SITE_PACKAGES.parent.name).symlink_to(SITE_PACKAGES.parent)
+    (prefix / "share").symlink_to(Path(sys.prefix) / "share")
+    shell = {**sourced(), "AMENT_PREFIX_PATH": str(prefix), "PYTHONPATH": str(SITE_PACKAGES), "HOME": str(tmp_path)}
+    bare = {"ROS2_MCP_ROS_ROOT": str(tmp_path / "none"), "PATH": os.environ["PATH"]}
+    if has_setup_file:
+        lines = (f"export {name}={shlex.quote(value)}" for name, value in shell.items())
+        (prefix / "setup.bash").write_text("\n".join(lines) + "\n")
+    path = os.pathsep.join([f"{prefix}/lib/{SITE_PACKAGES.parent.name}/site-packages", ros_environment["PYTHONPATH"]])
+    printed = subprocess.run(
+        [bare_python, "-m", "ros2_mcp", "config", "cursor"],
+        env={**bare, **shell, "PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    entry = json.loads(printed.stdout)["mcpServers"]["ros2"]
+    server = opened(lambda: start_raw(command=[bare_python, "-m", "ros2_mcp"], **entry["env"], HOME=str(tmp_path)))
+    assert str(prefix) in found(server)
 
 
 @pytest.mark.promise("README", "is sourced for the bridge")

@@ -44,7 +44,7 @@ def test_every_field_is_right_and_all_of_it_is_small(simulated: tuple[str, Agent
     except AssertionError:
         last = agent.call("ros2_robot")
         pytest.fail("\n".join([*wrong(kind, last), json.dumps(last, indent=1, ensure_ascii=False)]))
-    assert len(json.dumps(found, ensure_ascii=False, separators=(",", ":")).encode()) <= 2000
+    assert len(json.dumps(found, ensure_ascii=False, separators=(",", ":")).encode()) <= 4000
 
 
 def wrong(kind: str, found: dict[str, Any]) -> list[str]:
@@ -69,22 +69,38 @@ FACTS: dict[str, dict[str, str | list[str]]] = {
         "command_inputs": [
             r"/cmd_vel Twist → /base_controller.*",
             r"/cmd_vel_nav Twist → /base_controller \(from .*\)",
-            r"/navigate_to \(action\) → /navigator",
-            r"/navigate_to_pose \(action\) → /bt_navigator",
-            r"other actions: /compute_path_to_pose → /planner_server",
-            r"services: /enable_motors SetBool; /reset_odometry Trigger; /self_test Trigger; /set_mode SetMode; "
-            r"/slow_echo SlowEcho; /spawn_obstacle SpawnObstacle",
+            r"/navigate_to NavigateTo \(action\) → /navigator",
+            r"/navigate_to_pose NavigateToPose \(action\) → /bt_navigator",
+        ],
+        "other_actions": ["/compute_path_to_pose ComputePathToPose → /planner_server"],
+        "waited_for": [],
+        "command_services": [
+            "/enable_motors SetBool",
+            "/reset_odometry Trigger",
+            "/self_test Trigger",
+            "/set_mode SetMode",
+            "/slow_echo SlowEcho",
+            "/spawn_obstacle SpawnObstacle",
+            "/gripper/close SetBool",
         ],
         "sensors": [
             rf"/scan LaserScan{RATE} in laser at 0 0 0.22, 0.12 to 5 m over 359°",
             r"/battery_state BatteryState \d+%.*",
             rf"/camera/depth/image_raw Image{RATE} in camera_optical at 0.15 0 0.35",
             rf"/imu Imu{RATE} in imu_link at 0 0 0.1",
-            rf"/camera/image_raw Image{RATE} 70° wide in camera_optical",
-            rf"also told: /joint_states JointState{RATE}; /odom Odometry{RATE}; /heartbeat String «.*»; "
+            rf"/camera/image_raw Image{RATE} 70° wide in camera_optical at 0.15 0 0.35",
+        ],
+        "also_told": [
+            rf"/joint_states JointState{RATE}",
+            rf"/odom Odometry{RATE}",
+            rf"/gripper/joint_states JointState{RATE}",
+            r"/heartbeat String «.*»",
             r"/mode String «manual»",
         ],
-        "joints": [rf"{side}_wheel_joint continuous -?[\d.]+ rad" for side in ("left", "right")],
+        "joints": [
+            *(rf"{side}_wheel_joint continuous -?[\d.]+ rad" for side in ("left", "right")),
+            r"gripper_joint 0.08 \(no unit\)",
+        ],
         "controllers": [],
         "stacks": ["Nav2"],
         "frames": r"map → odom → base_link; 7 in all",
@@ -97,14 +113,18 @@ FACTS: dict[str, dict[str, str | list[str]]] = {
         "footprint": "0.20 × 0.20 m, centred",
         "place": r"In world at x 0.00 y 0.00 m, yaw 0° \(TF, fixed there\).",
         "command_inputs": [
-            rf"/{name}_controller/follow_joint_trajectory \(action, or topic joint_trajectory\) → /{name}_controller"
+            rf"/{name}_controller/follow_joint_trajectory FollowJointTrajectory "
+            rf"\(action, or topic joint_trajectory\) → /{name}_controller"
             for name in ("arm", "gripper")
-        ]
-        + [r"services: /self_test Trigger"],
-        "sensors": [rf"also told: /joint_states JointState{RATE}; /heartbeat String «.*»"],
+        ],
+        "other_actions": [],
+        "waited_for": [],
+        "command_services": ["/self_test Trigger"],
+        "sensors": [],
+        "also_told": [rf"/joint_states JointState{RATE}", r"/heartbeat String «.*»"],
         "joints": [
             *(
-                rf"{name}_joint -?[\d.]+ of ±{limit} rad, ≤ {speed} rad/s"
+                rf"{name}_joint -?[\d.]+ rad, limits -{limit} to {limit} rad, at most {speed} rad/s"
                 for name, limit, speed in (
                     ("shoulder_pan", 3.1, 1.5),
                     ("shoulder_lift", 1.8, 1.2),
@@ -114,7 +134,7 @@ FACTS: dict[str, dict[str, str | list[str]]] = {
                     ("wrist_3", 2, 2),
                 )
             ),
-            r"gripper_joint prismatic 0.02 of 0..0.04 m, ≤ 0.1 m/s",
+            r"gripper_joint prismatic 0.02 m, limits 0 to 0.04 m, at most 0.1 m/s",
         ],
         "controllers": [
             "/arm_controller",
@@ -135,16 +155,30 @@ FACTS: dict[str, dict[str, str | list[str]]] = {
             r"/mavros/setpoint_velocity/cmd_vel TwistStamped → /mavros/mavros",
             r"/mavros/setpoint_velocity/cmd_vel_unstamped Twist → /mavros/mavros",
             r"/mavros/setpoint_position/local PoseStamped \(goal\) → /mavros/mavros",
-            r"services: /mavros/set_mode SetMode; /mavros/cmd/arming CommandBool; /mavros/cmd/command CommandLong; "
-            r"/mavros/cmd/land CommandTOL; /mavros/cmd/takeoff CommandTOL; /mavros/mission/push WaypointPush",
+        ],
+        "other_actions": [],
+        "waited_for": [],
+        "command_services": [
+            "/mavros/set_mode SetMode",
+            "/mavros/cmd/arming CommandBool",
+            "/mavros/cmd/command CommandLong",
+            "/mavros/cmd/land CommandTOL",
+            "/mavros/cmd/takeoff CommandTOL",
+            "/mavros/mission/push WaypointPush",
         ],
         "sensors": [
             rf"/mavros/global_position/global NavSatFix{RATE} in gps_link at 0 0 0.08",
             r"/mavros/battery BatteryState \d+%.*",
-            rf"also told: /odom Odometry{RATE}; /mavros/extended_state ExtendedState{RATE}; "
-            rf"/mavros/state State{RATE}; /mavros/global_position/compass_hdg Float64 [\d.]+; "
-            rf"/mavros/global_position/rel_alt Float64 [\d.]+; /mavros/home_position/home HomePosition.*; "
-            rf"/mavros/mission/waypoints WaypointList.*; /mavros/statustext/recv StatusText",
+        ],
+        "also_told": [
+            rf"/odom Odometry{RATE}",
+            rf"/mavros/extended_state ExtendedState{RATE}",
+            rf"/mavros/state State{RATE}",
+            r"/mavros/global_position/compass_hdg Float64 [\d.]+",
+            r"/mavros/global_position/rel_alt Float64 [\d.]+",
+            r"/mavros/home_position/home HomePosition.*",
+            r"/mavros/mission/waypoints WaypointList.*",
+            r"/mavros/statustext/recv StatusText",
         ],
         "joints": [],
         "controllers": [],

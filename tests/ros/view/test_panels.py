@@ -126,6 +126,8 @@ def test_clouds_scans_and_frames_stand_in_one_space(page: Page, demo_environment
 
 def test_graphics_that_drop_the_picture_are_told_and_give_it_back(page: Page) -> None:
     canvas, why = "document.querySelector('#space canvas')", "document.querySelector('#space .why').textContent"
+    show(page, "space")
+    page.until(f"{canvas}.ariaLabel?.includes('Robot at')")  # drawn: else the test, and not the page, has its context
     page.run(f"(window.graphics = {canvas}.getContext('webgl2').getExtension('WEBGL_lose_context')).loseContext()")
     page.until(f"{why}.includes('dropped the picture')")
     page.run("graphics.restoreContext()")

@@ -8,6 +8,7 @@ from __future__ import annotations
 import array
 import json
 import math
+import struct
 import sys
 import threading
 import time
@@ -21,7 +22,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from rclpy.signals import SignalHandlerOptions
-from sensor_msgs.msg import LaserScan
+from sensor_msgs.msg import LaserScan, PointCloud2, PointField
 from std_msgs.msg import Float64, String
 
 from support.physics import RADIUS_M, STEP_S, Base, Disc, scan_message
@@ -43,7 +44,7 @@ class Robot:
         self._base, self._discs, self._silent = Base(), list[Disc](), ""
         self._commanded_at = self._moved_at = self._odometry_at = self._scan_at = self._stood_s = 0.0
         self._odometry: Any = None
-        self._scan: Any = None
+        self._sensors: dict[str, Any] = {}
         self._commands: Any = None
         self._description: Any = None
         self._kept: Any = None
@@ -52,19 +53,33 @@ class Robot:
         self._near_m = self._near_at = self._zero_at = 0.0
         threading.Thread(target=self._live, daemon=True).start()
 
-    def put(self, base: str, discs: list[list[float]] = [], **physics: float) -> None:  # noqa: B006 - from JSON
-        """At the origin, with topics below `base`, obstacles (x, y, radius, vx, vy), and this physics."""
+    def put(
+        self,
+        base: str,
+        discs: list[list[float]] = [],  # noqa: B006 - from JSON
+        sees: str = "scan",
+        **physics: float,
+    ) -> None:
+        """At the origin, with topics below `base`, obstacles (x, y, radius, vx, vy), and this physics. It `sees` by a
+        `scan` all around, by a `cloud` of what is ahead, by `two` scanners that each see one half, or not at all ("").
+        """
         with self._lock:
             self._base, self._discs = Base(**physics), [Disc(*disc) for disc in discs]  # pyright: ignore[reportArgumentType]
             self._silent, self._nearest, self._moved_at, self._stood_s = "", math.inf, 0.0, 0.0
             self._collisions, self._zero_at = 0, 0.0
-            for old in (self._odometry, self._scan, self._description):
+            for old in (self._odometry, *self._sensors.values(), self._description):
                 if old:
                     self._node.destroy_publisher(old)
             if self._commands:
                 self._node.destroy_subscription(self._commands)
             self._odometry = self._node.create_publisher(Odometry, f"{base}/odom", 10)
-            self._scan = self._node.create_publisher(LaserScan, f"{base}/scan", qos_profile_sensor_data)
+            kinds = {"scan": ["scan"], "cloud": ["points"], "two": ["front", "rear"], "": []}[sees]
+            self._sensors = {
+                name: self._node.create_publisher(
+                    PointCloud2 if name == "points" else LaserScan, f"{base}/{name}", qos_profile_sensor_data
+                )
+                for name in kinds
+            }
             latched = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
             self._description = self._node.create_publisher(String, f"{base}/robot_description", latched)
             self._description.publish(String(data=DESCRIPTION))
@@ -153,17 +168,46 @@ class Robot:
             message.pose.pose.orientation.z, message.pose.pose.orientation.w = told.orientation.z, told.orientation.w
             self._odometry.publish(message)
             self._odometry_at = now
-        if self._scan and step % SCAN_EVERY == 0 and self._silent != "scan":
+        if self._sensors and step % SCAN_EVERY == 0 and self._silent != "scan":
             seen = scan_message(self._base, self._discs, beams=120, noise_m=0.005)
-            message = LaserScan(angle_min=seen.angle_min, angle_increment=seen.angle_increment)
-            message.angle_max = seen.angle_min + 119 * seen.angle_increment
-            message.header.frame_id, message.header.stamp = "base_link", stamp
-            message.range_min, message.range_max = seen.range_min, seen.range_max
-            message.ranges = array.array("f", seen.ranges)
-            if not self._near_at and min(message.ranges) < self._near_m:
-                self._near_at = time.monotonic()
-            self._scan.publish(message)
+            for name, publisher in self._sensors.items():
+                publisher.publish(self._cloud(seen, stamp) if name == "points" else self._scan(seen, name, stamp))
             self._scan_at = now
+
+    def _scan(self, seen: Any, name: str, stamp: Any) -> LaserScan:
+        """What the scanner of that name sees: all around, or of two its half alone."""
+        ranges, begin = array.array("f", seen.ranges), seen.angle_min
+        quarter = len(ranges) // 4
+        if name == "front":
+            ranges, begin = ranges[quarter : 3 * quarter + 1], -math.pi / 2
+        elif name == "rear":
+            ranges, begin = ranges[3 * quarter :] + ranges[: quarter + 1], math.pi / 2
+        message = LaserScan(angle_min=begin, angle_increment=seen.angle_increment)
+        message.angle_max = begin + (len(ranges) - 1) * seen.angle_increment
+        message.header.frame_id, message.header.stamp = "base_link", stamp
+        message.range_min, message.range_max, message.ranges = seen.range_min, seen.range_max, ranges
+        if not self._near_at and min(ranges) < self._near_m:
+            self._near_at = time.monotonic()
+        return message
+
+    @staticmethod
+    def _cloud(seen: Any, stamp: Any) -> PointCloud2:
+        """What a camera that looks ahead sees in depth, of 90°: the floor, and upright what the beams meet."""
+        points: list[tuple[float, float, float]] = []
+        for number, distance in enumerate(seen.ranges):
+            angle = seen.angle_min + number * seen.angle_increment
+            if abs(angle) < math.pi / 4:
+                cosine, sine = math.cos(angle), math.sin(angle)
+                points += [
+                    (0.1 * step * cosine, 0.1 * step * sine, -0.1) for step in range(3, 20) if 0.1 * step < distance
+                ]
+                if math.isfinite(distance):
+                    points += [(distance * cosine, distance * sine, height / 50) for height in range(6)]
+        message = PointCloud2(height=1, width=len(points), point_step=12, row_step=12 * len(points), is_dense=True)
+        message.header.frame_id, message.header.stamp = "base_link", stamp
+        message.fields = [PointField(name=name, offset=4 * at, datatype=7, count=1) for at, name in enumerate("xyz")]
+        message.data = array.array("B", b"".join(struct.pack("<3f", *point) for point in points))
+        return message
 
 
 def main() -> None:

@@ -36,6 +36,7 @@ def restarted(folder: Path, *runs: StoredTopic, count: int = 2) -> None:
             writer.write(topic.name, sample(at_ns))
         writer.write(OTHER.name, sample(10 * number + 9))
         writer.end()
+        writer.path.rename(folder / f"run_{number:02}.mcap")
 
 
 def times(bag: Bag, *topics: str, newest_first: bool = False) -> list[int]:

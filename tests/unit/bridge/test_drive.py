@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from ros2_mcp.ops.motion.guarding import DEFAULT_GUARD_M
 from ros2_mcp_bridge.motion.course import Circle, Line, Place, Pose, Turn
 from ros2_mcp_bridge.motion.drive import Drive
 from support.agent import FULL
@@ -117,6 +118,21 @@ def test_a_guarded_drive_runs_into_nothing(seed: int) -> None:
     assert drive.outcome in ("reached", "guard")
 
 
+@pytest.mark.parametrize("seed", range(50))
+def test_with_the_default_distance_it_touches_no_wall(seed: int) -> None:
+    rng = random.Random(seed)
+    wall = Disc(1000.0 + rng.uniform(0.5, 2.0), rng.uniform(-20, 20), 1000.0)  # as good as flat, and hardly slanted
+    distance_m = rng.choice([-5.0, 5.0])
+    wall.x = math.copysign(wall.x, distance_m)
+    given = guarded(DEFAULT_GUARD_M, distance_m=distance_m, speed=rng.uniform(0.1, 1.0))
+    scan_hz = rng.choice([5, 8, 10, 20])
+    run = Run(asked=given, base=base(seed, 0.15), discs=[wall], scan_hz=scan_hz, odometry_hz=rng.choice([10, 25, 50]))
+    drive = run.go()
+    run.rest()
+    assert (drive.outcome, run.collisions) == ("guard", 0), drive.why
+    assert run.nearest_m >= DEFAULT_GUARD_M - 0.03
+
+
 @pytest.mark.parametrize("guard_m", [0.2, 0.6, 1.0])
 def test_it_parks_at_the_distance_that_it_is_to_keep(guard_m: float) -> None:
     wall = Disc(1000.0 + 2.0, 0.0, 1000.0)  # as good as flat, 2 m ahead of the middle of the robot
@@ -155,7 +171,7 @@ def test_it_stands_a_tenth_of_a_second_after_what_was_to_come(silent: str, hz: f
 
 
 def test_a_short_pause_of_odometry_is_waited_for_standing() -> None:
-    run = Run(asked=asked(distance_m=1.0), base=Base(), pause_s=(1.5, 1.8))
+    run = Run(asked=asked(distance_m=1.0), base=Base(), pauses_s=[(1.5, 1.8)])
     drive = run.go()
     assert drive.outcome == "reached"
     assert run.stood_s > 0.1
@@ -181,6 +197,32 @@ def test_its_time_limit_ends_it() -> None:
     run = Run(asked=asked(distance_m=5.0, time_limit_s=2.0), base=Base())
     assert run.go().outcome == "time_out"
     assert run.seconds < 5
+
+
+def test_pauses_for_what_is_late_do_not_count_towards_its_time_limit() -> None:
+    """Of 40 % of the time odometry is late by a quarter of a second: a metre takes twice as long, and is driven."""
+    given = {"distance_m": 1.0, "speed": 0.15, "time_limit_s": 9.0}
+    pauses = [(at, at + 0.45) for at in range(1, 60)]
+    late = Run(asked=asked(**given, pauses_s=30.0), base=Base(), pauses_s=pauses)
+    assert late.go().outcome == "reached"
+    assert late.seconds > 10.0
+    assert Run(asked=asked(**given), base=Base(), pauses_s=pauses).go().outcome == "time_out"
+
+
+@pytest.mark.parametrize("ramp", [0.1, 0.3, 10.0])
+def test_a_metre_at_15_centimetres_a_second_fits_into_ten_seconds_with_a_ramp(ramp: float) -> None:
+    """What `teleop-slow` allows: 10 s, of which the last is left for standing."""
+    run = Run(asked=asked(distance_m=1.0, speed=0.15, time_limit_s=9.0), base=Base(acceleration=ramp))
+    drive = run.go()
+    assert (drive.outcome, run.seconds < 10.0) == ("reached", True), drive.report()
+
+
+def test_a_robot_that_its_time_limit_stops_at_its_end_has_reached_it() -> None:
+    limit_s = 3.9  # when it is 1 to 2 cm short, and would correct that
+    run = Run(asked=asked(distance_m=1.0, speed=0.3, time_limit_s=limit_s), base=Base(delay_s=0.0))
+    drive = run.go()
+    assert drive.outcome == "reached"
+    assert run.seconds > limit_s
 
 
 @pytest.mark.parametrize("wrong", [{"speed": 0.0, "distance_m": 1.0}, {}, {"distance_m": 1.0, "angle": 1.0}])

@@ -170,8 +170,13 @@ def test_nothing_is_kept_of_a_publisher_that_could_not_be_made(monkeypatch: pyte
     request = Request({"id": 1, "op": "publish", "topic": "/a", "type": TWIST, "qos": {}}, b"")
     with pytest.raises(RuntimeError):
         publishers.Publisher(
-            node=object(), graph=object(), velocities=everything, limiter=Limiter(False), request=request
-        )  # type: ignore[arg-type]
+            node=object(),  # type: ignore[arg-type]
+            graph=object(),  # type: ignore[arg-type]
+            velocities=everything,
+            limiter=Limiter(False),
+            joint_states=object(),  # type: ignore[arg-type]
+            request=request,
+        )
     assert everything._topics == {}
 
 

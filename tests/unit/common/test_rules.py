@@ -7,18 +7,8 @@ import json
 import pytest
 
 from ros2_mcp_common.policy.checks import Checks
-from ros2_mcp_common.policy.rules import (
-    META_TYPES,
-    Allowance,
-    Forbidden,
-    Limit,
-    Rules,
-    RuleSet,
-    is_meta,
-    judged_part,
-    matches,
-    meaning,
-)
+from ros2_mcp_common.policy.rules import Allowance, Forbidden, Limit, Rules, RuleSet, judged_part
+from ros2_mcp_common.policy.verbs import META_TYPES, is_meta, matches, meaning
 
 TWIST = "geometry_msgs/msg/Twist"
 

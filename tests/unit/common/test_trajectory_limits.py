@@ -223,8 +223,8 @@ def test_the_limits_of_a_curve_go_down_to_the_bridge_unchanged() -> None:
     ruling = back.ruling("goal", "/arm", "p/action/A")
     value = {"trajectory": trajectory((4, 0.8, 0, None))}
     assert ruling.curves == ["trajectory"] and ruling.needs_value
-    assert "a would be at 0.8, -0.5 to 0.5" in ruling.judge(value, lambda _: STAND)[1]
-    assert "not known where the joints are" in ruling.judge(value)[1]
+    assert "a would be at 0.8, -0.5 to 0.5" in ruling.judge(value, lambda _: STAND).problem
+    assert "not known where the joints are" in ruling.judge(value).problem
 
 
 NOW = 1_800_000_000 * stamps.NS_PER_S

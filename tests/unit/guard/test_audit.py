@@ -472,6 +472,6 @@ def test_a_client_reads_its_own_acts_however_many_others_have(tmp_path: Path) ->
         file.append({"kind": "outcome", "of": of, "outcome": "done"})
     guard = Guard()
     guard.audit = Auditing(Audit(None, path=tmp_path), "", str)
-    robot = Robot(cast(Bridge, None), guard).acting_for(Principal(name="mine", transport="http"))
-    excerpt = asyncio.run(read(robot, 2))
+    robot = Robot(cast(Bridge, None), guard)
+    excerpt = asyncio.run(read(robot, robot.session(Principal(name="mine", transport="http")), 2))
     assert [(act.name, act.outcome) for act in excerpt.acts] == [("/t20", "done"), ("/t40", "done")]

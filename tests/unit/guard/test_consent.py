@@ -56,7 +56,7 @@ async def publish(guard: Guard, name: str, x: float = 0.1) -> None:
     given: dict[str, Any] = {"principal": LOCAL, "name": name, "type": TWIST, "value": {"linear": {"x": x}}}
     command = Publish(choice=Choice(QoS("reliable", "volatile", depth=1), ""), wait_match_s=1.0, **given)
 
-    async def facts(_waits: bool) -> Facts:
+    async def facts(*_: Any) -> Facts:
         zero = {"x": 0.0, "y": 0.0, "z": 0.0}
         return Facts(value={"linear": {**zero, "x": x}, "angular": zero})
 
@@ -120,7 +120,10 @@ def test_a_person_reads_what_the_policy_bounds_of_what_waits(tmp_path: Path) -> 
                 await publish(guard, name)
         free, slow = (request.summary() for request in consent.approvals.waiting())
         assert free[2] == "The policy bounds nothing of it."
-        assert slow[2] == ("The policy bounds at most 5 Hz; linear.x from 0 to 0.2; the length of angular at most 0.5.")
+        assert slow[2] == (
+            "The policy bounds at most 5 Hz; linear.x from 0 to 0.2 m/s; "
+            "the length of angular at most 0.5 rad/s (29 °/s)."
+        )
 
     run(tmp_path, "confirm", work)
 
@@ -143,7 +146,7 @@ async def test_of_several_topics_each_says_what_it_waits_for_and_what_is_done_is
     async def publish_on(*topics: str) -> list[str]:
         data = {"linear": {"x": 0.1}}
         requests = [PublishRequest(topic_name=topic, message_type=TWIST, data=data) for topic in topics]
-        return [one.error for one in (await publish_several(robot, requests)).topics]
+        return [one.error for one in (await publish_several(robot, robot.session(), requests)).topics]
 
     free, asked = await publish_on("/free", "/asked")
     [request] = consent.approvals.waiting()

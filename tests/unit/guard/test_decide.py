@@ -216,7 +216,6 @@ def test_the_strictest_mode_of_the_policies_holds() -> None:
 @pytest.mark.parametrize("command", EVERY, ids=lambda command: type(command).__name__)
 def test_without_a_policy_everything_is_allowed_and_with_an_empty_one_nothing(command: Command[Any]) -> None:
     assert Policy().decide(command) == Decision(verdict="allowed")
-    assert not Policy().needs_facts(command)
     assert policy("policy: 1\nname: nothing").decide(command).verdict == "refused"
 
 

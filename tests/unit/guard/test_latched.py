@@ -48,7 +48,7 @@ async def server(tmp_path: Path) -> AsyncGenerator[MakeServer, None]:
 
 
 def sent(robot: Robot) -> set[str]:
-    return SENDING & set(cast(Noting, robot.bridge).sent)
+    return SENDING & set(cast(Noting, robot._bridge).sent)
 
 
 @pytest.mark.promise("stopping", "nothing acts on the robot any more, on any server, until an operator resets it")

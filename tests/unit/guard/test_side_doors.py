@@ -36,7 +36,7 @@ from ros2_mcp.model.errors import BadName
 from ros2_mcp.model.qos import QoS
 from ros2_mcp_bridge.exit.limiter import Limiter
 from ros2_mcp_bridge.request import OperationError, Request
-from ros2_mcp_common.policy.rules import meaning
+from ros2_mcp_common.policy.verbs import meaning
 from support.aliases import KINDS, aliases
 from support.limits import without_limiter
 from support.noting_bridge import CHOICE, GOAL_ID, LOCAL, call

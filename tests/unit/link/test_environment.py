@@ -10,12 +10,14 @@ import pytest
 from ros2_mcp.link import environment
 from ros2_mcp.link.diagnosis import diagnose
 from ros2_mcp.link.environment import find_ros
-from ros2_mcp.link.installation import WHEEL_GUARD, RosInstallation, clean_environment
+from ros2_mcp.link.installation import WHEEL_GUARD, RosInstallation, search_of, with_a_place_for_logs, without_ours
 from ros2_mcp.link.provenance import own_provenance
 from ros2_mcp.model.errors import BadInput, RosNotFound
 from ros2_mcp.settings import Settings
+from ros2_mcp_common.start.finding import environment_for
 
-BARE = {"PATH": os.environ["PATH"], "HOME": os.environ.get("HOME", "/")}
+BARE = {"PATH": os.environ["PATH"], "HOME": "/nonexistent"}
+"""What is in the home folder of whoever runs the tests is not found."""
 
 
 @pytest.fixture
@@ -176,7 +178,8 @@ def test_the_environment_of_the_bridge_holds_nothing_of_our_own_python() -> None
         "LD_LIBRARY_PATH": f"{sys.prefix}/lib{os.pathsep}/usr/local/lib",
         "HOME": "/home/robot",
     }
-    clean = clean_environment(Settings(domain_id=7, rmw="rmw_cyclonedds_cpp"), leaked, keep_sourced=True)
+    search = search_of(Settings(domain_id=7, rmw="rmw_cyclonedds_cpp"))
+    clean = environment_for(search, without_ours(leaked), keep_sourced=True)
     assert clean == {
         "LD_LIBRARY_PATH": "/usr/local/lib",
         "HOME": "/home/robot",
@@ -187,12 +190,12 @@ def test_the_environment_of_the_bridge_holds_nothing_of_our_own_python() -> None
 
 def test_what_was_asked_for_of_the_environment_stands_above_what_was_sourced() -> None:
     settings = Settings(robot_env=("CYCLONEDDS_URI=file:///x=y", "ROS_STATIC_PEERS="))
-    clean = clean_environment(settings, {"HOME": "/h", "CYCLONEDDS_URI": "old"}, keep_sourced=True)
+    clean = environment_for(search_of(settings), {"HOME": "/h", "CYCLONEDDS_URI": "old"}, keep_sourced=True)
     assert clean == {"HOME": "/h", "CYCLONEDDS_URI": "file:///x=y", "ROS_STATIC_PEERS": ""}
 
 
 def test_without_a_home_the_log_of_ros_has_a_place() -> None:
-    assert clean_environment(Settings(), {}, keep_sourced=True)["ROS_LOG_DIR"]
+    assert with_a_place_for_logs({})["ROS_LOG_DIR"]
 
 
 def test_the_doctor_names_the_fix_for_a_middleware_that_is_not_installed(tmp_path: Path) -> None:

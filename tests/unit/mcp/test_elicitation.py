@@ -18,6 +18,7 @@ from ros2_mcp.link.client import Bridge
 from ros2_mcp.model.commands import Record
 from ros2_mcp.model.errors import RosNotFound
 from ros2_mcp.robot import Robot
+from ros2_mcp.robot.session import Session
 from ros2_mcp.settings import Settings
 
 _DONE = "It was carried out."
@@ -53,8 +54,8 @@ async def outcomes(folder: Path, mode: Any, how: str, answer: ElicitResult, monk
         questions.append(params.message)
         return answer
 
-    async def start(robot: Robot, *_: Any) -> Any:
-        await robot.do(Record(principal=robot.principal, name="incident", topics=()))
+    async def start(robot: Robot, session: Session, *_: Any) -> Any:
+        await robot.do(Record(principal=session.principal, name="incident", topics=()), session)
         done.append("done")
         raise RosNotFound(_DONE)
 

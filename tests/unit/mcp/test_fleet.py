@@ -70,7 +70,7 @@ async def test_robots_that_cannot_be_reached_are_shown_with_the_reason_and_a_sto
         stopped = (await client.call_tool("ros2_stop", {}, meta=META)).structured_content or {}
         assert [one["robot"] for one in stopped["robots"]] == ["lab", "yard"]
         assert not stopped["confirmed"] and "has never reached it" in stopped["robots"][0]["stopped"]["note"]
-        assert all(member.robot.bridge.generation == 0 for member in assembly.fleet.members.values())
+        assert all(member.robot._bridge.generation == 0 for member in assembly.fleet.members.values())
         shown = (await client.call_tool("ros2_robots", {}, meta=META)).structured_content or {}
         assert [(robot["robot"], robot["state"]) for robot in shown["robots"]] == [("lab", "away"), ("yard", "away")]
         assert "foxy" in shown["robots"][0]["note"]
@@ -120,7 +120,7 @@ async def test_a_robot_that_is_out_of_reach_does_not_hold_up_the_answer_of_its_s
     member = SimpleNamespace(name="lab", robot=robot)
     with anyio.fail_after(stopping._BRIDGE_S):  # after which it would have been given up
         alone = await stopping.stop_in_reach(robot)
-        several = await about_all.stop([cast(Member, member)], lambda one: one)
+        several = await about_all.stop([cast(Member, member)], "local")
     assert not alone.confirmed and "nothing has come from it for 2.4 s" in alone.summary()
     assert [one.stopped.note for one in several.robots] == [alone.note] and not several.confirmed
     assert robot.stops.epoch == 2

@@ -81,13 +81,13 @@ async def test_a_departure_is_ended_once_also_where_nobody_acknowledges_or_sees_
     robot: Robot, bridge: Noting, leases: Leases
 ) -> None:
     bridge.zeros = [{"topic": "/cmd_vel", "type": TWIST, "matched": 1, "acked": None}]
-    view = robot.acting_for(CLIENT)
-    await view.do(publish(CLIENT))
+    session = robot.session(CLIENT)
+    await robot.do(publish(CLIENT), session)
     await robot.values.learn("made/action/Go", "action_msgs/srv/CancelGoal")
     accepted = robot.values.encode_known("made/action/Go_SendGoal_Response", {"accepted": True})
     cancelling = robot.values.encode_known("action_msgs/srv/CancelGoal_Response", {"return_code": 0})
     bridge.answer = accepted
-    await view.do(replace(goal(), principal=CLIENT))
+    await robot.do(replace(goal(), principal=CLIENT), session)
     bridge.answer = cancelling
     leases.asked(CLIENT)
     await soon(lambda: "zero" in bridge.sent)
@@ -104,7 +104,7 @@ async def test_a_goal_that_its_server_says_it_does_not_run_any_more_is_no_motion
 ) -> None:
     await robot.values.learn("made/action/Go", "action_msgs/srv/CancelGoal")
     bridge.answer = robot.values.encode_known("made/action/Go_SendGoal_Response", {"accepted": True})
-    await robot.acting_for(CLIENT).do(replace(goal(), principal=CLIENT))
+    await robot.do(replace(goal(), principal=CLIENT))
     assert robot.moves_for(CLIENT)
     bridge.answer = robot.values.encode_known("action_msgs/srv/CancelGoal_Response", {"return_code": code})
     assert await robot.stop_owned(CLIENT) == [f"goal {GOAL_ID}"]
@@ -117,7 +117,7 @@ async def test_a_look_between_the_end_of_a_connection_and_the_close_it_brings_na
     response = Response(listens=True)
     response.heard = monotonic() + 60
     leases.asked(CLIENT, response)
-    await robot.acting_for(CLIENT).do(publish(CLIENT))
+    await robot.do(publish(CLIENT))
     await soon(lambda: leases._clients[CLIENT].is_moving)
     with caplog.at_level("INFO"):
         leases._clients[CLIENT].asked_at = leases._clients[CLIENT].granted_at = response.heard = 0.0
@@ -126,12 +126,12 @@ async def test_a_look_between_the_end_of_a_connection_and_the_close_it_brings_na
 
 
 async def test_the_end_of_one_client_leaves_what_another_moves_on_the_same_topic(robot: Robot, bridge: Noting) -> None:
-    gone, stays = robot.acting_for(CLIENT), robot.acting_for(OTHER)
+    gone, stays = robot.session(CLIENT), robot.session(OTHER)
     await robot.values.learn(TWIST)
     bridge.may_answer.clear()
-    repeating = asyncio.ensure_future(stays.do(repeat(OTHER)))
+    repeating = asyncio.ensure_future(robot.do(repeat(OTHER), stays))
     await soon(lambda: "repeat" in bridge.sent)
-    once = asyncio.ensure_future(gone.do(publish(CLIENT)))
+    once = asyncio.ensure_future(robot.do(publish(CLIENT), gone))
     await soon(lambda: "publish" in bridge.sent)
     assert robot.moves_for(CLIENT) and robot.moves_for(OTHER)
     await robot.stop_owned(CLIENT)
@@ -148,8 +148,8 @@ async def test_the_end_of_one_client_leaves_what_another_moves_on_the_same_topic
 
 
 async def test_a_topic_that_both_have_commanded_is_the_last_ones(robot: Robot, bridge: Noting) -> None:
-    await robot.acting_for(CLIENT).do(publish(CLIENT))
-    await robot.acting_for(OTHER).do(publish(OTHER))
+    await robot.do(publish(CLIENT))
+    await robot.do(publish(OTHER))
     await robot.stop_owned(CLIENT)
     assert "zero" not in bridge.sent and robot.moves_for(OTHER)
     await robot.stop_owned(OTHER)
@@ -160,7 +160,7 @@ async def test_a_topic_that_both_have_commanded_is_the_last_ones(robot: Robot, b
 async def test_a_call_whose_response_was_closed_before_its_handler_began_does_nothing(
     robot: Robot, bridge: Noting, leases: Leases, acts: bool
 ) -> None:
-    await robot.acting_for(CLIENT).do(publish(CLIENT))
+    await robot.do(publish(CLIENT))
     response = Response()
     response.close(leases)
     has_run = False
@@ -199,12 +199,12 @@ async def test_a_call_that_waits_is_ended_when_its_client_has_vanished(
     await robot.values.learn("std_srvs/srv/SetBool")
     bridge.may_answer.clear()
     response, ended = Response(), asyncio.Event()
-    view = robot.acting_for(CLIENT)
+    session = robot.session(CLIENT)
 
     async def calling() -> None:
         leases.asked(CLIENT, cast(Any, response))
         with leases.attended(request(response), acts=True) as attended:
-            await view.do(call("std_srvs/srv/SetBool", "/switch", {"data": True}))
+            await robot.do(call("std_srvs/srv/SetBool", "/switch", {"data": True}), session)
         assert "client lease" in attended.end_reason
         ended.set()
 
@@ -221,7 +221,7 @@ async def test_a_call_that_waits_is_ended_when_its_client_has_vanished(
 async def test_closing_a_read_stops_nothing_of_another_client_of_the_same_name(
     robot: Robot, bridge: Noting, leases: Leases
 ) -> None:
-    await robot.acting_for(CLIENT).do(publish(CLIENT))
+    await robot.do(publish(CLIENT))
 
     def closed(*, listens: bool, acts: bool) -> None:
         response = Response(listens=listens)
@@ -253,13 +253,13 @@ async def test_the_servers_own_lateness_is_made_good_for_once_in_a_silence() -> 
 async def test_a_departure_while_another_is_carried_out_is_carried_out_afterwards(
     robot: Robot, bridge: Noting, leases: Leases
 ) -> None:
-    await robot.acting_for(CLIENT).do(publish(CLIENT))
+    await robot.do(publish(CLIENT))
     leases.asked(CLIENT)
     bridge.may_answer.clear()
     leases.left(CLIENT)
     await soon(lambda: bridge.sent.count("zero") == 1)
     leases.asked(CLIENT)
-    moving = asyncio.ensure_future(robot.acting_for(CLIENT).do(publish(CLIENT)))
+    moving = asyncio.ensure_future(robot.do(publish(CLIENT)))
     await soon(lambda: bridge.sent.count("publish") == 2)
     leases.left(CLIENT)
     bridge.may_answer.set()
@@ -273,8 +273,8 @@ async def test_a_fault_does_not_end_the_watch(
     async def fails(*_: object) -> None:
         raise KeyError("a fault")
 
-    await robot.acting_for(CLIENT).do(publish(CLIENT))
-    await robot.acting_for(OTHER).do(publish(OTHER, "/other"))
+    await robot.do(publish(CLIENT))
+    await robot.do(publish(OTHER, "/other"))
     with monkeypatch.context() as broken:
         broken.setattr(robot, "stop_owned", fails)
         leases.asked(CLIENT)
@@ -283,7 +283,7 @@ async def test_a_fault_does_not_end_the_watch(
     broken_response = Response()
     broken_response.heard_at = lambda: 1 / 0
     leases.asked(CLIENT, cast(Any, broken_response))
-    await robot.acting_for(CLIENT).do(publish(CLIENT))
+    await robot.do(publish(CLIENT))
     leases.asked(OTHER)
     await soon(lambda: "zero" in bridge.sent)
     assert bridge.arguments["zero"]["topics"] == ["/other"]

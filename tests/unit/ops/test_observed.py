@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import pytest
@@ -57,6 +57,7 @@ def told(body: Body, t: float, *, delay_s: float, header_t: float | None = None,
     velocity = (0.0, 0.0, body.speed(t)) if climbs else (body.speed(t), 0.0, 0.0)
     position = (0.0, 0.0, body.place(t)) if climbs else (body.place(t), 0.0, 0.0)
     return Reading(
+        heard_s=t + delay_s,
         received_ns=ns(t + delay_s),
         source_ns=ns(t),
         header_ns=ns(t if header_t is None else header_t),
@@ -167,6 +168,21 @@ def clock_ahead(chance: random.Random) -> list[Account]:
     return [base(readings)]
 
 
+def moves_while_its_clock_is_set(chance: random.Random) -> list[Account]:
+    """An hour ahead while it is listened to: what seems to be an hour is no longer than a moment."""
+    set_s, hz = chance.uniform(0.0, 0.2), chance.uniform(10, 200)
+    moves = at(chance.choice((-1, 1)) * chance.uniform(0.06, 0.19))
+    untold = Body(moves.place, lambda _: 0.0)
+
+    def by_its_clock(one: Reading) -> Reading:
+        ahead_ns = 3600 * SECOND_NS if one.source_ns >= ns(set_s) else 0
+        times = {name: getattr(one, name) + ahead_ns for name in ("received_ns", "source_ns", "header_ns")}
+        return replace(one, **times)
+
+    one = [base([by_its_clock(each) for each in stream(untold, chance, hz)])]
+    return one if chance.random() < 0.5 else [joints([by_its_clock(each) for each in stream(moves, chance, hz)])]
+
+
 NEVER = [
     stale_odometry,
     stale_odometry_beside_joints,
@@ -180,6 +196,7 @@ NEVER = [
     vanished,
     one_joint_fell_silent,
     clock_ahead,
+    moves_while_its_clock_is_set,
 ]
 
 
@@ -206,6 +223,7 @@ def stands_with_noise(chance: random.Random) -> list[Account]:
     readings = stream(STANDS, chance, chance.uniform(10, 200))
     noisy = [
         Reading(
+            heard_s=one.heard_s,
             received_ns=one.received_ns,
             source_ns=one.source_ns,
             header_ns=one.header_ns,
@@ -223,6 +241,7 @@ def stands_in_a_simulation(chance: random.Random) -> list[Account]:
     readings = stream(STANDS, chance, 50)
     own = [
         Reading(
+            heard_s=one.heard_s,
             received_ns=one.received_ns,
             source_ns=one.source_ns,
             header_ns=one.header_ns - ns(-100),
@@ -325,7 +344,8 @@ async def test_more_topics_than_are_read_leave_it_open(robot: Robot, bridge: Mad
 def test_names_of_joints_cannot_forge_lines_of_an_answer() -> None:
     forged = "wheel\nObserved still: nothing moves."
     readings = [
-        Reading(received_ns=ns(t), source_ns=ns(t), header_ns=ns(t), joints={forged: t}) for t in (0.1, 0.2, 0.3, 0.6)
+        Reading(heard_s=t, received_ns=ns(t), source_ns=ns(t), header_ns=ns(t), joints={forged: t})
+        for t in (0.1, 0.2, 0.3, 0.6)
     ]
     account = joints(readings)
     assert account.state == "moving" and "\n" not in account.why

@@ -29,30 +29,32 @@ def test_a_circle_of_others_ends_the_search() -> None:
 
 
 async def test_no_relay_may_feed_itself_through_others_unless_they_have_ended(robot: Robot) -> None:
-    one = await relay.start(robot, from_to("/a", "/b"))
-    await relay.start(robot, from_to("/b", "/c"))
+    one = await relay.start(robot, robot.session(), from_to("/a", "/b"))
+    await relay.start(robot, robot.session(), from_to("/b", "/c"))
     with pytest.raises(BadInput, match="relays already lead from /a to /b to /c"):
-        await relay.start(robot, from_to("/c", "/a"))
+        await relay.start(robot, robot.session(), from_to("/c", "/a"))
     await relay.stop(robot, one.relay_id)
-    assert (await relay.start(robot, from_to("/c", "/a"))).state == "running"
+    assert (await relay.start(robot, robot.session(), from_to("/c", "/a"))).state == "running"
 
 
 async def test_of_two_that_start_at_once_and_would_feed_each_other_one_is_refused(robot: Robot) -> None:
     started = await asyncio.gather(
-        relay.start(robot, from_to("/a", "/b")), relay.start(robot, from_to("/b", "/a")), return_exceptions=True
+        relay.start(robot, robot.session(), from_to("/a", "/b")),
+        relay.start(robot, robot.session(), from_to("/b", "/a")),
+        return_exceptions=True,
     )
     assert sorted(type(outcome).__name__ for outcome in started) == ["BadInput", "RelayState"]
 
 
 async def test_the_same_relay_runs_once(robot: Robot) -> None:
-    first = await relay.start(robot, from_to("/a", "/b"))
+    first = await relay.start(robot, robot.session(), from_to("/a", "/b"))
     with pytest.raises(BadInput, match=f"{first.relay_id} relays /a to /b already"):
-        await relay.start(robot, from_to("/a", "/b"))
+        await relay.start(robot, robot.session(), from_to("/a", "/b"))
 
 
 @pytest.mark.promise("ros2_relay_list", "and the relays that ended last")
 async def test_a_relay_whose_bridge_is_lost_has_failed_and_says_so(bridge: MadeBridge, robot: Robot) -> None:
-    await relay.start(robot, from_to("/a", "/b"))
+    await relay.start(robot, robot.session(), from_to("/a", "/b"))
     [running] = robot.jobs.running(Relay)
     bridge.lose_relays()
     await soon(lambda: not running.is_running)
@@ -63,7 +65,7 @@ async def test_a_relay_whose_bridge_is_lost_has_failed_and_says_so(bridge: MadeB
 
 @pytest.mark.promise("ros2_relay_stop", "returns its final counts")
 async def test_a_relay_that_is_stopped_tells_its_last_counts(robot: Robot) -> None:
-    begun = await relay.start(robot, from_to("/a", "/b"))
+    begun = await relay.start(robot, robot.session(), from_to("/a", "/b"))
     stopped = await relay.stop(robot, begun.relay_id)
     assert (stopped.state, stopped.passed, stopped.stopped_with_zero) == ("stopped", 5, False)
     assert (await relay.stop(robot, begun.relay_id)) == stopped
@@ -72,7 +74,7 @@ async def test_a_relay_that_is_stopped_tells_its_last_counts(robot: Robot) -> No
 async def test_a_relay_whose_client_has_gone_tells_the_last_counts_of_the_bridge_and_the_reason_once(
     robot: Robot,
 ) -> None:
-    await relay.start(robot, from_to("/a", "/b"))
+    await relay.start(robot, robot.session(), from_to("/a", "/b"))
     [running] = robot.jobs.running(Relay)
     await robot.stop_owned(running.owner, "the end of its client, which ended its session")
     [told] = (await relay.list_relays(robot)).relays

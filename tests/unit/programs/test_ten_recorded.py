@@ -17,6 +17,7 @@ from ros2_mcp.mcp.binding import CallFailed
 from ros2_mcp.mcp.toolset import Toolset
 from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.results.results import silent
+from ros2_mcp.programs.kept import KeptPrograms
 from ros2_mcp.settings import Settings
 from support.made_bridge import MadeBridge, robot_of
 from support.room_bag import LENGTH_S, ODOM_IN_MAP, RATE_HZ, Pose2, pose_at, room_bag
@@ -36,8 +37,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 async def tools(folder: Path) -> AsyncGenerator[Toolset, None]:
     store = BagStore(folder)
-    robot = robot_of(MadeBridge())
-    robot.programs_folder = PROGRAMS
+    robot = robot_of(MadeBridge(), KeptPrograms(PROGRAMS))
     yield Toolset(robot, store, ["all"], SOURCE_KINDS)
     await robot.jobs.close()
     await store.close()
@@ -82,9 +82,8 @@ async def test_on_a_recording_programs_that_read_run_and_others_do_not(folder: P
 
 
 async def test_who_only_reads_runs_programs_that_read_and_no_others(folder: Path) -> None:
-    store, robot = BagStore(folder), robot_of(MadeBridge())
+    store, robot = BagStore(folder), robot_of(MadeBridge(), KeptPrograms(PROGRAMS))
     robot.guard = Guard(Policy(read_only=True))
-    robot.programs_folder = PROGRAMS
     tools = Toolset(robot, store, ["all"], SOURCE_KINDS)
     try:
         await run(tools, "free-directions", bag="monday")

@@ -16,15 +16,16 @@ from ros2_mcp.model.commands import (
     CancelGoals,
     ChangeState,
     Command,
-    Principal,
     Publish,
     SendGoal,
+    ServiceCall,
     SetParameters,
 )
 from ros2_mcp.model.errors import BadValue, Refused
 from ros2_mcp.model.goals import STATUS_TYPE
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.goals import Goal
+from ros2_mcp.robot.prepared import Prepared
 from ros2_mcp.robot.translation import as_meant
 from support.noting_bridge import CHOICE, EVERY, GOAL_ID, TWIST, UUID, Noting, call, goal, on
 from support.tasks import soon
@@ -142,14 +143,18 @@ async def test_a_goal_with_the_id_of_one_of_another_action_is_refused_and_ends_n
 # ── what a service call means ──────────────────────────────────────────────────────────────────────────────────────
 
 
+async def meaning(robot: Robot, command: ServiceCall) -> Command[Any]:
+    return (await as_meant(Prepared(robot.values, robot.session(), command))).command
+
+
 async def test_a_plain_call_is_what_it_is(robot: Robot) -> None:
     plain = call("std_srvs/srv/SetBool", "/switch", {"data": True})
-    assert await as_meant(robot, plain) is plain
+    assert (await meaning(robot, plain)) is plain
 
 
 async def test_a_raw_goal_is_a_goal_with_the_id_of_the_request(robot: Robot) -> None:
     value = {"goal_id": {"uuid": UUID}, "goal": {"order": 5}}
-    meant = await as_meant(robot, call("made/action/Go_SendGoal", "/arm/go/_action/send_goal", value))
+    meant = await meaning(robot, call("made/action/Go_SendGoal", "/arm/go/_action/send_goal", value))
     assert isinstance(meant, SendGoal)
     assert (meant.name, meant.type, meant.goal_id, meant.value) == ("/arm/go", "made/action/Go", GOAL_ID, {"order": 5})
     assert (meant.service, meant.service_type) == ("/arm/go/_action/send_goal", "made/action/Go_SendGoal")
@@ -158,13 +163,13 @@ async def test_a_raw_goal_is_a_goal_with_the_id_of_the_request(robot: Robot) -> 
 
 async def test_a_raw_goal_without_an_id_is_refused_since_nobody_could_cancel_it(robot: Robot) -> None:
     with pytest.raises(BadValue, match=r"goal_id\.uuid"):
-        await as_meant(robot, call("made/action/Go_SendGoal", "/go/_action/send_goal", {"goal": {"order": 5}}))
+        await meaning(robot, call("made/action/Go_SendGoal", "/go/_action/send_goal", {"goal": {"order": 5}}))
 
 
 @pytest.mark.parametrize("uuid, goal_id", [(UUID, GOAL_ID), ([0] * 16, "")])
 async def test_a_raw_cancel_means_one_goal_or_all(robot: Robot, uuid: list[int], goal_id: str) -> None:
     info = {"goal_id": {"uuid": uuid}, "stamp": {"sec": 7, "nanosec": 8}}
-    meant = await as_meant(robot, call("action_msgs/srv/CancelGoal", "/go/_action/cancel_goal", {"goal_info": info}))
+    meant = await meaning(robot, call("action_msgs/srv/CancelGoal", "/go/_action/cancel_goal", {"goal_info": info}))
     assert isinstance(meant, CancelGoals)
     assert (meant.name, meant.goal_id, meant.stamp) == ("/go", goal_id, {"sec": 7, "nanosec": 8})
     assert meant.request == {"goal_info": info}
@@ -172,7 +177,7 @@ async def test_a_raw_cancel_means_one_goal_or_all(robot: Robot, uuid: list[int],
 
 async def test_raw_parameters_are_a_parameter_set(robot: Robot) -> None:
     value = {"parameters": [{"name": "speed", "value": {"type": 3, "double_value": 0.5}}]}
-    meant = await as_meant(robot, call("rcl_interfaces/srv/SetParameters", "/arm/node/set_parameters", value))
+    meant = await meaning(robot, call("rcl_interfaces/srv/SetParameters", "/arm/node/set_parameters", value))
     assert isinstance(meant, SetParameters)
     assert (meant.name, meant.service, meant.parameters) == ("/arm/node", "/arm/node/set_parameters", {"speed": 0.5})
     assert meant.request == value
@@ -180,7 +185,7 @@ async def test_raw_parameters_are_a_parameter_set(robot: Robot) -> None:
 
 async def test_a_raw_transition_is_a_change_of_state(robot: Robot) -> None:
     value = {"transition": {"id": 3, "label": "activate"}}
-    meant = await as_meant(robot, call("lifecycle_msgs/srv/ChangeState", "/arm/node/change_state", value))
+    meant = await meaning(robot, call("lifecycle_msgs/srv/ChangeState", "/arm/node/change_state", value))
     assert isinstance(meant, ChangeState)
     assert (meant.name, meant.transition, meant.transition_id) == ("/arm/node", "activate", 3)
 
@@ -192,13 +197,6 @@ async def test_a_service_that_may_change_something_is_not_asked(robot: Robot, br
     assert bridge.sent == []
 
 
-async def test_a_client_has_a_robot_of_its_own_name_and_nothing_else_of_its_own(robot: Robot) -> None:
-    other = robot.acting_for(Principal(name="session 2", transport="http"))
-    assert (robot.principal, other.principal.name) == (LOCAL, "session 2")
-    assert other.jobs is robot.jobs
-    assert other.failsafes is robot.failsafes
-
-
 @pytest.mark.parametrize(
     ("kind", "service"), [("made/action/Go_SendGoal", "/proxy/send"), ("action_msgs/srv/CancelGoal", "/proxy/cancel")]
 )
@@ -207,4 +205,4 @@ async def test_a_service_of_such_a_type_that_is_no_actions_is_called_as_it_is_na
 ) -> None:
     robot = Robot(cast(Bridge, bridge))
     command = call(kind, service, {})
-    assert await as_meant(robot, command) is command
+    assert (await meaning(robot, command)) is command

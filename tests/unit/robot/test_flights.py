@@ -116,7 +116,7 @@ async def test_an_order_is_a_job_with_its_fail_safe_before_it_leaves(vehicle: Ve
     acts = [op for op in bridge.sent if op in ("failsafe_call", "call")]
     assert acts == ["failsafe_call"] * len(BRAKE_MODES) + ["call"]
     assert (flight.is_running, flight.armed, flight.owner) == (True, True, LOCAL)
-    assert vehicle.robot.no_known_stop.names("service") == []
+    assert vehicle.robot.stops.unknown.names("service") == []
     assert vehicle.robot.moves_for(LOCAL)
     assert await vehicle.order() is flight  # another order to the same vehicle is no second flight
 
@@ -127,7 +127,7 @@ async def test_a_place_to_go_to_is_part_of_the_flight_and_of_no_other_vehicles(v
         given = {**on(name, value={"data": 1}), "type": "std_msgs/msg/Int32"}
         number = Publish(**given, choice=CHOICE, wait_match_s=0.0)
         await vehicle.robot.do(number)
-    assert vehicle.robot.no_known_stop.names("topic") == ["/other/setpoint_position/local (std_msgs/msg/Int32)"]
+    assert vehicle.robot.stops.unknown.names("topic") == ["/other/setpoint_position/local (std_msgs/msg/Int32)"]
 
 
 async def test_it_ends_when_the_vehicle_is_heard_to_be_disarmed(

@@ -148,10 +148,11 @@ def held(bridge: Noting, noted: Noted, text: str = SLOW) -> Robot:
 
 async def test_a_command_passes_everything_in_one_order(bridge: Noting) -> None:
     noted = Noted()
-    robot = held(bridge, noted, SLOW.replace("sole_publisher: true", "consent: each")).acting_for(LOCAL)
-    await robot.do(publish({}))
+    robot = held(bridge, noted, SLOW.replace("sole_publisher: true", "consent: each"))
+    session = robot.session()
+    await robot.do(publish({}), session)
     assert noted.seen == ["latch", "lock", "budgets", "approvals", "before approval-1", "after", "free"]
-    assert robot.notes == ["Another server is there."]
+    assert session.notes == ["Another server is there."]
     robot.failsafes.close()
 
 
@@ -258,7 +259,7 @@ async def test_it_is_decided_in_the_mode_that_holds_when_all_is_known(bridge: No
     noted = Noted()
     robot = held(bridge, noted)
 
-    async def look(_with_value: bool) -> Facts:
+    async def look(*_: Any) -> Facts:
         noted.mode = "observe"  # an operator is quicker than the graph
         return Facts(value={"speed": 0.2})
 

@@ -146,12 +146,12 @@ async def test_a_time_to_wait_is_waited_and_what_is_near_is_told_first(robot: Ro
 
 async def test_a_misspelt_service_is_told_at_once_though_its_type_is_given(robot: Robot) -> None:
     with pytest.raises(NotFound, match=r"no service /set_lmap.*Did you mean /set_lamp\?"):
-        await call(robot, "/set_lmap", "SetBool", {"data": True}, timeout_s=600, waits=False)
+        await call(robot, robot.session(), "/set_lmap", "SetBool", {"data": True}, timeout_s=600, waits=False)
 
 
 async def test_a_call_is_forced_only_with_fields_that_were_given(robot: Robot) -> None:
     with pytest.raises(BadInput, match=r"The request needs fields: data\."):
-        await call(robot, "/set_lamp", "SetBool", None, force_call=True, timeout_s=0.1)
+        await call(robot, robot.session(), "/set_lamp", "SetBool", None, force_call=True, timeout_s=0.1)
 
 
 async def test_a_misspelt_action_is_told_with_the_nearest(robot: Robot) -> None:

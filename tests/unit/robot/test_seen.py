@@ -28,6 +28,8 @@ def test_what_was_seen_and_is_there_has_not_left() -> None:
     seen.note("/lidar", dict.fromkeys(["/scan"], SCAN))
     assert seen.left(["/lidar"], published("/scan", "/lidar")) == Left([])
     assert str(seen.left(["/lidar"], published("/scan", "/lidar"))) == ""
+    # it is seen by what it publishes before it is among the nodes
+    assert seen.left([], published("/scan", "/lidar")) == Left([])
 
 
 def test_nodes_that_have_left_are_named_with_what_they_alone_published() -> None:

@@ -38,19 +38,19 @@ def publish(topic: str = "/cmd_vel", value: object = None, **more: Any) -> Publi
 async def test_what_was_accepted_before_a_stop_is_not_sent_after_it(
     robot: Robot, bridge: Noting, command: Command[Any]
 ) -> None:
-    view = robot.acting_for(LOCAL)
+    session = robot.session()
     robot.raise_stop_epoch()
     with pytest.raises(Stopped, match="nothing was sent"):
-        await view.do(command)
+        await robot.do(command, session)
     assert (bridge.sent, robot.failsafes.driven, robot.jobs.all(Goal)) == ([], [], [])
-    assert not robot.no_known_stop.names("service") and not robot.no_known_stop.names("topic")
+    assert not robot.stops.unknown.names("service") and not robot.stops.unknown.names("topic")
 
 
 @pytest.mark.parametrize("command", ACTING, ids=name_of)
 async def test_a_stop_that_comes_while_definitions_are_fetched_comes_first(
     robot: Robot, bridge: Noting, command: Command[Any]
 ) -> None:
-    """Without a view, too: the command was accepted when `do` began."""
+    """Without a session, too: the command was accepted when `do` began."""
     bridge.may_define.clear()
     if name_of(command) == "Feed":
         pytest.skip("a feed needs no definition")
@@ -77,11 +77,11 @@ async def test_whatever_acts_tells_the_bridge_with_which_epoch_it_was_accepted(
 
 
 async def test_cancelling_and_reading_are_never_too_late(robot: Robot, bridge: Noting) -> None:
-    view = robot.acting_for(LOCAL)
+    session = robot.session()
     robot.raise_stop_epoch()
-    await view.do(CancelGoals(principal=LOCAL, name="/go", timeout_s=1.0))
+    await robot.do(CancelGoals(principal=LOCAL, name="/go", timeout_s=1.0), session)
     result = {"goal_id": {"uuid": UUID}}
-    await view.ask_service("/go/_action/get_result", "made/action/Go_GetResult", result, timeout_s=1.0)
+    await robot.ask_service("/go/_action/get_result", "made/action/Go_GetResult", result, timeout_s=1.0)
     assert bridge.sent == ["call", "call"] and "epoch" not in bridge.arguments["call"]
 
 
@@ -98,7 +98,8 @@ async def test_what_the_bridge_held_back_says_whether_a_stop_or_the_link_lease_c
     robot: Robot, bridge: Noting, kind: str, reason: str
 ) -> None:
     bridge.refuse["repeat"] = kind
-    repetition = Repetition(robot, Repeat(**on("/cmd_vel", value={}, choice=CHOICE, wait_match_s=0.0)))
+    command = Repeat(**on("/cmd_vel", value={}, choice=CHOICE, wait_match_s=0.0))
+    repetition = Repetition(robot, robot.session(), command)
     with pytest.raises(Stopped) as held_back:
         await robot.jobs.run(repetition)
     assert (held_back.value.reason, repetition.state, repetition.stop_reason) == (reason, "stopped", reason)
@@ -263,7 +264,7 @@ CONFIGURING = [
 async def test_configuring_a_node_hinders_no_confirmation(robot: Robot, bridge: Noting, command: Command[Any]) -> None:
     await robot.do(command)
     stopped = await stop(robot)
-    assert (bridge.sent.count("call"), stopped.unknown_services, robot.no_known_stop.unsettled()) == (1, [], [])
+    assert (bridge.sent.count("call"), stopped.unknown_services, robot.stops.unknown.unsettled()) == (1, [], [])
     assert "NOT judged" not in stopped.note
 
 
@@ -285,15 +286,15 @@ async def test_a_service_that_was_not_there_or_a_call_that_was_stopped_has_set_n
         bridge.refuse["call"] = kind
         with pytest.raises(Exception):  # noqa: B017 - which one is the affair of others
             await robot.do(call("std_srvs/srv/SetBool", "/grip", {"data": True}))
-    assert robot.no_known_stop.names("service") == []
+    assert robot.stops.unknown.names("service") == []
     bridge.refuse["call"] = "timeout"
     with pytest.raises(Exception):  # noqa: B017
         await robot.do(call("std_srvs/srv/SetBool", "/grip", {"data": True}))
-    assert robot.no_known_stop.names("service") == ["/grip (std_srvs/srv/SetBool)"]
+    assert robot.stops.unknown.names("service") == ["/grip (std_srvs/srv/SetBool)"]
 
 
 async def test_what_was_sent_before_the_robot_was_seen_to_stand_leaves_no_later_stop_open(robot: Robot) -> None:
-    sent, grip = robot.no_known_stop, ("service", "/grip (std_srvs/srv/SetBool)")
+    sent, grip = robot.stops.unknown, ("service", "/grip (std_srvs/srv/SetBool)")
     await robot.do(call("std_srvs/srv/SetBool", "/grip", {"data": True}))
     assert sent.unsettled() == [grip]
     sent.settle(sent.unsettled())
@@ -334,10 +335,10 @@ async def test_a_call_that_is_still_waiting_for_its_answer_is_named(robot: Robot
     bridge.may_answer.clear()
     calling = asyncio.ensure_future(robot.do(call("std_srvs/srv/SetBool", "/grip", {"data": True})))
     await soon(lambda: "call" in bridge.sent)
-    assert robot.no_known_stop.names("service") == ["/grip (std_srvs/srv/SetBool)"]
+    assert robot.stops.unknown.names("service") == ["/grip (std_srvs/srv/SetBool)"]
     calling.cancel()
     await asyncio.wait({calling})
-    assert robot.no_known_stop.names("service") == ["/grip (std_srvs/srv/SetBool)"]
+    assert robot.stops.unknown.names("service") == ["/grip (std_srvs/srv/SetBool)"]
 
 
 # ── the stop itself ────────────────────────────────────────────────────────────────────────────────────────────────
@@ -372,11 +373,11 @@ async def test_a_bridge_that_cannot_be_asked_leaves_nothing_confirmed(robot: Rob
 
 
 async def test_the_end_of_a_client_ends_its_motion_and_nobody_elses(robot: Robot, bridge: Noting) -> None:
-    gone, other = robot.acting_for(GONE), robot.acting_for(LOCAL)
-    await gone.do(publish("/a", principal=GONE))
-    await other.do(publish("/b"))
+    gone = robot.session(GONE)
+    await robot.do(publish("/a", principal=GONE), gone)
+    await robot.do(publish("/b"))
     bridge.may_answer.clear()
-    waiting = asyncio.ensure_future(gone.do(publish("/a", principal=GONE)))
+    waiting = asyncio.ensure_future(robot.do(publish("/a", principal=GONE), gone))
     await soon(lambda: bridge.sent.count("publish") == 3)
     assert (robot.moves_for(GONE), robot.moves_for(LOCAL)) == (True, True)
     bridge.zeros = [{"topic": "/a", "type": TWIST, "matched": 1, "acked": True}]
@@ -389,5 +390,5 @@ async def test_the_end_of_a_client_ends_its_motion_and_nobody_elses(robot: Robot
     assert bridge.arguments["zero"]["topics"] == ["/a"]
     assert (robot.moves_for(GONE), robot.moves_for(LOCAL)) == (False, True)
     with pytest.raises(Stopped):
-        await gone.do(publish("/a", principal=GONE))
-    await robot.acting_for(GONE).do(publish("/a", principal=GONE))  # a later call of the same client
+        await robot.do(publish("/a", principal=GONE), gone)
+    await robot.do(publish("/a", principal=GONE))  # a later call of the same client

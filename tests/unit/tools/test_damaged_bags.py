@@ -19,6 +19,7 @@ from ros2_mcp.mcp.binding import CallFailed
 from ros2_mcp.mcp.toolset import Toolset
 from ros2_mcp.model.times import iso_time
 from ros2_mcp.ops.memory.bag_store import BagStore
+from ros2_mcp.ops.results.results import AnswerBytes
 from ros2_mcp.ops.sources.kinds import Sources
 from ros2_mcp.ops.sources.recorded_robot import recorded_robot
 from ros2_mcp.robot import Robot
@@ -115,7 +116,7 @@ async def test_it_says_which_times_are_lost_and_lays_no_hole_to_the_robot(damage
 @pytest.mark.parametrize("name", READERS)
 async def test_so_does_a_recording_that_stands_for_the_robot(damaged: Damaged, name: str) -> None:
     store = BagStore(damaged.folder, subject=damaged.folder / "run")
-    tools = tools_of(recorded_robot(store, 32_000), store)
+    tools = tools_of(recorded_robot(store, [AnswerBytes(32_000)]), store)
     named = {"bag": "run"} if name.startswith("ros2_bag") else {}
     summary, _ = await answer_of(tools, name, {**READERS[name], **named}, damaged.hole_ns)
     await store.close()
@@ -124,7 +125,7 @@ async def test_so_does_a_recording_that_stands_for_the_robot(damaged: Damaged, n
 
 async def test_messages_of_the_past_come_with_the_damage_of_where_they_are_from(damaged: Damaged) -> None:
     store = BagStore(damaged.folder, subject=damaged.folder / "run")
-    tools = tools_of(recorded_robot(store, 32_000), store)
+    tools = tools_of(recorded_robot(store, [AnswerBytes(32_000)]), store)
     summary, structured = await answer_of(tools, "ros2_get_messages", {"topic_name": "/odom"})
     await store.close()
     assert "are lost" in summary and structured["damage"]
@@ -136,7 +137,7 @@ async def test_the_newest_messages_come_with_the_damage_behind_them(tmp_path: Pa
     whole[len(whole) * 9 // 10] ^= 0xFF  # in one of the ten chunks that have the newest 200 messages
     path.write_bytes(whole)
     store = BagStore(tmp_path, subject=tmp_path / "run")
-    tools = tools_of(recorded_robot(store, 32_000), store)
+    tools = tools_of(recorded_robot(store, [AnswerBytes(32_000)]), store)
     asked = {"topic_name": "/odom", "number_of_messages": 200}
     summary, structured = await answer_of(tools, "ros2_get_messages", asked)
     await store.close()

@@ -53,6 +53,8 @@ async def test_the_status_gets_what_the_server_does_not_offer() -> None:
     made = assemble(Settings(tools=("core",)))
     tool = made.toolset.by_name["ros2_status"]
     assert any("ros2_plot" in limitation for limitation in tool.limitations)
-    call = Call(robot=made.robot, store=made.store, report=silent, limitations=tool.limitations)
+    call = Call(
+        robot=made.robot, session=made.robot.session(), store=made.store, report=silent, limitations=tool.limitations
+    )
     values = await values_for(tool.declaration.makers(), call, {})
     assert values["limitations"] == made.toolset.limitations

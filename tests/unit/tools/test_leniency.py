@@ -182,10 +182,14 @@ async def test_the_fields_of_each_topic_are_there_on_request_and_only_then(tools
     assert "request_fields" not in value["topics"][0]
 
 
-async def test_a_hint_names_only_tools_that_are_offered(folder: Path) -> None:
+async def test_a_hint_says_which_of_its_tools_are_not_offered_and_how_to_have_them(folder: Path) -> None:
     default, all_of_them = (assemble(Settings(tools=groups, record_dir=folder)).toolset for groups in ((), ("all",)))
     for tools, said in (
-        (default, "Tools for this are not offered here: the option --tools default,memory is needed."),
+        (
+            default,
+            "ros2_bag_list lists what can be read. "
+            "(Not offered here: ros2_bag_list; the option --tools default,memory is needed.)",
+        ),
         (all_of_them, "ros2_bag_list lists what can be read."),
     ):
         with pytest.raises(CallFailed) as refused:

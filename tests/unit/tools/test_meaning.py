@@ -14,6 +14,7 @@ import pytest
 from ros2_mcp.compose.server import SOURCE_KINDS
 from ros2_mcp.mcp.toolset import Toolset
 from ros2_mcp.ops.memory.bag_store import BagStore
+from ros2_mcp.ops.results.results import AnswerBytes
 from ros2_mcp.ops.sources.recorded_robot import recorded_robot
 from ros2_mcp_demo.world import World
 from support.made_bridge import MadeBridge, robot_of
@@ -70,7 +71,7 @@ async def test_every_reader_says_what_a_scan_means(tools: Toolset, name: str) ->
 
 async def test_messages_of_the_past_come_with_it_too(folder: Path) -> None:
     store = BagStore(folder, subject=folder / "room")
-    tools = Toolset(recorded_robot(store, 32_000), store, ["all"], SOURCE_KINDS)
+    tools = Toolset(recorded_robot(store, [AnswerBytes(32_000)]), store, ["all"], SOURCE_KINDS)
     summary, found = await answer(tools, "ros2_get_messages", topic_name="/scan")
     await store.close()
     assert found["meaning"]["scan"]["is_base"] and "Nearest obstacle" in summary

@@ -20,8 +20,8 @@ from ros2_mcp.mcp.binding import CallFailed
 from ros2_mcp.mcp.toolset import Toolset
 from ros2_mcp.model.text import quoted
 from ros2_mcp.ops.memory.bag_store import BagStore
+from ros2_mcp.ops.navigation.known_places import NamedPlace, places_of
 from ros2_mcp.pictures.scene import GOAL, PATH, PLACE, ROBOT, SCAN
-from ros2_mcp.robot.places import NamedPlace
 from support.made_bridge import MadeBridge, robot_of
 from support.room_bag import GOAL as GOAL_AT
 from support.room_bag import HALF_LENGTH_M, HALF_WIDTH_M, ODOM_IN_MAP, Pose2, pose_at, room_bag
@@ -182,9 +182,9 @@ async def test_a_turned_frame_turns_the_map(tools: Toolset) -> None:
 @pytest.mark.promise("ros2_scene", "named places")
 async def test_named_places_are_shown_where_they_are(folder: Path) -> None:
     store, robot = BagStore(folder), robot_of(MadeBridge())
-    robot.places.set(NamedPlace("the door", "map", 2.5, 1.3))
-    robot.places.set(NamedPlace("drifted", "odom", 0.5, 0.5))
-    robot.places.set(NamedPlace("another building", "map", 900.0, 900.0))
+    places_of(robot).set(NamedPlace("the door", "map", 2.5, 1.3))
+    places_of(robot).set(NamedPlace("drifted", "odom", 0.5, 0.5))
+    places_of(robot).set(NamedPlace("another building", "map", 900.0, 900.0))
     seen = await look(Toolset(robot, store, ["all"], SOURCE_KINDS), bag="room")
     await store.close()
     places = {layer["name"]: (layer["x_m"], layer["y_m"]) for layer in seen.facts["layers"] if layer["kind"] == "place"}

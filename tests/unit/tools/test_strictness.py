@@ -58,13 +58,9 @@ async def test_two_spellings_of_one_argument_are_refused_with_both() -> None:
 @pytest.mark.parametrize(
     ("name", "wrong", "right"),
     [
-        ("ros2_topic_publish", "topic_type", "message_type"),
         ("ros2_topic_publish", "message", "data"),
         ("ros2_topic_publish", "rate", "frequency"),
-        ("ros2_topic_subscribe", "topic_type", "msg_type"),
-        ("ros2_topic_subscribe", "topic", "topic_name"),
         ("ros2_topic_subscribe", "count", "message_limit"),
-        ("ros2_topic_stats", "topic_name", "topic_names"),
         ("ros2_service_call", "request", "fields"),
         ("ros2_service_call", "type", "service_type"),
         ("ros2_send_action_goal", "goal", "goal_fields"),
@@ -76,6 +72,51 @@ async def test_an_argument_of_another_name_is_refused_with_the_one_that_is_meant
     name: str, wrong: str, right: str
 ) -> None:
     assert f"{name} has no argument '{wrong}'. Did you mean {right}?" in await refusal(name, **{wrong: "x"})
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "taken"),
+    [
+        ("ros2_topic_publish", {"topic_type": "a/msg/B"}, {"message_type": "a/msg/B"}),
+        ("ros2_topic_publish", {"duration_sec": 2.0}, {"duration": 2.0}),
+        ("ros2_joint_move", {"duration": 2.0}, {"duration_s": 2.0}),
+        ("ros2_topic_subscribe", {"topic": "/a", "timeout_s": 3}, {"topic_name": "/a", "duration": 3}),
+        ("ros2_topic_echo_wait", {"duration": 3}, {"timeout": 3}),
+        ("ros2_topic_stats", {"topic_name": "/a"}, {"topic_names": ["/a"]}),
+        ("ros2_topic_stats", {"topic_names": "/a"}, {"topic_names": ["/a"]}),
+        ("ros2_node_info", {"node_names": ["/n"]}, {"node_name": "/n"}),
+        ("ros2_parameter_list", {"node_name": "/n"}, {"node_names": ["/n"]}),
+        ("ros2_parameter_get", {"node": "/n", "names": "rate"}, {"node_name": "/n", "names": ["rate"]}),
+        ("ros2_service_call", {"service": "/s", "timeout": 2}, {"service_name": "/s", "timeout_sec": 2}),
+        ("ros2_cancel_action_goal", {"timeout_sec": 2}, {"wait_timeout_sec": 2}),
+        ("ros2_record_stop", {"recording": "run"}, {"recording_id": "run"}),
+        ("ros2_record_status", {"bag": "run"}, {"recording_id": "run"}),
+        ("ros2_bag_info", {"recording_id": "run"}, {"bag": "run"}),
+        ("ros2_publish_multiple_topics", {"topics": {"topic_name": "/a"}}, {"topics": [{"topic_name": "/a"}]}),
+    ],
+)
+def test_names_and_forms_that_mean_the_same_are_taken_and_told(
+    name: str, given: dict[str, Any], taken: dict[str, Any]
+) -> None:
+    meant, told = tool(name)._as_meant(given)  # pyright: ignore[reportPrivateUsage] - nothing is called here
+    assert meant == taken
+    assert len(told) == sum(own not in given for own in taken) + sum(
+        type(value) is not type(other) for value, other in zip(given.values(), taken.values(), strict=True)
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "given"),
+    [
+        ("ros2_move_until", {"duration": 3}),  # how long it moves is not how long it is waited for
+        ("ros2_drive", {"timeout": 3}),
+        ("ros2_node_info", {"node_names": ["/a", "/b"]}),
+        ("ros2_topic_stats", {"topic_names": 7}),
+        ("ros2_record_start", {"topics": ""}),
+    ],
+)
+async def test_what_could_mean_something_else_is_refused(name: str, given: dict[str, Any]) -> None:
+    assert await refusal(name, **given)
 
 
 @pytest.mark.parametrize("more", [{"reason": "emergency"}, {"confirm": None}, {"a\ud800": 1}])

@@ -27,12 +27,15 @@ from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.times import iso_time
 from ros2_mcp.ops.memory.record import CALLS
 from ros2_mcp.ops.sources.kinds import Sources
+from ros2_mcp.ops.sources.live import Live
 from ros2_mcp.robot import Robot
 from ros2_mcp.settings import Settings
-from ros2_mcp.view.acting import Acting, AgentPanel
+from ros2_mcp.view.acting import Acting
 from ros2_mcp.view.acts import acts_in, presses_as_one
 from ros2_mcp.view.look import Content, Look
+from ros2_mcp.view.panels.agent import AgentPanel
 from support.made_windows import encoded
+from support.panels import page_of
 from support.room_bag import START_NS, room_bag
 
 SECOND_NS = 10**9
@@ -129,7 +132,7 @@ async def test_a_job_that_has_ended_is_told_as_an_act(tmp_path: Path) -> None:
     robot, source = await recorded(room_bag(tmp_path / "room"))
     folder = StateFolder(tmp_path / "state")
     now_s = time.time()
-    panel = AgentPanel(Acting(folder), now_s=lambda: now_s)
+    panel = AgentPanel(page_of(Live(robot), Acting(folder)), now_s=lambda: now_s)
     async with server(folder, StopAnswer("Stopped.", is_doubted=False)):
         shown = await panel.show(Look(robot, source))
     assert shown and shown["acts"] == []
@@ -157,7 +160,7 @@ async def test_a_recording_shows_the_audit_of_its_time(tmp_path: Path) -> None:
     robot, source = await recorded(room_bag(tmp_path / "room"))
     folder = StateFolder(tmp_path / "state")
     audited(folder.make() / AUDIT)
-    panel = AgentPanel(Acting(folder), source)
+    panel = AgentPanel(page_of(source, Acting(folder)))
     before, during, after = [await acts_at(panel, robot, source, seconds) for seconds in (0.5, 2.0, 5.5)]
     assert [act.get("outcome") for act in before["acts"]] == []
     assert [act.get("outcome") for act in during["acts"]] == [""]
@@ -188,7 +191,7 @@ async def test_a_recording_that_has_what_the_agent_did_shows_that(tmp_path: Path
         writer.write(CALLS, Sample(at_ns, at_ns, number, encoded("std_msgs/msg/String", {"data": line})))
     writer.close()
     robot, source = await recorded(bag)
-    panel = AgentPanel(Acting(StateFolder(tmp_path / "state")), source)
+    panel = AgentPanel(page_of(source, Acting(StateFolder(tmp_path / "state"))))
     shown = await asyncio.wait_for(acts_at(panel, robot, source, 3.0), 10.0)
     assert [(act["name"], act["time"]) for act in shown["acts"]] == [("/cmd_vel", iso_time(START_NS + SECOND_NS))]
     assert shown["origin"] == "At the time shown, as recorded in /agent/calls"
@@ -217,7 +220,7 @@ async def test_a_call_that_nobody_has_answered_waits_no_longer_once_its_server_h
     log.note("waits", approval="AB12", verb="publish", name="/cmd_vel")
     await log.written()
     began_s, later_s = time.time(), 0.0
-    panel = AgentPanel(Acting(folder), now_s=lambda: began_s + later_s)
+    panel = AgentPanel(page_of(Live(robot), Acting(folder)), now_s=lambda: began_s + later_s)
     ends: list[str] = []
     for later_s in (0.0, 1.0, 3.0):  # noqa: B007 - the panel's clock
         shown = await panel.show(Look(robot, source))

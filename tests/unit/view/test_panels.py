@@ -14,10 +14,12 @@ from ros2_mcp.compose.robot import robot_for, store_for
 from ros2_mcp.model.errors import NotFound
 from ros2_mcp.ops.sources.kinds import Sources
 from ros2_mcp.settings import Settings
-from ros2_mcp.view.frames import FramesPanel
+from ros2_mcp.view import panels
 from ros2_mcp.view.look import Chunks, Look
-from ros2_mcp.view.plot import PlotPanel
-from ros2_mcp.view.space import SpacePanel
+from ros2_mcp.view.panels.frames import FramesPanel
+from ros2_mcp.view.panels.plot import PlotPanel
+from ros2_mcp.view.panels.space import SpacePanel
+from support.panels import page_of
 from support.room_bag import RATE_HZ, SPEED, START_NS, room_bag
 
 SECOND = 1_000_000_000
@@ -36,7 +38,7 @@ async def looking(bag: Path, until_s: float, chosen: str = "") -> AsyncGenerator
 
 async def test_frames_are_told_parents_first(tmp_path: Path) -> None:
     async with looking(room_bag(tmp_path / "room"), 3.0) as look:
-        shown = await FramesPanel().show(look)
+        shown = await FramesPanel(page_of(look.source)).show(look)
     assert shown
     edges = {edge["child"]: edge for edge in shown["edges"]}
     assert (shown["roots"], edges["odom"]["parent"], edges["base_link"]["parent"]) == (["map"], "map", "odom")
@@ -45,9 +47,10 @@ async def test_frames_are_told_parents_first(tmp_path: Path) -> None:
 
 
 async def test_a_plot_of_a_recording_ends_at_the_time_that_is_shown_also_after_a_step_back(tmp_path: Path) -> None:
-    panel, bag = PlotPanel(), room_bag(tmp_path / "room")
+    bag, panel = room_bag(tmp_path / "room"), None
     for until_s in (2.0, 4.0, 1.0):
         async with looking(bag, until_s, "/odom") as look:
+            panel = panel or PlotPanel(page_of(look.source))
             shown = await panel.show(look)
         assert shown
         width = 1 + len(shown["fields"])
@@ -64,18 +67,25 @@ async def test_a_plot_of_a_recording_ends_at_the_time_that_is_shown_also_after_a
 async def test_what_has_no_numbers_is_not_plotted(tmp_path: Path) -> None:
     async with looking(room_bag(tmp_path / "room"), 2.0, "/tf") as look:
         with pytest.raises(NotFound, match="no numbers to plot"):
-            await PlotPanel().show(look)
+            await PlotPanel(page_of(look.source)).show(look)
 
 
 async def test_scans_and_frames_stand_in_the_frame_of_the_map(tmp_path: Path) -> None:
     async with looking(room_bag(tmp_path / "room"), 3.0) as look:
-        shown = await SpacePanel(Chunks()).show(look)
+        shown = await SpacePanel(page_of(look.source)).show(look)
     assert shown
     frames = {one["name"]: one for one in shown["frames"]}
     assert (shown["frame"], frames["odom"]["parent"], frames["map"]["pose"]) == ("map", "map", [0, 0, 0, 0, 0, 0, 1])
     assert frames["base_link"]["pose"][0] == pytest.approx(0.75, abs=0.1)
     assert [one["name"] for one in shown["scans"]] == ["/scan"] and len(shown["bulk"][0]) > 500
     assert (shown["cloud"], shown["model"], shown["missing"]) == (None, None, [])
+
+
+def test_each_panel_is_found_by_its_module_and_is_drawn_by_a_file_of_its_name() -> None:
+    drawn = {file.stem for file in (Path(__file__).parents[3] / "viewer" / "src" / "panels").glob("*.ts")}
+    modules = {file.stem for file in Path(panels.__path__[0]).glob("*.py")} - {"__init__"}
+    assert {kind.name for kind in panels.panel_types()} == modules
+    assert modules - {"robot"} == drawn  # the robot is the head of the page
 
 
 def test_a_cloud_drives_no_map_out() -> None:

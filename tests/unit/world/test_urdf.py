@@ -7,6 +7,7 @@ import math
 import pytest
 
 from ros2_mcp.model.errors import BadData
+from ros2_mcp.ops.space.joints import joints_now
 from ros2_mcp.world.urdf import Limits, Mimic, Mount, parse
 
 ARM = """<?xml version="1.0"?>
@@ -40,6 +41,17 @@ def test_joints_have_the_limits_that_hold_for_them():
     assert urdf.joints["wrist"].limits == Limits()
     assert (urdf.joints["grip"].unit, urdf.joints["wrist"].unit) == ("m", "rad")
     assert urdf.problems == []
+
+
+@pytest.mark.parametrize("bound", ['lower="${-pi}" upper="1"', 'lower="0" upper="nan"', 'lower="" upper="1"'])
+def test_limits_that_are_no_numbers_are_unknown_and_not_from_zero_to_zero(bound: str) -> None:
+    text = f"""<robot name="r"><link name="a"/><link name="b"/>
+    <joint name="j" type="revolute"><parent link="a"/><child link="b"/><limit {bound} velocity="1"/></joint></robot>"""
+    urdf = parse(text)
+    assert (urdf.joints["j"].limits.known, urdf.joints["j"].limits.velocity) == (False, 1.0)
+    assert "not a number" in urdf.problems[0]
+    (row,) = joints_now(urdf, {"j": 0.5}, "")
+    assert row.span is None and "limits" not in row.line
 
 
 def test_a_joint_that_follows_another_is_none_that_is_moved():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from time import monotonic
 from typing import Literal
@@ -17,7 +17,6 @@ from ros2_mcp.model.graph import Contact
 from ros2_mcp.model.text import quoted
 from ros2_mcp.ops.results.results import IF_ANY, microseconds
 from ros2_mcp.ops.stop import stop as stopping
-from ros2_mcp.robot import Robot
 
 ROBOTS = "ros2_robots"
 STOP = "ros2_stop"
@@ -31,9 +30,6 @@ _LOOK_S = 0.05
 _going_on: set[asyncio.Task[StoppedRobot]] = set()
 """Stops that go on behind their answer; a task that nobody holds may vanish."""
 _logger = logging.getLogger(__name__)
-
-View = Callable[[Robot], Robot]
-"""A robot as it is for the client that asks."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -129,13 +125,14 @@ async def _state(member: Member) -> RobotState:
     )
 
 
-async def stop(members: Sequence[Member], view: View, note: str = "") -> StoppedRobots:
+async def stop(members: Sequence[Member], client: str, note: str = "") -> StoppedRobots:
     """Stops these robots at the same time: none waits for another. Never raises a `RobotError`.
+    `client` is the name of who asks.
 
     The answer waits for no robot that is silent, once there is one to be told of, nor for any that stands by itself, as
     its link lease has lapsed; the stop of such a one goes on.
     """
-    tasks = [asyncio.ensure_future(_stop(member, view(member.robot))) for member in members]
+    tasks = [asyncio.ensure_future(_stop(member, client)) for member in members]
     latched_at = monotonic() + stopping.LATCHED_S
     _going_on.update(tasks)
     for task in tasks:
@@ -156,11 +153,12 @@ async def stop(members: Sequence[Member], view: View, note: str = "") -> Stopped
     return StoppedRobots(stopped, all(one.stopped.confirmed for one in stopped), note)
 
 
-async def _stop(member: Member, robot: Robot) -> StoppedRobot:
+async def _stop(member: Member, client: str) -> StoppedRobot:
+    robot = member.robot
     try:
         if not robot.graph.was_reached:  # what waits for it was accepted before, and is not sent any more
             return StoppedRobot(member.name, await stopping.stop_unreached(robot, _NEVER_REACHED))
-        return StoppedRobot(member.name, await stopping.stop(robot))
+        return StoppedRobot(member.name, await stopping.stop(robot, client=client))
     except Exception as error:  # a fault of ours with one robot must not keep the others from being told of
         _logger.exception("stopping %s failed", member.name)
         return StoppedRobot(member.name, stopping.not_stopped(f"A fault in this server: {quoted(repr(error))}"))

@@ -16,7 +16,7 @@ from mcp.types import CallToolResult, TextContent, Tool
 
 from ros2_mcp.mcp.binding import SUMMARY, CallFailed, answer
 from ros2_mcp.mcp.fleet import about_all
-from ros2_mcp.mcp.fleet.about_all import ROBOTS, STOP, View
+from ros2_mcp.mcp.fleet.about_all import ROBOTS, STOP
 from ros2_mcp.mcp.fleet.listing import ROBOT, listed_tools, listed_with_pages
 from ros2_mcp.mcp.fleet.member import Member
 from ros2_mcp.model.names import did_you_mean
@@ -62,8 +62,8 @@ class Fleet:
 
     # ── calls ──────────────────────────────────────────────────────────────────────────────────────────────────
 
-    async def call_all(self, tool: str, arguments: Mapping[str, Any], view: View) -> CallToolResult | None:
-        """The answer of a tool that is about all robots; None for any other.
+    async def call_all(self, tool: str, arguments: Mapping[str, Any], client: str) -> CallToolResult | None:
+        """The answer of a tool that is about all robots, to the client of that name; None for any other.
 
         A stop of a robot that there is not stops all: whoever calls it wants something to stand.
         """
@@ -83,7 +83,7 @@ class Fleet:
             chosen = [self.members[named]]
         elif named is not None:
             told.insert(0, f"There is no robot {quoted(str(named))}: all were told to stop.")
-        stopped = await about_all.stop(chosen, view, " ".join(told[:_MOST_NAMED]))
+        stopped = await about_all.stop(chosen, client, " ".join(told[:_MOST_NAMED]))
         return answer(stopped)
 
     def choose(self, tool: str, arguments: Mapping[str, Any]) -> tuple[Member, Mapping[str, Any]]:

@@ -14,6 +14,7 @@ from ros2_mcp.model.text import counted
 from ros2_mcp.ops.results.results import IF_ANY
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.goals import UNKNOWN_GOAL, Goal
+from ros2_mcp.robot.session import Session
 
 _NOTES: Mapping[int, str] = {
     1: "The server refused to cancel.",
@@ -49,6 +50,7 @@ class Cancellation:
 
 async def cancel(
     robot: Robot,
+    session: Session,
     action: str,
     goal_id: str = "",
     *,
@@ -69,9 +71,9 @@ async def cancel(
     chosen = goal_id_hex(goal_id_bytes(goal_id)) if goal_id else ""
     await robot.types.action(action)
     command = CancelGoals(
-        principal=robot.principal, name=action, goal_id="" if cancel_all else chosen, stamp=stamp, timeout_s=timeout_s
+        principal=session.principal, name=action, goal_id="" if cancel_all else chosen, stamp=stamp, timeout_s=timeout_s
     )
-    response = await robot.fields_of(await robot.do(command))
+    response = await robot.fields_of(await robot.do(command, session))
     return _cancellation(command.service, response, cancel_all=cancel_all)
 
 

@@ -120,14 +120,14 @@ async def asked_for(robot: Robot, action: str, action_type: str, goal_id: str, t
     )
 
 
-async def begin(robot: Robot, asked: CancelWhen) -> ConditionalCancel:
+async def begin(robot: Robot, owner: Principal, asked: CancelWhen) -> ConditionalCancel:
     """Begins to ask, and returns when the bridge asks: the goal is to be sent then.
 
     Raises:
         TimedOut: if the bridge has not begun in time.
         RobotError: whatever keeps it from asking, such as a type that is not installed there.
     """
-    job = ConditionalCancel(robot, robot.principal, asked)
+    job = ConditionalCancel(robot, owner, asked)
     await robot.jobs.start(job, within_s=_BEGUN_S)
     if not job.has_begun:
         await job.stop()

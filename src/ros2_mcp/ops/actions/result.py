@@ -66,14 +66,33 @@ async def request_result(
     action = names.absolute(action, "action")
     wait_s = MAX_DURATION_S if timeout_s is None else bounded("timeout_sec", timeout_s, 0.0, MAX_DURATION_S, "s")
     goal_id = goal_id_hex(goal_id_bytes(goal_id))
-    if waits and action_type and action not in await robot.types.actions():
+    is_awaited = waits and bool(action_type) and action not in await robot.types.actions()
+    if is_awaited:
         near = await robot.types.near_action(action)
         await report(0.0, wait_s, f"Waiting for the action {action}. {near}")
         action_type = await robot.types.full_name(action_type, "action")  # its server may still have to appear
-    else:
-        action_type = await robot.types.action(action, action_type)
-    async with reporting(report, wait_s, f"waiting for the result of {action}"):
-        return await result_of(robot, action, action_type, goal_id, timeout_s, wait_for_service_s)
+    known = known_of(robot, action, goal_id)
+    try:
+        if not is_awaited:
+            action_type = await robot.types.action(action, action_type)
+        async with reporting(report, wait_s, f"waiting for the result of {action}"):
+            return await result_of(robot, action, action_type, goal_id, timeout_s, wait_for_service_s)
+    except NotFound as error:
+        if not known:
+            raise
+        note = f"{error.message} {known}"
+        return GoalResult(f"{action}/_action/get_result", goal_id, True, timeout_s, 0, STATUS[0], note=note)
+
+
+def known_of(robot: Robot, action: str, goal_id: str) -> str:
+    """What this server knows of a goal that it sent, as a sentence; empty of any other."""
+    goal = robot.jobs.get(Goal, goal_id)
+    if goal is None or goal.action != action:
+        return ""
+    was = "it was accepted" if goal.is_accepted else "it is not known to have been accepted"
+    is_known = goal.ended_as in {STATUS[code] for code in TERMINAL}
+    how = f"it was seen to end: {goal.ended_as}" if is_known else "how it ended is not known"
+    return f"This server sent it {monotonic() - goal.started_at:.0f} s ago, {was}; {how}."
 
 
 async def result_of(
@@ -114,9 +133,12 @@ async def result_of(
     code = int(response["status"])
     if code in TERMINAL or code == 0:
         robot.goal_ended(action, goal_id, STATUS.get(code, ""))
-    note = (
-        "The server does not know this goal: the id is wrong, or the server has dropped the goal." if code == 0 else ""
-    )
+    known = known_of(robot, action, goal_id) if code == 0 else ""
+    note = ""
+    if known:
+        note = f"The server does not know this goal any more: it was started again, or has dropped it. {known}"
+    elif code == 0:
+        note = "The server does not know this goal: the id is wrong, or the server has dropped the goal."
     goal = robot.jobs.get(Goal, goal_id)
     if STATUS.get(code) == "CANCELED" and goal and robot.graph.lapsed_at > goal.started_at:
         note = ended_by(LEASE)

@@ -15,6 +15,9 @@ from ros2_mcp.model.commands import SendGoal
 from ros2_mcp.model.errors import LinkError, NotFound, RobotError, TimedOut
 from ros2_mcp.model.goals import STATUS, goal_id_hex, new_goal_id
 from ros2_mcp.ops.acting.defaults import left_at_default
+from ros2_mcp.ops.acting.idle import why_idle, with_reason
+from ros2_mcp.ops.acting.servers import check_one_server, servers_of_action
+from ros2_mcp.ops.acting.servers import in_words as in_words_of
 from ros2_mcp.ops.actions.cancel_when import ConditionalCancel, asked_for, begin
 from ros2_mcp.ops.actions.result import STATUS_AFTER_S, result_of
 from ros2_mcp.ops.actions.status import SERVER_S, states_now
@@ -22,6 +25,7 @@ from ros2_mcp.ops.log.complaints import complaints_from_now
 from ros2_mcp.ops.results.results import SAID, Report, in_words, silent
 from ros2_mcp.robot import Answer, Listening, Robot
 from ros2_mcp.robot.goals import Goal
+from ros2_mcp.robot.session import Session
 from ros2_mcp_common.wire.limits import MAX_DURATION_S
 
 ACCEPT_S = 10.0
@@ -66,21 +70,25 @@ class GoalOutcome:
 
 async def send_goal(
     robot: Robot,
+    session: Session,
     action: str,
     action_type: str,
     goal: Mapping[str, Any],
     *,
     cancel_when: str = "",
     wait_for_result: bool = False,
+    force: bool = False,
     timeout_s: float = 60.0,
     report: Report = silent,
 ) -> GoalOutcome:
     """Sends a goal, and waits for its result if asked to, reporting its feedback as progress.
 
     A waiting that times out leaves the goal running; a waiting that is cancelled cancels the goal. With `cancel_when`
-    the bridge cancels it as soon as that condition holds (see `asked_for`), also when nobody waits.
+    the bridge cancels it as soon as that condition holds (see `asked_for`), also when nobody waits. Where several nodes
+    serve the action, it is sent only with `force`.
 
     Raises:
+        BadInput: if several nodes serve the action.
         NotFound: if no such action is there, or its server left.
         BadValue: naming the path of a value that does not fit; nothing is sent.
         TimedOut: if the server did not say whether it accepts.
@@ -88,8 +96,12 @@ async def send_goal(
     bounded("timeout_sec", timeout_s, 0.0, MAX_DURATION_S, "s")
     action = names.absolute(action, "action")
     action_type = await robot.types.action(action, action_type)
+    servers = await servers_of_action(robot, action)
+    if servers and not force:
+        await check_one_server(robot, action, "End all but one, or set force to true.")
+    several = f"{in_words_of(action, servers)}: each may carry it out." if servers else ""
     command = SendGoal(
-        principal=robot.principal,
+        principal=session.principal,
         name=action,
         type=action_type,
         value=goal,
@@ -99,10 +111,11 @@ async def send_goal(
     )
     watch: ConditionalCancel | None = None
     if cancel_when.strip():
-        watch = await begin(robot, await asked_for(robot, action, action_type, command.goal_id, cancel_when))
+        asked = await asked_for(robot, action, action_type, command.goal_id, cancel_when)
+        watch = await begin(robot, session.principal, asked)
     try:
         if not wait_for_result:
-            return await _submit(robot, command, goal)
+            return _with_note(await _submit(robot, session, command, goal), several)
         # Subscribed before anything else: the action server must have discovered this subscription when it accepts the
         # goal, or its first feedback is lost.
         async with robot.listen(
@@ -112,7 +125,7 @@ async def send_goal(
             # it, for 1 in 300 goals that publish at once, on a busy machine. A server takes in announcements in their
             # order: when a later subscription has its latched message, the server knows this one too.
             await states_now(robot, action, _ANNOUNCED_S)
-            sent = await _submit(robot, command, goal)
+            sent = _with_note(await _submit(robot, session, command, goal), several)
             return await _ending(robot, sent, listening, timeout_s, report) if sent.accepted else sent
     except asyncio.CancelledError:
         await asyncio.shield(_give_up(robot, command))
@@ -120,6 +133,10 @@ async def send_goal(
     finally:
         if watch and not ((sent := robot.jobs.get(Goal, command.goal_id)) and sent.is_running):
             await asyncio.shield(watch.stop())
+
+
+def _with_note(sent: GoalOutcome, note: str) -> GoalOutcome:
+    return replace(sent, note=f"{note} {sent.note}".strip()) if note else sent
 
 
 Heard = Callable[[Mapping[str, Any]], None]
@@ -138,11 +155,11 @@ async def follow(robot: Robot, goal: Goal, report: Report = silent, heard: Heard
         return await _ending(robot, sent, listening, MAX_DURATION_S, report, heard)
 
 
-async def _submit(robot: Robot, command: SendGoal, goal: Mapping[str, Any]) -> GoalOutcome:
+async def _submit(robot: Robot, session: Session, command: SendGoal, goal: Mapping[str, Any]) -> GoalOutcome:
     """Sends the goal; returns when its server has said whether it accepts it."""
     await robot.values.learn(command.type)
     complaints = complaints_from_now(robot)
-    calling = asyncio.ensure_future(robot.do(command))
+    calling = asyncio.ensure_future(robot.do(command, session))
     try:
         accepted, stamp = True, await _accepted_meanwhile(robot, command, calling)
         if stamp is None:
@@ -154,15 +171,17 @@ async def _submit(robot: Robot, command: SendGoal, goal: Mapping[str, Any]) -> G
         gone = f"The server of {command.name} is not running, or left before it accepted the goal."
         raise NotFound(gone) from error
     except TimedOut as error:
-        raise TimedOut(
+        unanswered = TimedOut(
             f"The server of {command.name} did not accept or reject goal {command.goal_id} within {ACCEPT_S:g} s.",
             "It may still accept the goal; cancel it with ros2_cancel_action_goal.",
-        ) from error
+        )
+        raise await with_reason(robot, unanswered, action=command.name) from error
     finally:
         calling.cancel()
     sent = GoalOutcome(command.name, command.type, accepted, command.goal_id, stamp if accepted else None)
     if not accepted:
-        said = await complaints.said() or "ros2_log_read may show why."
+        why = [await why_idle(robot, action=command.name), await complaints.said()]
+        said = " ".join(filter(None, why)) or "ros2_log_read may show why."
         rejected = f"The action server rejected the goal. {said}"
         return replace(sent, status_code=-1, status=STATUS[-1], note=rejected)
     return replace(sent, note=left_at_default(robot.values.definitions, f"{command.type}_Goal", goal))
@@ -218,6 +237,7 @@ async def _ending(
         following.cancel()
     while await take_feedback(_LAST_FEEDBACK_S):
         pass
+    why = await why_idle(robot, action=sent.action_name) if ended.status == "ABORTED" else ""
     return replace(
         sent,
         waited=True,
@@ -227,7 +247,7 @@ async def _ending(
         result=ended.result,
         feedback_count=count,
         last_feedback=last,
-        note=f"{sent.note} {ended.note}".strip(),
+        note=" ".join(filter(None, (sent.note, ended.note, why))),
     )
 
 

@@ -153,4 +153,6 @@ async def all_goals(robot: Robot) -> KnownGoals:
             shown_age = round(age_s, 3) if abs(age_s) < _OTHER_CLOCK_S else None
             goals.append(KnownGoal(action, state.goal_id, state.status_code, state.status, shown_age, is_ours))
     note = "" if goals else "No goal has been sent yet, or the servers no longer keep them."
+    if not actions and (absence := await robot.graph.absence()):
+        note = absence
     return KnownGoals(sorted(goals, key=lambda goal: goal.age_sec or 0.0), actions, note)

@@ -16,6 +16,7 @@ from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model.text import counted, named, quoted
 from ros2_mcp.ops.results.results import HIDDEN
 from ros2_mcp.robot import Robot
+from ros2_mcp.robot.session import Session
 
 MOST = 500
 """Acts in one answer."""
@@ -69,7 +70,7 @@ class AuditExcerpt:
         return [f"{counted(len(self.acts), 'act')} of this client in the audit, head {self.head}.", *self.shown]
 
 
-async def read(robot: Robot, limit: int = 50) -> AuditExcerpt:
+async def read(robot: Robot, session: Session, limit: int = 50) -> AuditExcerpt:
     """The newest acts of the client that asks.
 
     Raises:
@@ -80,7 +81,7 @@ async def read(robot: Robot, limit: int = 50) -> AuditExcerpt:
     if not isinstance(auditing, Auditing) or auditing.log.path is None:
         return AuditExcerpt(acts=(), head="", failed="", note="This server keeps no audit.")
     await auditing.log.written()  # what this client has just done is among it
-    acts = await to_thread.run_sync(_acts, auditing.log.path, robot.principal.name, limit)
+    acts = await to_thread.run_sync(_acts, auditing.log.path, session.principal.name, limit)
     return AuditExcerpt(
         acts=acts,
         head=auditing.log.head.short,

@@ -42,7 +42,7 @@ async def topic_types(robot: Robot, topic: str) -> list[str]:
     """The types of one topic; nothing where it is not known within `PATIENCE_S`."""
     try:
         found = await asyncio.wait_for(robot.graph.topics(PATIENCE_S), PATIENCE_S)
-        full_name = names.absolute(topic)
+        full_name = await robot.graph.name_of(topic)
     except (TimeoutError, asyncio.TimeoutError, RobotError):
         return []
     return [kind for row in found if row.name == full_name for kind in row.types]

@@ -133,6 +133,8 @@ async def read(robot: Robot, request: LogRequest, max_bytes: int = 32_000) -> Lo
             f"The connection to the bridge was lost {counted(robot.log.interruptions, 'time')}: lines from then may be "
             "missing."
         )
+    if not kept and (absence := await robot.graph.absence()):
+        notes.append(absence)
     if not kept:
         began = f"No line was published on /rosout in the {_listened_s(robot):.0f} s since this server subscribed"
         notes.append(

@@ -112,7 +112,7 @@ async def compare(
         NotFound: if a topic is not there.
     """
     bounded("tolerance_percent", tolerance_percent, 0.0, 100.0, "%")
-    if topics[0].strip("/") == topics[1].strip("/"):
+    if await source.name_of(topics[0]) == await source.name_of(topics[1]):
         raise BadInput(f"{topics[0]} is given twice.", "Give two topics.")
     types = [await source.type_of(topic) for topic in topics]
     common_fields(source.codec.definitions, types, fields)  # before any time is spent on listening

@@ -121,7 +121,7 @@ class Flow:
 
 
 @dataclass(frozen=True, slots=True)
-class Control:
+class Ros2Control:
     """What a controller manager says: its controllers, and its hardware components (None where it does not tell)."""
 
     controllers: Sequence[Mapping[str, Any]]
@@ -130,8 +130,8 @@ class Control:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Evidence:
-    """All that was read. `servers` has the nodes of each service, `control` what each controller manager says, by node,
-    `robot` what else `ros2_robot` finds, `rivals` the topics of joint states that several publish.
+    """All that was read. `servers` has the nodes of each service, `ros2_control` what controller managers say, by their
+    nodes, `robot` what else `ros2_robot` finds, `rivals` the topics of joint states that several publish.
     """
 
     graph: GraphSnapshot
@@ -146,13 +146,13 @@ class Evidence:
     hung: Sequence[str] = ()
     frames: Sequence[FrameProblem] | None = None
     lifecycle: Sequence[LifecycleState] | None = None
-    control: Mapping[str, Control] | None = None
+    ros2_control: Mapping[str, Ros2Control] | None = None
     parameters: Mapping[str, Sequence[Parameter]] | None = None
     servers: Mapping[str, Sequence[str]] | None = None
     robot: Sequence[str] | None = None
 
 
-Need = Literal["frames", "lifecycle", "control", "parameters", "servers", "robot"]
+Need = Literal["frames", "lifecycle", "ros2_control", "parameters", "servers", "robot"]
 """Parts of the evidence that are read only where a check asks for them."""
 
 

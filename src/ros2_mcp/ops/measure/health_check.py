@@ -143,7 +143,7 @@ async def check_health(
     bounded("min_expected_rate_hz", expected.min_rate_hz, 0.0, MAX_RATE_HZ, "Hz")
     expected = replace(
         expected,
-        topics=[names.absolute(name) for name in expected.topics],
+        topics=[await source.name_of(name) for name in expected.topics],
         services=[names.absolute(name, "service") for name in expected.services],
         nodes=[names.absolute(name, "node") for name in expected.nodes],
     )
@@ -231,7 +231,7 @@ def _lacks(graph: GraphSnapshot, expected: Expectations) -> bool:
 def _nothing_measured(evidence: Evidence) -> list[Finding]:
     """That nothing says that the robot is well, where nothing says that it is not."""
     is_expected_there = any(row.expected and row.state == "OK" for row in evidence.rows)
-    controllers = [one for control in (evidence.control or {}).values() for one in control.controllers]
+    controllers = [one for control in (evidence.ros2_control or {}).values() for one in control.controllers]
     parts = (any(flow.count for flow in evidence.flows.values()), evidence.diagnostics.rows, evidence.lifecycle)
     if is_expected_there or controllers or any(parts):
         return []

@@ -15,7 +15,7 @@ import anyio
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import NoTransform, RobotError, UnknownInterface
 from ros2_mcp.model.text import quoted
-from ros2_mcp.ops.measure.evidence import Control, Need
+from ros2_mcp.ops.measure.evidence import Need, Ros2Control
 from ros2_mcp.ops.nodes.lifecycle import LifecycleState
 from ros2_mcp.ops.nodes.lifecycle import states as lifecycle_states
 from ros2_mcp.ops.nodes.parameters import Parameter, all_of
@@ -51,7 +51,7 @@ async def read(
     if robot is not None and source.is_live and not graph.absence:
         makers |= {
             "lifecycle": lambda: _lifecycle(robot),
-            "control": lambda: _control(robot, graph),
+            "ros2_control": lambda: _ros2_control(robot, graph),
             "parameters": lambda: _parameters(robot, graph),
             "servers": lambda: _servers(robot, graph),
             "robot": lambda: unhealthy_besides(robot, source),
@@ -91,10 +91,10 @@ async def _lifecycle(robot: Robot) -> Sequence[LifecycleState]:
     return (await lifecycle_states(robot)).nodes
 
 
-async def _control(robot: Robot, graph: GraphSnapshot) -> Mapping[str, Control]:
+async def _ros2_control(robot: Robot, graph: GraphSnapshot) -> Mapping[str, Ros2Control]:
     listed = await listed_controllers(robot, graph)
     hardware = await asyncio.gather(*(listed_hardware(robot, node) for node in listed))
-    return {node: Control(listed[node], components) for node, components in zip(listed, hardware, strict=True)}
+    return {node: Ros2Control(listed[node], components) for node, components in zip(listed, hardware, strict=True)}
 
 
 async def _parameters(robot: Robot, graph: GraphSnapshot) -> Mapping[str, Sequence[Parameter]]:

@@ -5,20 +5,20 @@ from __future__ import annotations
 import os
 import threading
 import time
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ros2_mcp.model.errors import BadInput, NotFound
+from ros2_mcp.model.errors import BadInput, NotFound, RobotError
 from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.model.text import listed
 
 if TYPE_CHECKING:
     from ros2_mcp.bags.bag import Bag
-    from ros2_mcp.values.cdr import Codec
+    from ros2_mcp.values.json_messages import RecordedCodec
 
 RECORDINGS = Path("~/ros2-mcp/recordings")
 _MOST_OPEN = 4
@@ -30,6 +30,8 @@ BLACK_BOX = "black-box"
 _BLACK_BOX_WORDS = ("black box", "black_box", "blackbox")
 
 
+_MOST_FOREIGN = 5
+"""Recordings of ROS 1 that a list names."""
 _MOST_TOLD = 10
 """Lines about damage in one answer, of which ros2_bag_info has up to 50 of each file; bags that a hint names."""
 _read_in_call: ContextVar[dict[Path, OpenedBag] | None] = ContextVar("_read_in_call", default=None)
@@ -54,16 +56,19 @@ class OpenedBag:
         self.lock = threading.Lock()
         self._path = path
         self._mark: tuple[int, int] | None = None
-        self._codec: Codec | None = None
+        self._codec: RecordedCodec | None = None
+        self.read_as: dict[str, str] = {}
+        """The older distribution whose definition was taken for a type."""
 
     @property
-    def codec(self) -> Codec:
+    def codec(self) -> RecordedCodec:
         """Reads its messages. Types are compiled once and kept until the bag has another definition of one of them."""
         if self._codec is None:
-            from ros2_mcp.values.cdr import Codec
             from ros2_mcp.values.definitions import Definitions
+            from ros2_mcp.values.json_messages import RecordedCodec
 
-            self._codec = Codec(Definitions())
+            self._codec = RecordedCodec(Definitions())
+            self.read_as = {}
         return self._codec
 
     @contextmanager
@@ -107,7 +112,13 @@ class BagStore:
         return self.subject.name if self.subject else ""
 
     def writes(self, folder: Path, is_growing: Callable[[], bool], now_ns: Callable[[], int] = time.time_ns) -> None:
-        """Notes a bag that this server begins to write, what tells whether it still does, and whose clock it has."""
+        """Notes a bag that this server begins to write, what tells whether it still does, and whose clock it has.
+
+        Of those that have ended nothing but the folder is kept: what tells it holds a whole recording.
+        """
+        for name, one in self.own.items():
+            if not one.is_growing():
+                self.own[name] = OwnBag(one.folder, _grows_no_more, time.time_ns)
         self.own[folder.name] = OwnBag(folder, is_growing, now_ns)
 
     async def close(self) -> None:
@@ -166,14 +177,36 @@ class BagStore:
 
     def bag_names(self) -> dict[str, Path]:
         """Every bag that may be read, by its name: its path below the folder."""
-        from ros2_mcp.bags.bag import is_bag
+        from ros2_mcp.bags.recordings import recordings_in
 
         found: dict[str, Path] = {self.subject.name: self.subject} if self.subject else {}
         for root in self._roots:
-            for path in _below(root):
-                if is_bag(path) and path.resolve().is_relative_to(root.resolve()):
-                    found.setdefault(str(path.relative_to(root)), path)
+            whole = root.resolve()
+            for folder in _below(root)[0]:
+                with suppress(OSError):
+                    for path in recordings_in(folder, as_whole=folder != root):
+                        if path.resolve().is_relative_to(whole):
+                            found.setdefault(str(path.relative_to(root)), path)
         return found
+
+    def not_listed(self) -> str:
+        """In words, what below the folders is no bag that can be read, and where nobody looked for any."""
+        from ros2_mcp.bags.recordings import foreign_in
+
+        foreign: dict[str, None] = {}
+        unsearched: list[str] = []
+        for root in self._roots:
+            searched, deeper = _below(root)
+            foreign |= dict.fromkeys(text for folder in searched for text in foreign_in(folder))
+            unsearched += [str(folder.relative_to(root)) for folder in deeper]
+        more = len(foreign) - _MOST_FOREIGN
+        told = [*list(foreign)[:_MOST_FOREIGN], *([f"{more} more are of ROS 1, too."] if more > 0 else [])]
+        if unsearched:
+            told.append(
+                f"Not searched, because they are more than {_DEEPEST} levels deep: folders in "
+                f"{listed(unsearched, _MOST_FOREIGN)}. A bag there can be read by its path."
+            )
+        return " ".join(told)
 
     def find_bag(self, name: str) -> Path:
         """The path of a bag that may be read.
@@ -184,6 +217,8 @@ class BagStore:
         """
         if self.subject and name == self.subject.name:
             return self.subject
+        from ros2_mcp.bags.recordings import is_recording  # imports YAML
+
         if "\0" in name:  # no name of a file has it, and `pathlib` would fail
             raise BadInput(
                 f"{name!r} is not the name of a bag: it contains a NUL character.", "ros2_bag_list shows the names."
@@ -193,7 +228,7 @@ class BagStore:
         if not paths:  # such as `../secrets`, or a link out of the folder
             raise BadInput(f"{name!r} is outside the folder of bags.", "ros2_bag_list lists what can be read.")
         for path in paths if name.strip("./") else ():
-            if os.path.lexists(path):
+            if os.path.lexists(path) or is_recording(path):
                 return path
         if name == BLACK_BOX:
             raise NotFound("This server keeps no black box.", "Start the server with --black-box to keep one.")
@@ -233,19 +268,22 @@ class BagStore:
         return list(dict.fromkeys((self.record_dir, self.bag_dir)))
 
 
-def _below(root: Path) -> Iterator[Path]:
-    """The files of the folder itself, and the folders below it; none that is hidden or cannot be read.
-
-    Files further below are no bags by themselves but parts of their folder's bag.
+def _below(root: Path) -> tuple[list[Path], list[Path]]:
+    """The folder itself and the folders below it, none that is hidden or cannot be read; and those that have folders
+    which are too deep to be searched.
     """
-    for parent, folders, files in os.walk(root):
+    searched: list[Path] = []
+    deeper: list[Path] = []
+    for parent, folders, _ in os.walk(root):
         path = Path(parent)
+        searched.append(path)
         folders[:] = sorted(name for name in folders if not name.startswith("."))
-        yield from (path / name for name in folders)
-        if path == root:
-            yield from (path / name for name in sorted(files) if not name.startswith("."))
-        if len(path.relative_to(root).parts) + 1 == _DEEPEST:
+        with suppress(PermissionError):  # links, which `os.walk` does not enter
+            searched += [path / name for name in folders if (path / name).is_symlink()]
+        if len(path.relative_to(root).parts) == _DEEPEST and folders:
+            deeper.append(path)
             folders.clear()  # `os.walk` goes no deeper then
+    return searched, deeper
 
 
 def _schemas(bag: Bag) -> dict[str, tuple[str, str]]:
@@ -254,10 +292,19 @@ def _schemas(bag: Bag) -> dict[str, tuple[str, str]]:
 
 def _mark(path: Path) -> tuple[int, int]:
     """Size and newest time of the files, which differ whenever the files do."""
+    from ros2_mcp.bags.recordings import files_of
+
     size = newest_ns = 0
-    for file in [path] if path.is_file() else path.glob("*"):
+    files = list(path.glob("*")) if path.is_dir() else []
+    with suppress(RobotError):
+        files = files or files_of(path)
+    for file in files:
         with suppress(OSError):  # a ring drops its oldest file at any time; reading the bag tells what cannot be read
             if file.is_file():
                 facts = file.stat()
                 size, newest_ns = size + facts.st_size, max(newest_ns, facts.st_mtime_ns)
     return size, newest_ns
+
+
+def _grows_no_more() -> bool:
+    return False

@@ -13,9 +13,10 @@ from ros2_mcp.model import names
 from ros2_mcp.model.meanings import Meaning
 from ros2_mcp.model.text import counted, named
 from ros2_mcp.model.times import recorded_time
+from ros2_mcp.model.values import summarised
 from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.results.results import IF_ANY, ON_REQUEST, SAID, beside, iso_time
-from ros2_mcp.ops.sources.bag import open_bag
+from ros2_mcp.ops.sources.bag import has_definition, open_bag
 from ros2_mcp.ops.sources.selection import Selection, fit, message_times
 from ros2_mcp.ops.space.meaning import meaning_of_newest
 from ros2_mcp.ops.topics.subscribe import collect
@@ -44,21 +45,23 @@ class BagEntry:
 
 @dataclass(frozen=True, slots=True)
 class BagList:
-    """The bags below the folder that this server may read."""
+    """The bags below the folder that this server may read; `note` names recordings that are not among them."""
 
     bags: Sequence[BagEntry]
     total: int = field(metadata=SAID)
     folder: str = field(metadata=SAID)
+    note: str = field(default="", metadata={**IF_ANY, **SAID})
 
     def summary(self) -> str:
         """One line."""
-        return f"{len(self.bags)} of {self.total} bags in {self.folder}."
+        return f"{len(self.bags)} of {self.total} bags in {self.folder}. {self.note}".rstrip()
 
 
 @dataclass(frozen=True, slots=True)
 class BagTopic:
-    """A topic of a bag; `has_definition` tells whether the bag itself says what its bytes mean.
+    """A topic of a bag; `has_definition` tells whether the bag itself says what its bytes mean, in a usable way.
 
+    The type of what is no ROS 2 message begins with its encoding, such as `json:app.Log` or `protobuf:foxglove.Grid`.
     `messages` is the number in all files; a black box has the last latched messages of a topic in each of its files.
     """
 
@@ -122,17 +125,17 @@ class BagMessages:
 async def list_bags(store: BagStore, pattern: str = "", limit: int = 200) -> BagList:
     """The bags whose names match the pattern, the newest first."""
 
+    from ros2_mcp.bags.recordings import files_of  # imports YAML
+
     def listed() -> BagList:
         found = store.bag_names()
         bags: list[BagEntry] = []
         for name in names.matching(found, pattern):
-            path = found[name]
-            files = [path] if path.is_file() else [file for file in path.iterdir() if file.is_file()]
-            facts = [file.stat() for file in files]
+            facts = [file.stat() for file in files_of(found[name])]
             newest_ns = max(fact.st_mtime_ns for fact in facts)
             bags.append(BagEntry(name, sum(fact.st_size for fact in facts), iso_time(newest_ns)))
         bags.sort(key=lambda entry: entry.modified_at, reverse=True)
-        return BagList(bags[:limit], len(found), str(store.bag_dir))
+        return BagList(bags[:limit], len(found), str(store.bag_dir), store.not_listed())
 
     return await asyncio.to_thread(listed)
 
@@ -161,7 +164,7 @@ async def info(store: BagStore, bag: str) -> BagInfo:
                 messages=sum(counts.values()),
                 bytes=found.size,
                 topics=[
-                    BagTopic(name, topic.type, counts.get(name, 0), bool(topic.definition))
+                    BagTopic(name, topic.type, counts.get(name, 0), has_definition(topic))
                     for name, topic in sorted(found.topics.items())
                 ],
                 problems=_problems(store, found),
@@ -197,7 +200,7 @@ async def read(
     stream = collected.stream
     fitted = await asyncio.to_thread(fit, stream.codec, stream.type, collected.samples, selection)
     start, times_s = message_times(source, fitted.samples)
-    notes = [stream.note, collected.more, fitted.note]
+    notes = [stream.note, collected.more, fitted.note, summarised(fitted.truncated)]
     if not collected.samples:
         first_ns, last_ns = source.covers
         notes.append(
@@ -211,7 +214,7 @@ async def read(
         start=start,
         times_s=times_s,
         count=len(fitted.values),
-        truncated=fitted.truncated,
+        truncated=list(fitted.truncated),
         problems=await asyncio.to_thread(read_problems),
         meaning=await meaning_of_newest(source, stream, fitted),
         note=" ".join(filter(None, notes)),

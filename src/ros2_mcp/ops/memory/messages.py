@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Sequence
-from contextlib import aclosing
+from contextlib import aclosing, suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -13,6 +13,7 @@ from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadData, BadName, BadValue, NotFound, RobotError
 from ros2_mcp.model.meanings import Meaning
 from ros2_mcp.model.text import counted
+from ros2_mcp.model.values import summarised
 from ros2_mcp.ops.memory.bag_store import BLACK_BOX, BagStore
 from ros2_mcp.ops.results.results import IF_ANY, ON_REQUEST, SAID, Report, beside, iso_time, reporting, silent
 from ros2_mcp.ops.sources.bag import end_note
@@ -86,7 +87,8 @@ async def get_messages(
     """
     bounded("number_of_messages", selection.message_limit or 0, 0, MAX_MESSAGES, "messages")
     selection.check()
-    topic = names.absolute(topic)
+    with suppress(BadName):  # a recording may have others
+        topic = names.absolute(topic)
     type_name = "" if type_name in ("", _ANY) else await sources.robot.types.full_name(type_name, "msg")
     async with reporting(report, ANSWER_S, f"looking for earlier messages of {topic}"):
         found = await _find(sources, topic, type_name, request, selection)
@@ -110,6 +112,8 @@ async def _find(sources: Sources, topic: str, type_name: str, request: SourceReq
                     raise source
                 expected = "" if source.keeps_types else type_name
                 collected = await collect(source, topic, expected, all_of_them, latched=False, names=request.names)
+                if collected.samples:  # another source may have what can be read
+                    collected.stream.codec.definitions.structure(collected.stream.type)
             except (BadName, BadValue):
                 raise
             except NotFound:
@@ -158,7 +162,7 @@ def _show(
         notes.append(f"The messages are {stream.type}, not {type_name}.")
     if dropped := found.collected.dropped:
         notes.append(f"{counted(dropped, 'earlier message')} did not fit in memory.")
-    notes.append(fitted.note)
+    notes += [fitted.note, summarised(fitted.truncated)]
     if not samples:
         notes.append("No message in that time." if request.start or request.end else "It has no message of this topic.")
     return StoredMessages(
@@ -171,6 +175,6 @@ def _show(
         messages=fitted.values,
         count=len(fitted.values),
         found=len(samples),
-        truncated=fitted.truncated,
+        truncated=list(fitted.truncated),
         note=" ".join(filter(None, notes)),
     )

@@ -24,9 +24,10 @@ from ros2_mcp.model.times import seconds_in
 from ros2_mcp.ops.acting.endings import ended_by, guarded, held_back, limited, reason_of
 from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.results.results import IF_ANY, Report, iso_time, silent
-from ros2_mcp.ops.sources.bag import find_topic, span_in
+from ros2_mcp.ops.sources.bag import find_topic, latched_before, span_in
 from ros2_mcp.robot import MOTION_TYPES, Robot
 from ros2_mcp.robot.jobs import Job
+from ros2_mcp.robot.session import Session
 
 if TYPE_CHECKING:
     from ros2_mcp.bags.bag import Bag
@@ -118,6 +119,7 @@ class Playback(Job):
     def __init__(
         self,
         robot: Robot,
+        session: Session,
         request: PlayRequest,
         *,
         store: BagStore,
@@ -126,8 +128,8 @@ class Playback(Job):
         topics: Mapping[str, StoredTopic],
     ) -> None:
         self._destinations = {name: request.remaps.get(name, name) for name in topics}
-        super().__init__(owner=robot.principal, moves=list(self._destinations.values()))
-        self._robot = robot
+        super().__init__(owner=session.principal, moves=list(self._destinations.values()))
+        self._robot, self._session = robot, session
         self._store = store
         self._bag = bag
         self._request = request
@@ -137,7 +139,10 @@ class Playback(Job):
         self._start_ns = max(first_ns, span.start_ns)
         self._length_ns = max(min(last_ns, span.end_ns) - self._start_ns, 1)
         self._topics = topics
-        self._left_out = [] if request.topics else sorted(filter(names.is_of_action, bag.topics))
+        left_out = [] if request.topics else [topic for topic in bag.topics.values() if topic.name not in topics]
+        self._left_out: dict[str, list[str]] = {}
+        for topic in sorted(left_out, key=lambda topic: topic.name):
+            self._left_out.setdefault(_why_not(topic, request.remaps), []).append(topic.name)
         self._fed = dict.fromkeys(topics, 0)
         self._published = dict.fromkeys(topics, 0)
         """Of the messages that were fed to the bridge, those that it has published."""
@@ -148,6 +153,11 @@ class Playback(Job):
         self._progress = 0.0
         self._loops = 0
         self._late_s = 0.0
+
+    @property
+    def about(self) -> str:
+        """The name of the bag."""
+        return self._request.bag
 
     async def run(self) -> None:
         """Opens the publishers and plays. They are requests to the bridge that stay open: losing one ends it all."""
@@ -196,9 +206,9 @@ class Playback(Job):
         published = {name: counts.passed if counts else self._published[name] for name, counts in ended.items()}
         refused = sum(c.refused if c else self._fed[name] - published[name] for name, c in ended.items())
         slower = sum(counts.limited for counts in ended.values() if counts)
-        left_out = f"Left out: {listed(self._left_out, _MOST_NAMED)} (published by servers of actions)."
+        left_out = "; ".join(f"{listed(found, _MOST_NAMED)} ({why})" for why, found in self._left_out.items())
         told = (
-            left_out if self._left_out else "",
+            f"Left out: {left_out}." if left_out else "",
             self._guarded,
             held_back(refused) if refused else "",
             limited(slower) if slower else "",
@@ -242,7 +252,7 @@ class Playback(Job):
             speed=self._request.rate,
             wait_match_s=_MATCH_S,
         )
-        self._ended[name] = await self._robot.do(play)
+        self._ended[name] = await self._robot.do(play, self._session)
 
     async def _until_ready(self, name: str) -> None:
         """Returns when the topic's publisher can be fed; only a feed, even of no message, tells that."""
@@ -288,6 +298,9 @@ class Playback(Job):
 
     async def _play_once(self, begun: float) -> None:
         """The messages of the span, in their recorded rhythm counted from `begun`; what is late is not waited for."""
+        for topic, sample in await to_thread.run_sync(self._latched):
+            self._published[topic] = await self._feed(topic, [sample.data])
+            self._fed[topic] += 1
         rate, messages = self._request.rate, self._bag.messages(self._span)
         while batch := await to_thread.run_sync(_next_batch, messages):
             for group in _together(batch, rate):
@@ -303,6 +316,11 @@ class Playback(Job):
                 self._progress = min(max(since_start_ns / self._length_ns, 0.0), 1.0)
         self._progress = 1.0
 
+    def _latched(self) -> list[tuple[str, Sample]]:
+        """What a late subscriber would still have got at the beginning: it was latched before that part of the bag."""
+        span = replace(self._span, start_ns=self._start_ns)
+        return [(name, one) for name, topic in self._topics.items() for one in latched_before(self._bag, topic, span)]
+
     async def _feed(self, topic: str, messages: Sequence[bytes]) -> int:
         """Hands messages to the bridge; how many it has published so far on that topic."""
         feed = Feed(
@@ -312,11 +330,16 @@ class Playback(Job):
             relay_id=self._relay_id(topic),
             messages=messages,
         )
-        return await self._robot.do(feed)
+        return await self._robot.do(feed, self._session)
 
 
 async def play(
-    robot: Robot, store: BagStore, request: PlayRequest, wait_s: float = 40.0, report: Report = silent
+    robot: Robot,
+    session: Session,
+    store: BagStore,
+    request: PlayRequest,
+    wait_s: float = 40.0,
+    report: Report = silent,
 ) -> PlaybackState:
     """Plays a bag, or a part of it; after `wait_s` it goes on by itself. Where the call is cancelled, it stops.
 
@@ -329,9 +352,9 @@ async def play(
     """
     bounded("rate", request.rate, 0.01, 100.0, "times")
     robot.jobs.require_room(Playback)
-    request = replace(request, remaps={names.absolute(a): names.absolute(b) for a, b in request.remaps.items()})
-    bag, span, topics = await to_thread.run_sync(_prepare, store, request)
-    playback = Playback(robot, request, store=store, bag=bag, span=span, topics=topics)
+    request = replace(request, remaps={recorded: names.absolute(name) for recorded, name in request.remaps.items()})
+    request, bag, span, topics = await to_thread.run_sync(_prepare, store, request)
+    playback = Playback(robot, session, request, store=store, bag=bag, span=span, topics=topics)
 
     async def tell() -> None:
         state = playback.report()
@@ -352,24 +375,34 @@ async def status(robot: Robot, playback_id: str = "") -> PlaybackStates:
     return PlaybackStates([playback.report() for playback in robot.jobs.chosen(Playback, playback_id)])
 
 
-async def stop(robot: Robot, playback_id: str) -> PlaybackState:
-    """Stops a playback."""
+async def stop(robot: Robot, playback_id: str = "") -> PlaybackState:
+    """Stops a playback; raises as `Jobs.one`."""
     return (await robot.jobs.stop(Playback, playback_id)).report()
 
 
-def _prepare(store: BagStore, request: PlayRequest) -> tuple[Bag, Span, dict[str, StoredTopic]]:
+def _prepare(store: BagStore, request: PlayRequest) -> tuple[PlayRequest, Bag, Span, dict[str, StoredTopic]]:
+    """The request with the names of topics as they stand in the bag, what of it is played, and where each goes to."""
     from ros2_mcp.bags.bag import Bag  # imports mcap and YAML, a tenth of the time that all tools take to import
 
     bag = Bag(store.find_bag(request.bag))
     try:
+        remaps = {_name_in(bag, recorded): name for recorded, name in request.remaps.items()}
         chosen = [find_topic(bag, name) for name in request.topics]
-        chosen = chosen or [topic for topic in bag.topics.values() if not names.is_of_action(topic.name)]
+        for topic in chosen:
+            if (why := _why_not(topic, remaps)) and why != _OF_ACTION:  # what is asked for by name is played
+                raise BadInput(f"{named(topic.name)} cannot be played: {why}.", _REMAP if topic.form == "ros2" else "")
+        chosen = chosen or [topic for topic in bag.topics.values() if not _why_not(topic, remaps)]
         topics = {topic.name: topic for topic in chosen}
-        unknown = set(request.remaps) - set(topics)
+        unknown = set(remaps) - set(topics)
         if unknown:
             raise BadInput(
-                f"remaps names {sorted(unknown)[0]}, which is not played.", f"Played: {', '.join(map(named, topics))}."
+                f"remaps names {named(sorted(unknown)[0])}, which is not played.",
+                f"Played: {', '.join(map(named, topics))}.",
             )
+        if not topics:
+            why = "; ".join(f"{named(topic.name)}: {_why_not(topic, remaps)}" for topic in bag.topics.values())
+            raise BadInput(f"Nothing of {named(request.bag)} can be played. {why}.", _REMAP)
+        request = replace(request, remaps={name: remaps.get(name, names.absolute(name)) for name in topics})
         types: dict[str, str] = {}
         for name, topic in topics.items():
             destination = request.remaps.get(name, name)
@@ -377,10 +410,31 @@ def _prepare(store: BagStore, request: PlayRequest) -> tuple[Bag, Span, dict[str
             if other != topic.type:
                 what = f"{named(destination)} would be both a {named(topic.type)} and a {named(other)}."
                 raise TypeConflict(what, "Give other remaps.")
-        return bag, replace(span_in(store, bag, request.start, request.end), topics=frozenset(topics)), topics
+        return request, bag, replace(span_in(store, bag, request.start, request.end), topics=frozenset(topics)), topics
     except RobotError:
         bag.close()
         raise
+
+
+def _name_in(bag: Bag, name: str) -> str:
+    """The name of a topic as it stands in the bag; another one as it is given."""
+    try:
+        return find_topic(bag, name).name
+    except NotFound:
+        return name
+
+
+def _why_not(topic: StoredTopic, remaps: Mapping[str, str]) -> str:
+    """In words, why a topic cannot be played; empty where it can."""
+    if topic.form != "ros2":
+        return f"its messages are {topic.type.partition(':')[0]}, not of ROS 2"
+    if names.is_of_action(topic.name) and topic.name not in remaps:
+        return _OF_ACTION
+    return "" if topic.name in remaps or names.is_valid(topic.name) else "ROS allows no such name"
+
+
+_OF_ACTION = "published by servers of actions"
+_REMAP = 'Give it a name of ROS with remaps, such as {"vehicle.speed": "/vehicle/speed"}.'
 
 
 async def _check(robot: Robot, request: PlayRequest, topics: Mapping[str, StoredTopic]) -> None:

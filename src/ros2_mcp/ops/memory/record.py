@@ -28,7 +28,7 @@ from ros2_mcp.guard.consent import Auditing
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.commands import SERVER, Principal, Record
-from ros2_mcp.model.errors import BadInput, BridgeLost, LinkError, NotFound, Refused, RobotError
+from ros2_mcp.model.errors import BadInput, BridgeLost, LinkError, Refused, RobotError
 from ros2_mcp.model.graph import TopicRow
 from ros2_mcp.model.qos import QoS
 from ros2_mcp.model.samples import Counts, Sample
@@ -38,6 +38,7 @@ from ros2_mcp.ops.memory.bag_store import BLACK_BOX, BagStore
 from ros2_mcp.ops.results.results import HIDDEN, IF_ANY, SAID, iso_time
 from ros2_mcp.robot import Listening, Robot
 from ros2_mcp.robot.jobs import Job
+from ros2_mcp.robot.session import Session
 
 if TYPE_CHECKING:
     from ros2_mcp.bags.recorder import Recorder
@@ -199,10 +200,8 @@ class Recording(Job):
     listed_by = "ros2_record_status"
     stopped_by = "ros2_record_stop"
 
-    def __init__(
-        self, robot: Robot, store: BagStore, request: RecordRequest, *, owner: Principal | None = None
-    ) -> None:
-        super().__init__(owner=owner or robot.principal)
+    def __init__(self, robot: Robot, store: BagStore, request: RecordRequest, *, owner: Principal) -> None:
+        super().__init__(owner=owner)
         self._robot = robot
         self._store = store
         self._request = request
@@ -216,6 +215,11 @@ class Recording(Job):
         self._has_calls = False
         self._began_at = monotonic()
         self._started_ns = robot.now_ns()
+
+    @property
+    def about(self) -> str:
+        """The bag's name."""
+        return self._folder.name if self._folder else self._request.name
 
     async def run(self) -> None:
         """Records until a limit is reached or it is told to end; however it ends, the files are closed."""
@@ -301,7 +305,7 @@ class Recording(Job):
             topics.append(TopicCounts(CALLS, _TEXT, written[CALLS], discarded.get(CALLS, 0), 0))
         absent = "nobody publishes it yet; recording begins within a second after somebody does."
         notes = [*self._notes, *(recorder.notes if recorder else ())]
-        why_dropped = drops_in_words(busy, sum(discarded.values()), is_remote=self._robot.is_remote)
+        why_dropped = drops_in_words(busy, sum(discarded.values()), is_remote=self._robot.graph.is_remote)
         notes += [f"{why_dropped}."] if why_dropped else []
         notes += [f"{name}: {absent}" for name in self._request.topics if name not in self._topics and name != CALLS]
         return RecordingState(
@@ -395,7 +399,7 @@ class Recording(Job):
             try:
                 await self._record_once(name, joined, recorder)
             except LinkError as error:
-                if not self._robot.is_remote:
+                if not self._robot.graph.is_remote:
                     self._note(f"{name}: {error}")
                 elif isinstance(error, BridgeLost):  # which all topics are told at once
                     self._note(str(error))
@@ -442,7 +446,7 @@ class Recording(Job):
 
     def _note_outage(self) -> None:
         """Tells the gap that the recording has, where the robot was out of reach."""
-        for outage in self._robot.outages[-1:]:
+        for outage in self._robot.graph.outages[-1:]:
             if outage is self._told:
                 return  # of another topic
             self._told = outage
@@ -482,6 +486,8 @@ def drops_in_words(busy: int, slow: int, *, is_remote: bool = False) -> str:
 class BlackBox(Recording):
     """The recording that the server begins by itself, in a ring of files: the oldest make room for new ones."""
 
+    needs_no_id = False
+
     def __init__(self, robot: Robot, store: BagStore, settings: Settings) -> None:
         topics = [names.absolute(topic) for topic in settings.black_box or ()]
         request = RecordRequest(topics=topics, largest=0 if topics else LARGEST_BYTES)
@@ -498,7 +504,7 @@ class BlackBox(Recording):
         return folder, Recorder(ring, folder)
 
 
-async def start(robot: Robot, store: BagStore, request: RecordRequest) -> RecordingState:
+async def start(robot: Robot, session: Session, store: BagStore, request: RecordRequest) -> RecordingState:
     """Begins to record; it goes on until a limit is reached, it is stopped, or the server ends.
 
     Raises:
@@ -511,8 +517,9 @@ async def start(robot: Robot, store: BagStore, request: RecordRequest) -> Record
     bounded("split_bytes", request.split_bytes, 0, MAX_BYTES, "bytes")
     request = replace(request, topics=[names.absolute(topic) for topic in request.topics])
     topics, patterns = request.topics, request.patterns
-    await robot.do(Record(principal=robot.principal, name=request.name, topics=topics, patterns=patterns))
-    recording = Recording(robot, store, request)
+    command = Record(principal=session.principal, name=request.name, topics=topics, patterns=patterns)
+    await robot.do(command, session)
+    recording = Recording(robot, store, request, owner=session.principal)
     await robot.jobs.start(recording)
     return recording.report()
 
@@ -545,17 +552,4 @@ async def stop(robot: Robot, recording_id: str = "") -> RecordingState:
         NotFound: if there is none of that id, or there was none.
         BadInput: if several run and no id is given.
     """
-    return (await robot.jobs.stop(Recording, recording_id or _only_one(robot).id)).report()
-
-
-def _only_one(robot: Robot) -> Recording:
-    begun = [job for job in robot.jobs.all(Recording) if not isinstance(job, BlackBox)]
-    running = [job for job in begun if job.is_running]
-    if not begun:
-        raise NotFound("No recording has been started.", "Start one with ros2_record_start.")
-    if not running:
-        return begun[-1]
-    if len(running) > 1:
-        ids = ", ".join(recording.id for recording in running)
-        raise BadInput(f"{len(running)} recordings are running: {ids}.", "Give the recording_id of one.")
-    return running[0]
+    return (await robot.jobs.stop(Recording, recording_id)).report()

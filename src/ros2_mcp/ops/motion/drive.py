@@ -9,16 +9,18 @@ from typing import Any, Literal, cast
 
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model.commands import Move, Moved
-from ros2_mcp.model.errors import BadInput
+from ros2_mcp.model.errors import BadInput, NotFound
 from ros2_mcp.model.text import counted, named
 from ros2_mcp.ops.acting.endings import ended_by, guarded, limited
+from ros2_mcp.ops.acting.idle import why_idle, with_reason
 from ros2_mcp.ops.log.complaints import complaints_from_now
-from ros2_mcp.ops.motion.body import body_of
-from ros2_mcp.ops.motion.find import Found, command_input, first_message, header_frame, mount_of, odometry_of, scan_of
+from ros2_mcp.ops.motion.find import Found, base_frame_of, command_input, odometry_of
+from ros2_mcp.ops.motion.guarding import WITHOUT, Guarding, guarding
 from ros2_mcp.ops.motion.held import others_on, why_it_stands
 from ros2_mcp.ops.motion.job import run_motion
 from ros2_mcp.ops.results.results import SAID, Report, silent
 from ros2_mcp.robot import Robot
+from ros2_mcp.robot.session import Session
 from ros2_mcp_common.wire.limits import STEER_MOST
 
 MATCH_S = 1.0
@@ -31,18 +33,28 @@ MAX_M, MAX_DEG, MAX_RADIUS_M = 100.0, 3600.0, 100.0
 MIN_MPS, MAX_MPS, MIN_DEGPS, MAX_DEGPS = 0.01, 3.0, 2.0, 180.0
 MIN_GUARD_M, MAX_GUARD_M = 0.1, 5.0
 """Below the first the noise of a scan, and the way that a robot still rolls, are no distance any more."""
+_NOT_MOVED = frozenset({"silent", "stuck", "time_out", "missed", "nobody_listens"})
+"""Ends of which a controller that is not active, or a node that is frozen, may be the reason."""
+BLIND_M = 1.0
+"""Farther than that a drive without any sensor says that it was blind: shorter ones end where the caller has looked."""
 _SETTLES_S = 3.0
 """After its time limit it stands and is looked at (`drive.STANDS_WITHIN_S`) before the bridge would end it."""
+_SETTLES_IN_POLICY_S = 1.0
+"""The same where a policy bounds the whole: most robots stand within half of it, and what is driven counts."""
 _PATIENCE = 1.5
 """The time limit is so many times what the course takes at that speed, and `_ROOM_S` for ramps and corrections."""
 _ROOM_S = 15.0
+_PAUSES_S = 30.0
+"""Pauses for a topic that is late do not count towards the time limit, up to this: each is shorter than 0.5 s, and a
+robot on a busy computer that has had sixty of them does not get there."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriveRequest:
     """How to drive: `distance_m` (negative: back) or `angle_deg` (positive: to the left), which with `radius_m` is an
-    arc ahead. `speed` is in m/s, on the spot in degrees per second. With `guard_m` so much stays free ahead of the
-    body. Topics that are not given are found.
+    arc ahead. `speed` is in m/s, on the spot in degrees per second. So much as `guard_m` stays free ahead of the
+    outline: `DEFAULT_GUARD_M` where it is not given and the robot has a scan or a cloud; 0 looks at none. Topics that
+    are not given are found.
     """
 
     distance_m: float | None = None
@@ -86,7 +98,9 @@ class DriveRequest:
             bounded("speed", self.speed, MIN_DEGPS, MAX_DEGPS, "°/s")
         elif self.speed is not None:
             bounded("speed", self.speed, MIN_MPS, MAX_MPS, "m/s")
-        if self.guard_m is not None:  # 0 is no guard, and who asks for it meant one
+        if self.guard_m == 0 and self.scan:
+            raise BadInput("guard_m=0 looks at no sensor, and scan names one.", "Leave one of them out.")
+        if self.guard_m:
             bounded("guard_m", self.guard_m, MIN_GUARD_M, MAX_GUARD_M, "m")
 
 
@@ -112,8 +126,9 @@ class Driven:
     `time_out`, `refused` (by the policy on the way), `nobody_listens`, `ended` (by a stop or the like; `note` says by
     what). `measured` is the distance or angle by odometry, and `error` what lacks of `asked`, in `unit` (`m`, `deg`);
     `aside_m` how far it stands to the left of its course, `heading_deg` how its heading differs, by odometry, too.
-    Null where nothing was measured. `free_m` is the distance from the robot's outline to the nearest beam in the way at
-    the end: less than the mean distance to a wall by the noise of the scan.
+    Null where nothing was measured. `guard_m` is what it kept free ahead of its outline by the topics `scan`, 0 where
+    it looked at none; `free_m` the distance from its outline to the nearest thing in the way at the end, which is less
+    than the mean distance to a wall by the noise of the sensor.
     """
 
     outcome: DriveEnd = field(metadata=SAID)
@@ -123,6 +138,7 @@ class Driven:
     unit: str = field(metadata=SAID)
     aside_m: float | None = None
     heading_deg: float | None = None
+    guard_m: float = field(metadata=SAID)
     free_m: float | None = None
     elapsed_s: float = field(metadata=SAID)
     topic_name: str
@@ -148,20 +164,26 @@ class Driven:
         return "short" if error * self.asked >= 0 else "too far"
 
 
-async def drive(robot: Robot, request: DriveRequest, report: Report = silent) -> Driven:
+async def drive(robot: Robot, session: Session, request: DriveRequest, report: Report = silent) -> Driven:
     """Drives, and returns when the robot stands.
 
     Raises:
         BadInput: for what is no drive, or where it is not clear what drives the robot.
-        NotFound: if there is no command input, no odometry, no scan to keep `guard_m`.
+        NotFound: if there is no command input, no odometry, or a sensor that cannot guard it.
         Refused: if the policy forbids it, or another motion drives by the same command input.
         Stopped: if a stop came before anything was sent.
     """
     request.check()
     to = await command_input(robot, request.topic_name)
     odometry = await odometry_of(robot, request.odometry, to.topic)
-    scan = await scan_of(robot, request.scan, to.topic) if request.guard_m else None
-    base, notes = await _base_frame(robot, odometry) if scan or to.type.endswith("Stamped") else "", list[str]()
+    base, guard = "", None
+    if request.guard_m != 0 or to.type.endswith("Stamped"):
+        try:
+            base = await base_frame_of(robot, odometry)
+        except NotFound as error:  # silent odometry: mostly its controller stands still, too
+            raise await with_reason(robot, error, to.topic, odometry.topic) from error
+    if request.guard_m != 0:
+        guard = await guarding(robot, base, request.guard_m, request.scan, to.topic)
     controller: dict[str, Any] = {
         "kind": "drive",
         "speed": math.radians(request.rate) if request.is_turn else request.rate,
@@ -169,15 +191,11 @@ async def drive(robot: Robot, request: DriveRequest, report: Report = silent) ->
         "distance_m": request.distance_m,
         "angle": None if request.angle_deg is None else math.radians(request.angle_deg),
         "radius_m": request.radius_m,
+        **(guard.asked if guard else {}),
     }
-    if scan:
-        body, known_by = await body_of(robot, base, to.topic)
-        mount = await mount_of(robot, header_frame(await first_message(robot, scan)), base)
-        controller |= {"scan": scan.feed, "guard_m": request.guard_m, "body": body, "mount": mount}
-        notes.append(known_by)
-    hears = [odometry.type, *([scan.type] if scan else [])]
+    hears = [odometry.type, *(guard.hears if guard else ())]
     move = Move(
-        principal=robot.principal,
+        principal=session.principal,
         name=to.topic,
         type=to.type,
         value=_fastest(request, to.type, base),
@@ -188,16 +206,25 @@ async def drive(robot: Robot, request: DriveRequest, report: Report = silent) ->
     )
     move = _within_policy(robot, request, move)
     complaints = complaints_from_now(robot)
-    moved, reason = await run_motion(robot, move, report, lambda told: _line(told, request))
-    notes.append(await others_on(robot, move.name))
+    moved, reason = await run_motion(robot, session, move, report, lambda told: _line(told, request))
+    notes = [_looked(request, guard, moved), await others_on(robot, move.name)]
+    if moved.outcome in _NOT_MOVED:
+        notes.append(await why_idle(robot, move.name, odometry.topic, is_in_doubt=True))
     if moved.outcome == "stuck":
-        notes += [*await why_it_stands(robot, move.name, scan.topic if scan else request.scan), await complaints.said()]
-    return _driven(request, moved, reason, odometry, scan, notes)
+        notes += await why_it_stands(robot, move.name, odometry, guard.topics[0] if guard else request.scan)
+        notes.append(await complaints.said())
+    return _driven(request, moved, reason, odometry, guard, notes)
 
 
-async def _base_frame(robot: Robot, odometry: Found) -> str:
-    """The frame whose motion the odometry tells."""
-    return str((await first_message(robot, odometry)).get("child_frame_id", "")) or "base_link"
+def _looked(request: DriveRequest, guard: Guarding | None, moved: Moved) -> str:
+    """What it kept clear by, or that it did not look."""
+    if guard:
+        return f"{guard.note} {WITHOUT}" if moved.outcome == "guard" else guard.note
+    if request.guard_m == 0:
+        return "Obstacles were not looked at: guard_m was 0."
+    if not request.is_turn and request.length > BLIND_M:
+        return "It drove blind: the robot has no laser scan and no point cloud."
+    return "Obstacles were not looked at: the robot has no laser scan and no point cloud."
 
 
 def _fastest(request: DriveRequest, type_name: str, base: str) -> Mapping[str, Any]:
@@ -215,13 +242,17 @@ def _fastest(request: DriveRequest, type_name: str, base: str) -> Mapping[str, A
 
 def _within_policy(robot: Robot, request: DriveRequest, move: Move) -> Move:
     """With a rate and a time limit that fit the course, and no more than the policy allows."""
-    limit_s = _PATIENCE * request.length / request.rate + _ROOM_S
+    limit_s, pauses_s, settles_s = _PATIENCE * request.length / request.rate + _ROOM_S, _PAUSES_S, _SETTLES_S
     rate_hz = move.rate_hz
     if ruling := robot.policy.ruling(move):
         rate_hz = min(rate_hz, ruling.most("rate_hz") or rate_hz)
-        limit_s = min(limit_s, max(1.0, (ruling.most("for_s") or math.inf) - _SETTLES_S))
-    controller = {**move.controller, "time_limit_s": limit_s}
-    return replace(move, rate_hz=rate_hz, duration_s=limit_s + _SETTLES_S, controller=controller)
+        for_s = ruling.most("for_s") or math.inf
+        if limit_s + pauses_s + settles_s > for_s:  # which the pauses count towards, too
+            settles_s = _SETTLES_IN_POLICY_S
+            limit_s = min(limit_s, max(settles_s, for_s - settles_s))
+            pauses_s = max(0.0, min(pauses_s, for_s - settles_s - limit_s))
+    controller = {**move.controller, "time_limit_s": limit_s, "pauses_s": pauses_s}
+    return replace(move, rate_hz=rate_hz, duration_s=limit_s + pauses_s + settles_s, controller=controller)
 
 
 def _line(told: Mapping[str, Any], request: DriveRequest) -> tuple[float, float, str]:
@@ -232,7 +263,7 @@ def _line(told: Mapping[str, Any], request: DriveRequest) -> tuple[float, float,
 
 
 def _driven(
-    request: DriveRequest, moved: Moved, reason: str, odometry: Found, scan: Found | None, notes: list[str]
+    request: DriveRequest, moved: Moved, reason: str, odometry: Found, guard: Guarding | None, notes: list[str]
 ) -> Driven:
     told, sent = moved.report, moved.sent
     has_moved = bool(told) and sent.sent > 0
@@ -245,7 +276,6 @@ def _driven(
         f"It paused for {told['paused_s']:g} s because a topic was late." if told.get("paused_s") else "",
         limited(sent.limited) if sent.limited else "",
         guarded(sent.stopper_s, sent.unguarded),
-        "" if scan else "Obstacles were not checked: guard_m was not given.",
         *notes,
     ]
     is_arc = bool(request.radius_m)
@@ -261,10 +291,11 @@ def _driven(
         unit="deg" if request.is_turn else "m",
         aside_m=measured("aside_m"),
         heading_deg=None if request.is_turn else measured("heading_deg"),
+        guard_m=guard.guard_m if guard else 0.0,
         free_m=measured("nearest_m"),
         elapsed_s=round(sent.elapsed_s, 2) if sent.sent else 0.0,
         topic_name=sent.topic,
         odometry=odometry.topic,
-        scan=scan.topic if scan else "",
+        scan=", ".join(guard.topics) if guard else "",
         note=" ".join(filter(None, notes)),
     )

@@ -1,10 +1,10 @@
-"""What a robot is driven by and seen with, found in its graph: command input, odometry, scan, and where that sits."""
+"""What a robot is driven by, found in its graph: command input and odometry; and where a frame is on it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any
 
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadInput, NotFound, RobotError
@@ -13,14 +13,13 @@ from ros2_mcp.ops.sources.live import Live
 from ros2_mcp.ops.space.frames import pose_in
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.resolution import Destination
+from ros2_mcp.world.transforms import Located
 
 DRIVEN_TYPES = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
 """Command inputs that steer on the spot, too. What steers like a car needs its wheel base, which nobody tells."""
 ODOMETRY = "nav_msgs/msg/Odometry"
-SCAN = "sensor_msgs/msg/LaserScan"
 _INPUTS = ("cmd_vel",)
 _ODOMETRIES = ("odometry/filtered", "odom", "odometry", "odometry/wheels")
-_SCANS = ("scan",)
 """What these topics are usually called, the better first: fused odometry is that of robot_localization."""
 _FIRST_S = 4.0
 """For a first message: a publisher that missed our announcement is discovered with the next one, 3 s later."""
@@ -50,6 +49,11 @@ async def command_input(robot: Robot, given: str = "") -> Destination:
     if not given:
         rows = await robot.graph.topics()
         found = [row.name for row in rows if row.subscribers and set(row.types) & set(DRIVEN_TYPES)]
+        if not found:
+            raise await robot.graph.missing(
+                f"Nobody listens to a topic of type {' or '.join(DRIVEN_TYPES)}.",
+                "Start the base's driver, or give the topic as topic_name; ros2_topic_list shows the topics.",
+            )
         given = _only("command input", "topic_name", found, _INPUTS)
     destination = await robot.types.destination(given, "")
     if destination.type not in DRIVEN_TYPES:
@@ -70,54 +74,67 @@ async def odometry_of(robot: Robot, given: str = "", beside: str = "") -> Found:
     return await _published(robot, "odometry", "odometry", given, ODOMETRY, _ODOMETRIES, beside)
 
 
-async def scan_of(robot: Robot, given: str = "", beside: str = "") -> Found:
-    """The laser scan that shows what is in the way; raises as `odometry_of`."""
-    return await _published(robot, "laser scan", "scan", given, SCAN, _SCANS, beside)
-
-
 async def first_message(robot: Robot, found: Found) -> Mapping[str, Any]:
     """The next message of a topic, in full; raises `NotFound` if none comes."""
     async with robot.listen(found.topic, found.type, max_samples=2) as listening:
         async for sample in listening.samples(_FIRST_S):
             return await robot.values.in_full(listening.type, sample.data)
-    raise NotFound(f"No message on {named(found.topic)} within {_FIRST_S:g} s.", "ros2_topic_info shows who publishes.")
+    raise _nothing_from(found)
 
 
-async def mount_of(robot: Robot, scan_frame: str, base_frame: str) -> Mapping[str, Sequence[float]]:
-    """Where a scanner sits in the base's frame: `translation` (m) and `rotation` (quaternion x, y, z, w).
+async def located_on(robot: Robot, frame: str, base_frame: str) -> Located | None:
+    """Where a sensor's frame is in the base's; None where both are the same.
 
     Raises:
         NotFound: if the transforms do not tell it.
     """
-    scan_frame, base_frame = scan_frame.lstrip("/"), base_frame.lstrip("/")
-    if scan_frame == base_frame:
-        return {"translation": (0.0, 0.0, 0.0), "rotation": (0.0, 0.0, 0.0, 1.0)}
-
+    frame, base_frame = frame.lstrip("/"), base_frame.lstrip("/")
+    if frame == base_frame:
+        return None
     try:
-        pose = (await pose_in(Live(robot), base_frame, scan_frame)).pose
+        return await pose_in(Live(robot), base_frame, frame)
     except RobotError as error:
-        problem = f"The position of {named(scan_frame)} on the robot is unknown, so its scan cannot guard: {error}"
-        raise NotFound(
-            problem, "Look at the frames with ros2_tf_tree, or leave guard_m out to drive unguarded."
-        ) from error
-    return {"translation": list(pose.translation), "rotation": list(pose.rotation)}
+        problem = f"The position of {named(frame)} on the robot is unknown, so what it shows cannot guard: {error}"
+        raise NotFound(problem, "ros2_tf_tree shows the frames. guard_m=0 drives without looking.") from error
 
 
-def header_frame(message: Mapping[str, Any]) -> str:
-    """The `header.frame_id` of a message."""
-    return str(cast("Mapping[str, Any]", message.get("header") or {}).get("frame_id", ""))
+async def base_frame_of(robot: Robot, odometry: Found) -> str:
+    """The frame whose motion the odometry tells; raises `NotFound` if it tells nothing."""
+    return str((await first_message(robot, odometry)).get("child_frame_id", "")) or "base_link"
+
+
+async def first_decoded(robot: Robot, found: Found) -> Any:
+    """The next message of a topic, decoded and not rendered: it may be as large as a cloud. Raises `NotFound` if none
+    comes.
+    """
+    async with robot.listen(found.topic, found.type, max_samples=2) as listening:
+        async for sample in listening.samples(_FIRST_S):
+            messages: list[Any] = await robot.values.decode_all(listening.type, [sample])
+            return messages[0]
+    raise _nothing_from(found)
+
+
+def _nothing_from(found: Found) -> NotFound:
+    return NotFound(
+        f"No message on {named(found.topic)} within {_FIRST_S:g} s.", "ros2_topic_info shows who publishes."
+    )
+
+
+async def given_topic(robot: Robot, given: str, argument: str, types: Sequence[str]) -> Found:
+    """The topic that an argument names; raises `BadInput` if it has none of the types."""
+    topic = names.absolute(given)
+    present = await robot.graph.wait_for(topic, publishers=1, timeout_s=_FIRST_S)  # it may have just appeared
+    found = await robot.types.topic(present)
+    if found not in types:
+        raise BadInput(f"{named(topic)} has the type {named(found)}, {argument} needs {' or '.join(types)}.")
+    return Found(topic, found)
 
 
 async def _published(
     robot: Robot, what: str, argument: str, given: str, type_name: str, usual: Sequence[str], beside: str
 ) -> Found:
     if given:
-        topic = names.absolute(given)
-        present = await robot.graph.wait_for(topic, publishers=1, timeout_s=_FIRST_S)  # it may have just appeared
-        found = await robot.types.topic(present)
-        if found != type_name:
-            raise BadInput(f"{named(topic)} has the type {named(found)}, {argument} needs {type_name}.")
-        return Found(topic, found)
+        return await given_topic(robot, given, argument, (type_name,))
     rows = await robot.graph.topics()
     topics = [row.name for row in rows if row.publishers and type_name in row.types]
     within = f"{beside.rpartition('/')[0]}/" if beside else "/"

@@ -5,14 +5,18 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Sequence
 
+from ros2_mcp.model.aside import load
 from ros2_mcp.model.errors import RobotError
+from ros2_mcp.model.meanings import bearing_in_words
+from ros2_mcp.model.poses import Pose
 from ros2_mcp.model.text import named
-from ros2_mcp.ops.motion.find import SCAN, scan_of
+from ros2_mcp.ops.motion.body import body_of
+from ros2_mcp.ops.motion.find import Found, base_frame_of, located_on
+from ros2_mcp.ops.motion.guarding import SCAN, candidates
 from ros2_mcp.ops.navigation.base import zero_limits
 from ros2_mcp.ops.pictures.next_message import next_message
 from ros2_mcp.ops.results.results import silent
 from ros2_mcp.ops.sources.live import Live
-from ros2_mcp.ops.space.meaning import meaning_of
 from ros2_mcp.robot import Robot
 
 _SCAN_S = 1.0
@@ -34,23 +38,37 @@ async def others_on(robot: Robot, topic: str) -> str:
     return f"{who} may publish on {named(topic)}, too: the robot follows the latest command, whoever sent it."
 
 
-async def why_it_stands(robot: Robot, topic: str, scan: str = "") -> Sequence[str]:
+async def why_it_stands(robot: Robot, topic: str, odometry: Found, scan: str = "") -> Sequence[str]:
     """Sentences on what may hold a robot that was commanded on a topic: what its scan shows, and limits of 0.
 
     `scan` is the topic of a scan; empty: what is found. What cannot be found out is left out.
     """
-    return [each for each in await asyncio.gather(_ahead(robot, topic, scan), _limits(robot, topic)) if each]
+    told = await asyncio.gather(_near(robot, topic, odometry, scan), _limits(robot, topic))
+    return [each for each in told if each]
 
 
-async def _ahead(robot: Robot, topic: str, scan: str) -> str:
+async def _near(robot: Robot, topic: str, odometry: Found, scan: str) -> str:
+    """What is nearest to the robot's outline, by its scan."""
     try:
-        found = await scan_of(robot, scan, topic)
-        source = Live(robot).lasting(_SCAN_S)
-        newest = await next_message(source, found.topic, SCAN, silent)
-        meaning = await meaning_of(source, found.topic, SCAN, newest.message, newest.sample.received_ns)
+        found = [one for one in await candidates(robot, topic) if one.type == SCAN and scan in ("", one.topic)]
+        if not found:
+            return ""
+        base_frame = await base_frame_of(robot, odometry)
+        newest = await next_message(Live(robot).lasting(_SCAN_S), found[0].topic, SCAN, silent)
+        located = await located_on(robot, newest.message.header.frame_id, base_frame)
+        body = await body_of(robot, base_frame, topic)
     except RobotError:
         return ""
-    return f"{named(found.topic)}: {meaning.scan}" if meaning and meaning.scan else ""
+    await load("ros2_mcp.world.scans")  # with numpy: not before it is needed
+    from ros2_mcp.world.scans import nearest_to
+
+    nearest = nearest_to(body.outline, newest.message, located.pose if located else Pose())
+    if nearest is None:
+        return ""
+    return (
+        f"{named(found[0].topic)}: nearest obstacle {nearest.gap_m:.2f} m from the robot's outline, "
+        f"{bearing_in_words(nearest.bearing_deg)}."
+    )
 
 
 async def _limits(robot: Robot, topic: str) -> str:

@@ -14,6 +14,7 @@ from ros2_mcp.ops.results.results import Report
 from ros2_mcp.ops.topics.publish import Repetition
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.jobs import Job
+from ros2_mcp.robot.session import Session
 
 Line = Callable[[Mapping[str, Any]], tuple[float, float, str]]
 """How far a motion is, by what its controller reports: done, the whole, and a readable line."""
@@ -29,8 +30,8 @@ class Motion(Repetition):
     """A robot has few command inputs; each takes one motion at a time."""
     has_its_topics_alone = True
 
-    def __init__(self, robot: Robot, command: Move) -> None:
-        super().__init__(robot, command)
+    def __init__(self, robot: Robot, session: Session, command: Move) -> None:
+        super().__init__(robot, session, command)
         self._move = replace(command, motion_id=self.id)
         self.moved: Moved | None = None
 
@@ -47,10 +48,10 @@ class Motion(Repetition):
         """Moves in the bridge until the controller ends it, or the bridge does (`ros2_stop`)."""
         await self._robot.values.learn(self._move.type)  # as long as it is starting, a stop ends it at once
         self.begun()
-        self.moved = await self._robot.do(self._move)
+        self.moved = await self._robot.do(self._move, self._session)
 
 
-async def run_motion(robot: Robot, command: Move, report: Report, line: Line) -> tuple[Moved, str]:
+async def run_motion(robot: Robot, session: Session, command: Move, report: Report, line: Line) -> tuple[Moved, str]:
     """Moves until the motion ends, with progress: what became of it, and in words what ended it before its time; ""
     where its controller did.
 
@@ -59,7 +60,7 @@ async def run_motion(robot: Robot, command: Move, report: Report, line: Line) ->
         Stopped: if a stop came before anything was sent.
         RobotError: as `Robot.do`.
     """
-    motion, said = Motion(robot, command), ""
+    motion, said = Motion(robot, session, command), ""
 
     async def progress() -> None:
         nonlocal said

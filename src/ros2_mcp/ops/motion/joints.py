@@ -12,13 +12,26 @@ import anyio
 
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model.commands import Publish, SendGoal
-from ros2_mcp.model.errors import LEASE, BadInput, LinkError, Refused, RobotError, Stopped, latch_set_by
+from ros2_mcp.model.errors import (
+    LEASE,
+    BadInput,
+    LinkError,
+    NotFound,
+    Refused,
+    RobotError,
+    Stopped,
+    TimedOut,
+    latch_set_by,
+)
 from ros2_mcp.model.goals import new_goal_id
 from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.model.text import listed, named, quoted
 from ros2_mcp.ops.acting.endings import ended_by
+from ros2_mcp.ops.acting.idle import why_idle, with_reason
+from ros2_mcp.ops.acting.servers import check_one_server
 from ros2_mcp.ops.actions.result import result_of
-from ros2_mcp.ops.actions.status import SERVER_S
+from ros2_mcp.ops.actions.status import SERVER_S, states_now
+from ros2_mcp.ops.log.complaints import complaints_from_now
 from ros2_mcp.ops.motion.controllers import FOLLOW, TRAJECTORY, Controller, controller_for
 from ros2_mcp.ops.motion.joint_states import JointStates, joint_states
 from ros2_mcp.ops.results.results import SAID, Report, silent
@@ -26,6 +39,7 @@ from ros2_mcp.ops.space.description import described
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.goals import Goal
 from ros2_mcp.robot.jobs import Job
+from ros2_mcp.robot.session import Session
 from ros2_mcp.world.urdf import Joint, Urdf
 
 DEFAULT_SPEED = 0.3
@@ -52,6 +66,12 @@ _PATIENCE, _ROOM_S = 1.5, 3.0
 _END_S = 3.0
 """For ending what was begun; a bridge and a controller that are alive need milliseconds."""
 _SETTLES_S = 1.0
+_RESULT_S = 0.2
+"""For the result of a goal whose joints have been seen to arrive, or are no longer seen: it is mostly under way."""
+_RIVALS_S = 0.2
+"""For the goals that the controller has: its status is latched, and comes within milliseconds of matching."""
+_GOING = (1, 2, 3)
+"""Accepted, executing and cancelling, in action_msgs/msg/GoalStatus."""
 _ROUNDED = 1e-6
 _CODES: Mapping[int, str] = {
     -1: "invalid goal",
@@ -147,7 +167,7 @@ class Plan:
         return {"joint_names": list(self.all_targets), "points": [point]}
 
 
-async def move_joints(robot: Robot, request: JointRequest, report: Report = silent) -> JointsMoved:
+async def move_joints(robot: Robot, session: Session, request: JointRequest, report: Report = silent) -> JointsMoved:
     """Moves joints, and returns when they have arrived, or what ended it.
 
     Raises:
@@ -161,8 +181,11 @@ async def move_joints(robot: Robot, request: JointRequest, report: Report = sile
     wanted = [joint_of(urdf, name) for name in request.joints]
     controller = await controller_for(robot, [joint.name for joint in wanted], request.controller)
     async with joint_states(robot) as states:
-        plan = await planned_move(request, wanted, controller, states)
-        motion = JointMotion(robot, plan, states)
+        try:
+            plan = await planned_move(request, wanted, controller, states)
+        except NotFound as error:  # nobody tells where the joints are: mostly the controllers stand still, too
+            raise await with_reason(robot, error, feedback=states.topics[0], action=controller.action) from error
+        motion = JointMotion(robot, session, plan, states)
 
         async def progress() -> None:
             if motion.is_running:
@@ -243,6 +266,13 @@ async def planned_move(
 
 
 def _check_limits(joint: Joint, target: float) -> None:
+    if not joint.limits.known:
+        problem = (
+            f"{named(joint.name)}: its limits are unknown, because they are no numbers in the robot's description."
+        )
+        raise BadInput(
+            problem, "Correct the limits in the URDF: without them nothing keeps the joint within its range."
+        )
     lower = -math.inf if joint.limits.lower is None else joint.limits.lower
     upper = math.inf if joint.limits.upper is None else joint.limits.upper
     if not lower - _ROUNDED <= target <= upper + _ROUNDED:
@@ -267,13 +297,15 @@ class JointMotion(Job):
     most_running = 16
     """A robot has few controllers; each takes one motion at a time."""
 
-    def __init__(self, robot: Robot, plan: Plan, states: JointStates) -> None:
-        super().__init__(owner=robot.principal, moves=[plan.controller.way])
-        self._robot = robot
+    def __init__(self, robot: Robot, session: Session, plan: Plan, states: JointStates) -> None:
+        super().__init__(owner=session.principal, moves=[plan.controller.way])
+        self._robot, self._session = robot, session
         self._plan = plan
         self._states = states
         self._goal_id = new_goal_id()
         self._failed = ""
+        self._has_result = anyio.Event()
+        self.notes: list[str] = []
         self.has_left = False
         self.outcome_word = ""
         self.why = ""
@@ -324,13 +356,13 @@ class JointMotion(Job):
             way=plan.controller.way,
             planned_s=round(plan.planned_s, 3),
             elapsed_s=round(self.elapsed_s, 3),
-            note=why,
+            note=" ".join(filter(None, (why, *self.notes))),
         )
 
     async def _by_action(self) -> None:
         action, robot = self._plan.controller.action, self._robot
         command = SendGoal(
-            principal=robot.principal,
+            principal=self.owner,
             name=action,
             type=FOLLOW,
             value={"trajectory": self._plan.trajectory},
@@ -339,15 +371,37 @@ class JointMotion(Job):
             wait_s=SERVER_S,
         )
         await robot.values.learn(FOLLOW)
+        await check_one_server(robot, action, "End all but one, or send it with ros2_send_action_goal and force=true.")
+        await self._note_rivals(action)
         self.has_left = True
-        answer = await robot.fields_of(await robot.do(command))
+        complaints = complaints_from_now(robot)
+        try:
+            answer = await robot.fields_of(await robot.do(command, self._session))
+        except (NotFound, TimedOut) as error:
+            raise await with_reason(robot, error, action=action) from error
         if not answer["accepted"]:
-            self._end("rejected", "The controller rejected the goal; ros2_log_read may show why.")
+            why = [await why_idle(robot, action=action), await complaints.said()]
+            said = " ".join(filter(None, why)) or "ros2_log_read may show why."
+            self._end("rejected", f"The controller rejected the goal. {said}")
             return
         async with anyio.create_task_group() as group:
             group.start_soon(self._await_result, action)
             await self._watch()
+            if self.outcome_word != "ended":
+                with anyio.move_on_after(_RESULT_S):  # a goal that has just succeeded is not cancelled
+                    await self._has_result.wait()
             group.cancel_scope.cancel()
+        if self._failed and self._failed not in self.why:
+            self.why = f"{self.why} {self._failed}".lstrip()
+        if self.outcome_word in ("failed", "time_out", "silent"):
+            why_not = await why_idle(robot, feedback=self._states.topics[0], action=action, is_in_doubt=True)
+            self.why = f"{self.why} {why_not}".rstrip()
+
+    async def _note_rivals(self, action: str) -> None:
+        """Notes whose goals this one replaces: a controller follows one at a time."""
+        for state in await states_now(self._robot, action, _RIVALS_S):
+            if state.status_code in _GOING and not self._robot.jobs.get(Goal, state.goal_id):
+                self.notes.append(f"It replaced goal {state.goal_id} of another client, which was {state.status}.")
 
     async def _await_result(self, action: str) -> None:
         """Notes why the controller gave up, if it did."""
@@ -356,6 +410,8 @@ class JointMotion(Job):
         except RobotError as error:
             self._failed = str(error)
             return
+        finally:
+            self._has_result.set()
         if ended.status != "SUCCEEDED":
             told: Mapping[str, Any] = ended.result or {}
             code, text = int(told.get("error_code", 0)), str(told.get("error_string", ""))
@@ -365,7 +421,7 @@ class JointMotion(Job):
     async def _by_topic(self) -> None:
         to = await self._robot.types.destination(self._plan.controller.topic, TRAJECTORY)
         command = Publish(
-            principal=self._robot.principal,
+            principal=self.owner,
             name=to.topic,
             type=to.type,
             value=self._plan.trajectory,
@@ -373,7 +429,7 @@ class JointMotion(Job):
             wait_match_s=_MATCH_S,
         )
         self.has_left = True
-        sent = await self._robot.do(command)
+        sent = await self._robot.do(command, self._session)
         if not sent.matched:
             self._end("nobody_listens", f"Nobody received the trajectory on {named(to.topic)}.")
             return

@@ -15,11 +15,13 @@ from ros2_mcp.model.errors import BadInput, RobotError
 from ros2_mcp.model.poses import Pose
 from ros2_mcp.model.text import named, quoted
 from ros2_mcp.ops.acting.endings import ended_by, guarded, limited
-from ros2_mcp.ops.motion.find import Found, command_input, first_message, header_frame, mount_of, odometry_of
+from ros2_mcp.ops.acting.idle import why_idle
+from ros2_mcp.ops.motion.find import Found, base_frame_of, command_input, first_decoded, located_on, odometry_of
 from ros2_mcp.ops.motion.held import others_on, why_it_stands
 from ros2_mcp.ops.motion.job import run_motion
 from ros2_mcp.ops.results.results import SAID, Report, silent, told_values
 from ros2_mcp.robot import Robot
+from ros2_mcp.robot.session import Session
 from ros2_mcp_common.language.scans import LASER_SCAN
 from ros2_mcp_common.wire.limits import MAX_DURATION_S
 
@@ -92,7 +94,7 @@ class MovedUntil:
         return f"{named(self.topic_name)}: {self.condition} {outcome}.{way} {self.note}".rstrip()
 
 
-async def move_until(robot: Robot, request: UntilRequest, report: Report = silent) -> MovedUntil:
+async def move_until(robot: Robot, session: Session, request: UntilRequest, report: Report = silent) -> MovedUntil:
     """Moves until a message meets the condition, a limit is reached, or a topic that is needed goes silent.
 
     Raises:
@@ -118,7 +120,7 @@ async def move_until(robot: Robot, request: UntilRequest, report: Report = silen
     to = await command_input(robot, request.command_topic)
     odometry = await _odometry(robot, request, to.topic)
     command = Move(
-        principal=robot.principal,
+        principal=session.principal,
         name=to.topic,
         type=to.type,
         value=_command(velocity, to.type),
@@ -146,10 +148,11 @@ async def move_until(robot: Robot, request: UntilRequest, report: Report = silen
     turned = await _turned(robot, present.topic, topic_type, text, odometry)
     if ruling := robot.policy.ruling(command):
         command = replace(command, rate_hz=min(_RATE_HZ, ruling.most("rate_hz") or _RATE_HZ))
-    moved, reason = await run_motion(robot, command, report, line)
+    moved, reason = await run_motion(robot, session, command, report, line)
     held = [await others_on(robot, to.topic)]
     if odometry and moved.sent.sent and moved.outcome != "met" and (moved.report["distance_m"] or 0.0) < _STOOD_M:
-        held += await why_it_stands(robot, to.topic)
+        held += await why_it_stands(robot, to.topic, odometry)
+        held.append(await why_idle(robot, to.topic, odometry.topic, is_in_doubt=True))
     return _result(command, moved, reason, " ".join(filter(None, [turned, *held])))
 
 
@@ -158,13 +161,12 @@ async def _turned(robot: Robot, topic: str, topic_type: str, text: str, odometry
     if topic_type != LASER_SCAN or not odometry or not _ANGLES.search(text):
         return ""
     try:
-        frame = header_frame(await first_message(robot, Found(topic, topic_type)))
-        base = str((await first_message(robot, odometry)).get("child_frame_id", ""))
-        mount = await mount_of(robot, frame, base)
+        frame = str((await first_decoded(robot, Found(topic, topic_type))).header.frame_id)
+        base = await base_frame_of(robot, odometry)
+        located = await located_on(robot, frame, base)
     except RobotError:  # a robot need not tell it
         return ""
-    x, y, z, w = mount["rotation"]
-    return turned_by(Pose(rotation=(x, y, z, w)), frame, base)
+    return turned_by(located.pose, frame, base) if located else ""
 
 
 def turned_by(mount: Pose, frame: str, base: str) -> str:

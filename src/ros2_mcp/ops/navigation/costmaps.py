@@ -14,11 +14,11 @@ from ros2_mcp.model.errors import BadData, RobotError, TimedOut
 from ros2_mcp.model.nav2 import COSTMAP_UPDATE, GRID_UPDATE
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import named
+from ros2_mcp.ops.navigation.last_costmaps import LastCostmap, costmaps_of, sent_ns
 from ros2_mcp.ops.pictures.next_message import next_message
 from ros2_mcp.ops.results.results import silent
 from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.robot import Robot
-from ros2_mcp.robot.last_costmaps import LastCostmap, sent_ns
 
 if TYPE_CHECKING:
     from ros2_mcp.world.costmap import CostGrid
@@ -78,7 +78,7 @@ async def costmap_now(
     unheard = ""
     if updates_topic:
         try:
-            kept = await robot.last_costmaps.last(topic, updates_topic, wait_s, first_s=FIRST_S, newer_s=newer_s)
+            kept = await costmaps_of(robot).last(topic, updates_topic, wait_s, first_s=FIRST_S, newer_s=newer_s)
         except RobotError as error:  # such as: their type is not known where the bridge runs
             unheard = f"Updates of {named(topic)} are unknown: {error.message}"
         else:

@@ -21,6 +21,7 @@ from ros2_mcp.ops.actions.send_goal import GoalOutcome, follow, send_goal
 from ros2_mcp.ops.actions.status import states_now
 from ros2_mcp.ops.navigation.explain import Explanation, Failure, explain
 from ros2_mcp.ops.navigation.health import health_of
+from ros2_mcp.ops.navigation.known_places import places_of
 from ros2_mcp.ops.navigation.targets import MAP_FRAME, Target, targets_of
 from ros2_mcp.ops.navigation.whereabouts import in_frame, whereabouts
 from ros2_mcp.ops.results.results import SAID, Report, silent
@@ -28,6 +29,7 @@ from ros2_mcp.ops.space.plans import hear_plans
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.goals import Goal
 from ros2_mcp.robot.jobs import Job, abandon
+from ros2_mcp.robot.session import Session
 from ros2_mcp_common.wire.limits import MAX_DURATION_S
 
 _CANCELLED_S = 3.0
@@ -117,13 +119,13 @@ class Navigation(Job):
     most_running = 8
     """A robot has one Nav2; more goals than that replace each other."""
 
-    def __init__(self, robot: Robot, action: str, targets: Sequence[Target]) -> None:
-        super().__init__(owner=robot.principal, moves=[action])
+    def __init__(self, robot: Robot, session: Session, action: str, targets: Sequence[Target]) -> None:
+        super().__init__(owner=session.principal, moves=[action])
         self.action = action
         self.legs = [_not_begun(target) for target in targets]
         self.explanation: Explanation | None = None
         self.now = 0
-        self._robot = robot
+        self._robot, self._session = robot, session
         self._targets = targets
         self._goal: Goal | None = None
         self._leg_at = monotonic()
@@ -154,7 +156,7 @@ class Navigation(Job):
 
     async def _drive_to(self, target: Target) -> None:
         robot = self._robot
-        sent = await send_goal(robot, self.action, NAVIGATE, {"pose": target.pose()})
+        sent = await send_goal(robot, self._session, self.action, NAVIGATE, {"pose": target.pose()})
         self._note(outcome="under way", goal_id=sent.goal_id)
         if not sent.accepted:
             self.begun()
@@ -271,6 +273,7 @@ def _not_begun(target: Target) -> Leg:
 
 async def navigate(
     robot: Robot,
+    session: Session,
     to: object,
     *,
     action: str = "",
@@ -295,8 +298,8 @@ async def navigate(
     else:
         if to is None:
             raise BadInput("to, the place to go to, is not given.", "Give a place, a pose, or a list of them.")
-        targets = targets_of(to, robot.places)
-        job = Navigation(robot, await action_of(robot, NAVIGATE, action), targets)
+        targets = targets_of(to, places_of(robot))
+        job = Navigation(robot, session, await action_of(robot, NAVIGATE, action), targets)
         await robot.jobs.start(job)
 
     async def progress() -> None:

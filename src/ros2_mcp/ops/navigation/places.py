@@ -9,10 +9,11 @@ from dataclasses import dataclass, field
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadInput, NotFound
 from ros2_mcp.model.text import named, quoted
+from ros2_mcp.ops.navigation.known_places import NamedPlace, places_of
 from ros2_mcp.ops.navigation.whereabouts import in_frame, whereabouts
 from ros2_mcp.ops.results.results import EXACT
 from ros2_mcp.robot import Robot
-from ros2_mcp.robot.places import NamedPlace
+from ros2_mcp.robot.session import Session
 
 _FARTHEST_M = 1e6
 """No robot goes farther."""
@@ -85,7 +86,7 @@ async def list_places(robot: Robot, pattern: str = "") -> PlaceList:
     Raises:
         BadData: if the file of places cannot be read.
     """
-    known = {place.name: place for place in robot.places.all()}
+    known = {place.name: place for place in places_of(robot).all()}
     chosen = [known[name] for name in names.matching(sorted(known), pattern)]
     where = await whereabouts(robot, "map") if chosen else None
     entries: list[PlaceEntry] = []
@@ -99,7 +100,7 @@ async def list_places(robot: Robot, pattern: str = "") -> PlaceList:
     return PlaceList(entries, _file(robot), shown)
 
 
-async def set_place(robot: Robot, request: PlaceRequest) -> PlaceKept:
+async def set_place(robot: Robot, session: Session, request: PlaceRequest) -> PlaceKept:
     """Keeps a place, or forgets one; written into the audit.
 
     Raises:
@@ -110,12 +111,12 @@ async def set_place(robot: Robot, request: PlaceRequest) -> PlaceKept:
     """
     robot.guard.check_keeping("places")
     if request.remove:
-        gone = robot.places.remove(request.name)
-        _audit(robot, "place removed", gone)
+        gone = places_of(robot).remove(request.name)
+        _audit(robot, session, "place removed", gone)
         return PlaceKept("removed", _entry(gone), None, _file(robot))
     place = await _place(robot, request)
-    before = robot.places.set(place)
-    _audit(robot, "place set", place)
+    before = places_of(robot).set(place)
+    _audit(robot, session, "place set", place)
     return PlaceKept("moved" if before else "set", _entry(place), before and _entry(before), _file(robot))
 
 
@@ -141,10 +142,10 @@ def _entry(place: NamedPlace, away_m: float | None = None) -> PlaceEntry:
 
 
 def _file(robot: Robot) -> str:
-    return str(robot.places.kept_in or "")
+    return str(places_of(robot).kept_in or "")
 
 
-def _audit(robot: Robot, kind: str, place: NamedPlace) -> None:
+def _audit(robot: Robot, session: Session, kind: str, place: NamedPlace) -> None:
     if robot.guard.audit:
         at = f"({place.x_m:g}, {place.y_m:g}) in {place.frame}"
-        robot.guard.audit.note(kind, principal=robot.principal.name, name=place.name, place=at)
+        robot.guard.audit.note(kind, principal=session.principal.name, name=place.name, place=at)

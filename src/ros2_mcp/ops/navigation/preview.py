@@ -18,6 +18,7 @@ from ros2_mcp.model.nav2 import COMPUTE_PATH
 from ros2_mcp.model.text import counted, named
 from ros2_mcp.ops.actions.send_goal import send_goal
 from ros2_mcp.ops.navigation.explain import Explanation, Failure, error_in_words, explain
+from ros2_mcp.ops.navigation.known_places import places_of
 from ros2_mcp.ops.navigation.navigate import action_of
 from ros2_mcp.ops.navigation.situation import costmap_of
 from ros2_mcp.ops.navigation.targets import MAP_FRAME, Target, targets_of
@@ -28,6 +29,7 @@ from ros2_mcp.ops.space.scene import scene
 from ros2_mcp.ops.space.scene_picture import ScenePicture, SceneRequest, Way
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.goals import Goal
+from ros2_mcp.robot.session import Session
 
 if TYPE_CHECKING:
     from ros2_mcp.world.costmap import CostGrid
@@ -86,6 +88,7 @@ class Preview(WithPictures):
 
 async def preview(
     robot: Robot,
+    session: Session,
     to: object,
     start: object = None,
     *,
@@ -110,7 +113,7 @@ async def preview(
     await hear_plans(robot)
     began_at = monotonic()
     async with reporting(report, PLAN_S, f"{action}: planning"):
-        sent = await send_goal(robot, action, COMPUTE_PATH, goal)
+        sent = await send_goal(robot, session, action, COMPUTE_PATH, goal)
         result: Mapping[str, Any] = await _result(robot, action, sent.goal_id) if sent.accepted else {}
     path: Mapping[str, Any] = result.get("path") or {}
     points = [(pose["pose"]["position"]["x"], pose["pose"]["position"]["y"]) for pose in path.get("poses", ())]
@@ -162,7 +165,7 @@ async def _picture(
 
 
 def _one(to: object, robot: Robot) -> Target:
-    found = targets_of(to, robot.places)
+    found = targets_of(to, places_of(robot))
     if len(found) != 1:
         raise BadInput("A preview takes one place.", "Give one place; preview each leg by itself, with start.")
     return found[0]

@@ -10,7 +10,7 @@ from typing import Any, cast
 from ros2_mcp.model.errors import BadInput, BadValue
 from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.model.text import excerpt, quoted
-from ros2_mcp.robot.places import Places
+from ros2_mcp.ops.navigation.known_places import Places
 
 MOST_TARGETS = 100
 """A tour longer than this is rather a mistake."""

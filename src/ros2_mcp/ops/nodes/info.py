@@ -16,7 +16,7 @@ from ros2_mcp.ops.nodes.list import list_nodes
 from ros2_mcp.ops.nodes.own_services import ask_node, service_of
 from ros2_mcp.ops.results.results import SAID
 from ros2_mcp.robot import Robot
-from ros2_mcp_common.policy.rules import CHANGE_STATE
+from ros2_mcp_common.policy.verbs import CHANGE_STATE
 
 ANSWER_S = 0.4
 """A node that spins answers within milliseconds; what the graph knows of it must not wait for one that hangs."""

@@ -16,7 +16,8 @@ from ros2_mcp.ops.log.complaints import complaints_from_now
 from ros2_mcp.ops.nodes.own_services import APPEAR_S, TIMEOUT_S, ask_node, fields_of_answer, service_of
 from ros2_mcp.ops.results.results import SAID, or_error
 from ros2_mcp.robot import Robot
-from ros2_mcp_common.policy.rules import CHANGE_STATE
+from ros2_mcp.robot.session import Session
+from ros2_mcp_common.policy.verbs import CHANGE_STATE
 
 CHANGE_S = 30.0
 """A transition may start hardware: drivers take seconds to configure."""
@@ -42,10 +43,11 @@ class LifecycleStates:
     """The states of several lifecycle nodes."""
 
     nodes: Sequence[LifecycleState]
+    note: str = field(default="", metadata=SAID)
 
     def summary(self) -> list[str]:
         """A line for each node."""
-        return [node.summary() for node in self.nodes] or ["No lifecycle node is running."]
+        return [node.summary() for node in self.nodes] or [f"No lifecycle node is running. {self.note}".rstrip()]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,10 +75,11 @@ async def states(robot: Robot, nodes: Sequence[str] = ()) -> LifecycleStates:
     """The states of the named nodes, or of every lifecycle node; the `error` of one does not end the others."""
     chosen = [names.absolute(node, "node") for node in nodes] or await _lifecycle_nodes(robot)
     asking = [or_error(_state(robot, node), partial(LifecycleState, node, "unknown", ())) for node in chosen]
-    return LifecycleStates(await asyncio.gather(*asking))
+    found = await asyncio.gather(*asking)
+    return LifecycleStates(found, "" if found else await robot.graph.absence())
 
 
-async def change(robot: Robot, node: str, transition: str) -> Transition:
+async def change(robot: Robot, session: Session, node: str, transition: str) -> Transition:
     """Makes a transition that is possible now, such as `configure` or `activate`.
 
     Raises:
@@ -93,7 +96,7 @@ async def change(robot: Robot, node: str, transition: str) -> Transition:
     # If it has become impossible in between, the node itself refuses: it goes by the label before the id.
     chosen = labelled[0] if labelled else {"id": 0, "label": transition}
     command = ChangeState(
-        principal=robot.principal,
+        principal=session.principal,
         name=node,
         through=service_of(node, CHANGE_STATE),
         type=CHANGE_STATE,
@@ -104,7 +107,7 @@ async def change(robot: Robot, node: str, transition: str) -> Transition:
         wait_s=APPEAR_S,
     )
     complaints = complaints_from_now(robot)
-    response = await fields_of_answer(robot, node, robot.do(command), _not_found, CHANGE_S, _UNANSWERED)
+    response = await fields_of_answer(robot, node, robot.do(command, session), _not_found, CHANGE_S, _UNANSWERED)
     after = await _state(robot, node)
     return Transition(
         node=node,

@@ -16,9 +16,10 @@ from ros2_mcp.model.errors import BadInput, BadValue, NotFound
 from ros2_mcp.model.text import counted, in_quotes, listed, named, quoted
 from ros2_mcp.ops.nodes.list import list_nodes
 from ros2_mcp.ops.nodes.own_services import APPEAR_S, TIMEOUT_S, ask_node, fields_of_answer, service_of
-from ros2_mcp.ops.results.results import EXACT, HIDDEN, IF_ANY, ON_REQUEST, SAID, list_note, or_error
+from ros2_mcp.ops.results.results import EXACT, HIDDEN, IF_ANY, ON_REQUEST, SAID, answer_bytes, list_note, or_error
 from ros2_mcp.robot import Robot
-from ros2_mcp_common.policy.rules import SET_PARAMETERS, SET_PARAMETERS_ATOMICALLY
+from ros2_mcp.robot.session import Session
+from ros2_mcp_common.policy.verbs import SET_PARAMETERS, SET_PARAMETERS_ATOMICALLY
 
 _DISCOVERY_S = 6.0
 """How old a bridge is that has discovered the services of every node: they come up to 3 s after the nodes."""
@@ -217,7 +218,7 @@ async def describe(robot: Robot, nodes: Sequence[str], pattern: str = "", limit:
     found = await asyncio.gather(*(or_error(described(node), partial(NodeParameters, node)) for node in chosen))
     total = sum(len(node.parameters) for node in found)
     shown: list[NodeParameters] = []
-    left, room = limit, _Room(robot.result_bytes)
+    left, room = limit, _Room(answer_bytes(robot))
     for node in found:
         if pattern and not (nodes or node.parameters or node.error):
             continue  # nobody asked for this node, and it has no such parameter
@@ -256,7 +257,7 @@ async def dump(robot: Robot, node: str, asked: Sequence[str] | None = None, *, w
         if name not in declared:
             raise NotFound(f"{node} has no parameter {name}.", _near(name, declared))
     found = await _read(robot, node, declared if asked is None else asked, declared)
-    room = _Room(robot.result_bytes)
+    room = _Room(answer_bytes(robot))
     shown = found if whole else [room.shown(parameter) for parameter in found]
     values = {one.name: one.value for one in shown if not (one.not_set or one.left_out)}
     left_out = {one.name: one.left_out for one in shown if one.left_out}
@@ -273,7 +274,9 @@ async def dump(robot: Robot, node: str, asked: Sequence[str] | None = None, *, w
     )
 
 
-async def set_values(robot: Robot, node: str, values: Mapping[str, Any], *, atomic: bool = False) -> SetResult:
+async def set_values(
+    robot: Robot, session: Session, node: str, values: Mapping[str, Any], *, atomic: bool = False
+) -> SetResult:
     """Sets parameters, after each value has been converted to the declared type; reads them back.
 
     A read-only parameter with the value that it has is no error: what `dump` has read can be set back as a whole.
@@ -292,7 +295,7 @@ async def set_values(robot: Robot, node: str, values: Mapping[str, Any], *, atom
         raise BadValue("", error.message, f"{error.hint} Nothing was set.".lstrip()) from error
     kind = SET_PARAMETERS_ATOMICALLY if atomic else SET_PARAMETERS
     command = SetParameters(
-        principal=robot.principal,
+        principal=session.principal,
         name=node,
         through=service_of(node, kind),
         type=kind,
@@ -301,10 +304,10 @@ async def set_values(robot: Robot, node: str, values: Mapping[str, Any], *, atom
         timeout_s=TIMEOUT_S,
         wait_s=await _time_to_appear(robot),
     )
-    response = await fields_of_answer(robot, node, robot.do(command), _not_found, unanswered=_UNANSWERED)
+    response = await fields_of_answer(robot, node, robot.do(command, session), _not_found, unanswered=_UNANSWERED)
     results = [response["result"]] * len(messages) if atomic else response["results"]
     result_of = {message["name"]: result for message, result in zip(messages, results, strict=True)}
-    room = _Room(robot.result_bytes)
+    room = _Room(answer_bytes(robot))
     now = {parameter.name: room.shown(parameter) for parameter in await _read(robot, node, list(values), ())}
     # What was left out of the request: a node would refuse a read-only parameter even with the value that it has.
     kept = {"successful": True, "reason": "it is read-only and has this value"}

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import asyncio
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from ros2_mcp.guard.policy import bounded
-from ros2_mcp.model import names
 from ros2_mcp.model.aside import load
 from ros2_mcp.model.pictures import POINT_CLOUD, BirdEyeOptions
 from ros2_mcp.model.times import seconds_in
 from ros2_mcp.ops.pictures.next_message import next_message
 from ros2_mcp.ops.pictures.robot_place import robot_place
+from ros2_mcp.ops.pictures.upright import upright_of
 from ros2_mcp.ops.results.results import IF_ANY, SAID, Report, WithPictures, facts, iso_time, silent
 from ros2_mcp.ops.sources.only import only_topic
 from ros2_mcp.ops.sources.source import Source
@@ -20,7 +20,8 @@ from ros2_mcp.ops.sources.source import Source
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CloudPicture(WithPictures):
-    """A point cloud from above, x to the right, y up, of the frame `frame_id`.
+    """A point cloud from above, x to the right, y up, in the frame `frame_id`, whose z is up; or `note` says that its z
+    may not be, or that an optical frame was turned.
 
     Pixel (`left_px` + column, `top_px` + row) begins at x = `x_min_m` + column · `metres_per_pixel`,
     y = `y_max_m` - row · `metres_per_pixel`; the rest are axes. Of `points`, `not_finite` have no place, and `shown`
@@ -71,27 +72,33 @@ async def cloud_picture(source: Source, topic: str, options: BirdEyeOptions, rep
         BadData: if its data does not fit its layout, or no point is left to show.
         BadValue: if the resolution is out of range.
     """
-    await load("ros2_mcp.pictures.bird_eye", "ros2_mcp.world.clouds")  # with numpy: not before it is needed
+    # with numpy: not before it is needed
+    await load("ros2_mcp.pictures.bird_eye", "ros2_mcp.world.clouds", "ros2_mcp.world.scans")
     from ros2_mcp.pictures.bird_eye import bird_eye
     from ros2_mcp.world.clouds import cloud_of
+    from ros2_mcp.world.scans import moved
 
     bounded("resolution", options.resolution_m, 0.001, 100.0, "m")
     topic, chosen = await only_topic(source, topic, POINT_CLOUD)
     found = await next_message(source, topic, POINT_CLOUD, report)
     cloud = await asyncio.to_thread(cloud_of, found.message)
-    robot = await robot_place(source, found.message.header.frame_id, found.sample.received_ns)
-    seen = await asyncio.to_thread(bird_eye, cloud, options, robot)
+    upright = await upright_of(source, found.message.header.frame_id, found.sample.received_ns)
+    if upright.pose is not None:
+        cloud = replace(cloud, xyz=await asyncio.to_thread(moved, cloud.xyz, upright.pose))
+    is_turned_alone = upright.pose is not None and upright.frame == found.message.header.frame_id
+    place = None if is_turned_alone else await robot_place(source, upright.frame, found.sample.received_ns)
+    seen = await asyncio.to_thread(bird_eye, cloud, options, place)
     numbers: dict[str, Any] = asdict(seen.numbers)
-    numbers["note"] = " ".join(filter(None, (numbers["note"], found.note, chosen)))
+    numbers["note"] = " ".join(filter(None, (numbers["note"], upright.note, found.note, chosen)))
     return CloudPicture(
-        topic_name=names.absolute(topic),
-        frame_id=found.message.header.frame_id,
+        topic_name=await source.name_of(topic),
+        frame_id=upright.frame,
         points=cloud.points,
         not_finite=cloud.not_finite,
         **numbers,
-        robot_x_m=robot and robot.x_m,
-        robot_y_m=robot and robot.y_m,
-        robot_yaw_rad=robot and robot.yaw_rad,
+        robot_x_m=place and place.x_m,
+        robot_y_m=place and place.y_m,
+        robot_yaw_rad=place and place.yaw_rad,
         received_at=iso_time(found.sample.received_ns),
         seconds_in=seconds_in(found.sample.received_ns, source.began_ns),
         source=found.source,

@@ -6,7 +6,6 @@ import asyncio
 from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING
 
-from ros2_mcp.model import names
 from ros2_mcp.model.aside import load
 from ros2_mcp.model.nav2 import COSTMAP_UPDATE, GRID_UPDATE
 from ros2_mcp.model.pictures import BOUNDS, OCCUPANCY_GRID
@@ -82,7 +81,7 @@ async def map_picture(robot: Robot, source: Source, topic: str, report: Report =
     picture = await asyncio.to_thread(finished, drawing.raster, BOUNDS)
     smaller = picture.width / drawing.raster.pixels.shape[1]
     return MapPicture(
-        topic_name=names.absolute(topic),
+        topic_name=await source.name_of(topic),
         **asdict(numbers),
         metres_per_pixel=drawing.metres_per_pixel / smaller,
         left_px=round(drawing.left_px * smaller),
@@ -103,10 +102,11 @@ async def _map(robot: Robot, source: Source, topic: str, report: Report) -> tupl
     """The map; the note tells what has changed in it since it was sent whole, or that this is not in it."""
     from ros2_mcp.world.occupancy import OccupancyGrid
 
-    updates = updates_of(names.absolute(topic), await source.publishing(GRID_UPDATE, COSTMAP_UPDATE))
+    name = await source.name_of(topic)
+    updates = updates_of(name, await source.publishing(GRID_UPDATE, COSTMAP_UPDATE))
     if updates and (source.is_live or source.from_end):
         async with reporting(report, source.duration_s, f"waiting for {topic}"):
-            kept = await costmap_of(robot, source, names.absolute(topic), OCCUPANCY_GRID, source.duration_s)
+            kept = await costmap_of(robot, source, name, OCCUPANCY_GRID, source.duration_s)
         note = " ".join(filter(None, (kept.skipped, kept.note)))
         return kept.grid, Next(kept.grid, kept.sample, source.words, note, kept.skipped)
     found = await next_message(source, topic, OCCUPANCY_GRID, report)

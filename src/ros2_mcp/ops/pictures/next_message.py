@@ -6,7 +6,6 @@ import asyncio
 from dataclasses import dataclass
 from typing import Any
 
-from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadData, TimedOut, TypeConflict
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import named
@@ -42,7 +41,7 @@ async def next_message(source: Source, topic: str, type_name: str, report: Repor
         TimedOut: if no message came.
         BadData: if no message is what the type says.
     """
-    topic = names.absolute(topic)
+    topic = await source.name_of(topic)
     async with reporting(report, source.duration_s, f"waiting for {topic}"):
         try:
             return await _next(source, topic, type_name, 1)

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from ros2_mcp.guard.policy import bounded
-from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadInput, NotFound
 from ros2_mcp.model.pictures import MAX_SIDE
 from ros2_mcp.model.text import counted
@@ -103,7 +102,7 @@ async def plot(source: Source, request: PlotRequest, report: Report = silent) ->
     bounded("width", request.width, 300, MAX_SIDE, "px")
     bounded("height", request.height, 200, MAX_SIDE, "px")
     texts = [text.partition(":") for text in request.series]
-    parts = [(names.absolute(topic.strip()), field.strip()) for topic, _, field in texts]
+    parts = [(await source.name_of(topic.strip()), field.strip()) for topic, _, field in texts]
     if not parts:
         raise BadInput("Nothing to plot is given.", 'Give series such as ["/odom:twist.twist.linear.x"].')
     topics = list(dict.fromkeys(topic for topic, _ in parts))

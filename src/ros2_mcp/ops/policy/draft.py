@@ -21,8 +21,8 @@ from ros2_mcp.robot import Robot
 from ros2_mcp.robot.resolution import is_infrastructure
 from ros2_mcp.robot.seen import is_of_robot
 from ros2_mcp.world.urdf import Joint, Limits
-from ros2_mcp_common.policy.rules import is_meta, only_reads
 from ros2_mcp_common.policy.velocity import VELOCITY_TYPES
+from ros2_mcp_common.policy.verbs import is_meta, only_reads
 
 _SAFETY = re.compile(r"collision|safety|e_?stop|emergency|mux|smoother|watchdog|deadman|twist_stamper|speed_limit")
 """In the names of nodes, topics and services that watch over a robot."""
@@ -241,7 +241,7 @@ def _arm_limit(arm: Arm, name: str) -> Iterator[str]:
     for joint, told in arm.joints.items():
         limits, is_slide = (told.limits if told else Limits()), bool(told and told.kind == "prismatic")
         speed = min(_SLIDE_SPEED if is_slide else _ARM_SPEED, _ARM_SHARE * (limits.velocity or math.inf))
-        known = limits.lower is not None and limits.upper is not None
+        known = limits.known and limits.lower is not None and limits.upper is not None
         position = f"position: [{limits.lower:g}, {limits.upper:g}], " if known else ""
         unknown = "it turns without end" if told else "the robot has no description of it: add position"
         why = "" if known else f" # {unknown}"

@@ -39,6 +39,8 @@ class InForce:
     limits: Sequence[str]
     forbidden: Sequence[str]
     held: str
+    tools_not_allowed: Sequence[str] = field(default=(), metadata=SAID)
+    """Tools of which no use is allowed."""
     note: str = field(metadata=IF_ANY)
 
     def summary(self) -> list[str]:
@@ -48,7 +50,9 @@ class InForce:
         head = f"Policy {' and '.join(self.policies)} ({self.strength})."
         parts = (("Allowed", self.allowed), ("Limits", self.limits), ("Forbidden", self.forbidden))
         held = [self.held] if self.held else []
-        return [head, *held, *(f"{title}: {line}" for title, lines in parts for line in lines), self.note]
+        tools = ", ".join(self.tools_not_allowed)
+        refused = [f"Tools that are not allowed: {tools}."] if tools else []
+        return [head, *held, *(f"{title}: {line}" for title, lines in parts for line in lines), *refused, self.note]
 
 
 async def in_force(robot: Robot) -> InForce:

@@ -28,6 +28,7 @@ from ros2_mcp.ops.acting.endings import ended_by, guarded, held_back, limited, r
 from ros2_mcp.ops.results.results import IF_ANY, SAID
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.jobs import Job, State
+from ros2_mcp.robot.session import Session
 from ros2_mcp_common.rhythm import Rhythm
 from ros2_mcp_common.wire.limits import MAX_RATE_HZ, MIN_RATE_HZ
 
@@ -138,6 +139,7 @@ class Relay(Job):
     def __init__(
         self,
         robot: Robot,
+        session: Session,
         request: RelayRequest,
         *,
         source: TopicEndpoints,
@@ -145,9 +147,9 @@ class Relay(Job):
         source_type: str,
         destination_type: str,
     ) -> None:
-        super().__init__(owner=robot.principal, moves=[destination.topic])
+        super().__init__(owner=session.principal, moves=[destination.topic])
         self.source, self.destination = source.topic, destination.topic
-        self._robot = robot
+        self._robot, self._session = robot, session
         self._request = request
         self.at_most_s = request.duration_s or math.inf
         self._types = source_type, destination_type
@@ -193,7 +195,7 @@ class Relay(Job):
         )
         async with anyio.create_task_group() as group:
             group.start_soon(self._feed_until_over if self._in_server else self._until_open)
-            self.counts = await self._robot.do(relay)
+            self.counts = await self._robot.do(relay, self._session)
             group.cancel_scope.cancel()
         is_early = self.counts.ended_by and not self._time_is_over
         self.outcome = "stopped" if is_early else "ended"
@@ -331,7 +333,7 @@ class Relay(Job):
             principal=self.owner, name=self.destination, type=self._types[1], relay_id=self.id, messages=messages
         )
         try:
-            await self._robot.do(feed)
+            await self._robot.do(feed, self._session)
         except (NotFound, Stopped):
             await anyio.sleep_forever()  # the bridge has ended the relay, and its answer to that is under way
 
@@ -356,7 +358,7 @@ class Relay(Job):
         return transform
 
 
-async def start(robot: Robot, request: RelayRequest) -> RelayState:
+async def start(robot: Robot, session: Session, request: RelayRequest) -> RelayState:
     """Starts a relay and returns as soon as it runs; it goes on by itself.
 
     Raises:
@@ -384,6 +386,7 @@ async def start(robot: Robot, request: RelayRequest) -> RelayState:
     await load("ros2_mcp.values.change", "ros2_mcp.values.mapping")
     relay = Relay(
         robot,
+        session,
         request,
         source=sending,
         destination=receiving,
@@ -405,11 +408,12 @@ async def list_relays(robot: Robot) -> RelayList:
     return RelayList(states, len(robot.jobs.running(Relay)))
 
 
-async def stop(robot: Robot, relay_id: str) -> RelayState:
+async def stop(robot: Robot, relay_id: str = "") -> RelayState:
     """Ends a relay; one that has ended already stays as it was.
 
     Raises:
         NotFound: if there is no such relay.
+        BadInput: if several run and no id is given.
     """
     return (await robot.jobs.stop(Relay, relay_id)).report()
 

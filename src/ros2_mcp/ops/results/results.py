@@ -15,6 +15,8 @@ from ros2_mcp.model.errors import AllFailed, RobotError
 from ros2_mcp.model.pictures import Picture
 from ros2_mcp.model.text import in_quotes, named
 from ros2_mcp.model.times import iso_time
+from ros2_mcp.robot import Robot
+from ros2_mcp.robot.kept import Kept
 
 R = TypeVar("R")
 OneOfSeveral = TypeVar("OneOfSeveral", bound="Outcome")
@@ -250,3 +252,16 @@ def _leaves(values: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, s
             yield path, f"{value['sec'] + value['nanosec'] / 1e9:.3f} s"
         else:
             yield from _leaves(cast("dict[str, Any]", value), f"{path}.")
+
+
+@dataclass(frozen=True, slots=True)
+class AnswerBytes(Kept):
+    """How many bytes the text of one answer about a robot may have."""
+
+    most: int = 12_000
+    """Some 3,000 tokens, as `--result-bytes` has it by default."""
+
+
+def answer_bytes(robot: Robot) -> int:
+    """How many bytes the text of one answer about that robot may have."""
+    return robot.kept.get(AnswerBytes, AnswerBytes).most

@@ -30,6 +30,7 @@ _OURS = frozenset(
     {
         *("note", "notes", "error", "problem", "problems", "recommendation", "reasons", "mismatches", "limitations"),
         *("footprint", "place", "command_inputs", "sensors", "joints", "controllers", "stacks", "frames", "unhealthy"),
+        *("other_actions", "waited_for", "command_services", "also_told"),
         *("not_read", "allowed", "limits", "forbidden", "held", "cause", "helps", "hint", "mistakes", "health", "log"),
     }
 )

@@ -12,8 +12,12 @@ from ros2_mcp.model.commands import ServiceCall
 from ros2_mcp.model.errors import BadInput, NotFound, TimedOut
 from ros2_mcp.ops.acting import flights
 from ros2_mcp.ops.acting.defaults import left_at_default
+from ros2_mcp.ops.acting.servers import in_words as in_words_of
+from ros2_mcp.ops.acting.servers import servers_of
 from ros2_mcp.ops.results.results import SAID, Report, in_words, reporting, silent
 from ros2_mcp.robot import Robot
+from ros2_mcp.robot.session import Session
+from ros2_mcp_common.policy.verbs import only_reads
 from ros2_mcp_common.wire.limits import MAX_DURATION_S
 
 _LEAST_TIMEOUT_S = 0.01
@@ -22,7 +26,9 @@ _LEAST_TIMEOUT_S = 0.01
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ServiceAnswer:
-    """The response of a service as an object, or `called` false with the request fields that are missing."""
+    """The response of a service as an object, or `called` false: with the request fields that are missing, or because
+    several nodes serve it, which `note` names.
+    """
 
     service_name: str = field(metadata=SAID)
     service_type: str
@@ -42,6 +48,7 @@ class ServiceAnswer:
 
 async def call(
     robot: Robot,
+    session: Session,
     service: str,
     service_type: str,
     request: Mapping[str, Any] | None,
@@ -54,6 +61,8 @@ async def call(
     """Calls a service and waits for its answer; if it `waits`, a server that appears within the time-out is used.
 
     A `request` that is None was not given: also with `force_call` only one that has no fields is sent then.
+
+    One that several nodes serve is called only with `force_call`, unless its type only reads.
 
     Raises:
         BadInput: if it is forced, has fields, and no request was given.
@@ -84,13 +93,20 @@ async def call(
         return ServiceAnswer(
             service_name=service, service_type=service_type, called=False, missing_fields=missing, note=note
         )
+    servers = await servers_of(robot, service)
+    if servers and not (force_call or only_reads(service_type)):
+        note = (
+            f"{in_words_of(service, servers)}: each would carry out the call, and the first answer would be shown. End "
+            "all but one, or set force_call to true."
+        )
+        return ServiceAnswer(service_name=service, service_type=service_type, called=False, note=note)
     command = ServiceCall(
-        principal=robot.principal, name=service, type=service_type, value=request, timeout_s=timeout_s
+        principal=session.principal, name=service, type=service_type, value=request, timeout_s=timeout_s
     )
     sent_ns = robot.now_ns()
     try:
         async with reporting(report, timeout_s, f"waiting for {service}"):
-            answer = await robot.do(command)
+            answer = await robot.do(command, session)
     except NotFound as error:
         robot.types.forget_service(service)
         await robot.types.service(service, service_type)  # raises TypeConflict if it came back with another type
@@ -99,7 +115,8 @@ async def call(
         hint = "The server may still be working on it; give a longer timeout_sec."
         raise TimedOut(error.message, error.hint or hint) from error
     shown = await robot.values.render(answer.type, answer.body)
-    notes = [left_at_default(robot.values.definitions, f"{service_type}_Request", request)]
+    notes = [f"{in_words_of(service, servers)}: this is the first answer of them." if servers else ""]
+    notes += [left_at_default(robot.values.definitions, f"{service_type}_Request", request)]
     if flights.is_order(service, service_type, request):
         notes.append(await flights.outcome(robot, service, service_type, request, shown.value, sent_ns))
     return ServiceAnswer(
@@ -109,6 +126,6 @@ async def call(
         result=shown.value,
         missing_fields=missing,
         elapsed=answer.elapsed_s,
-        truncated=shown.truncated,
+        truncated=list(shown.truncated),
         note=" ".join(filter(None, notes)),
     )

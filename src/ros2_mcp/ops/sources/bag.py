@@ -10,10 +10,19 @@ from functools import partial
 from itertools import chain, islice
 from typing import TYPE_CHECKING, Generic
 
+from ros2_mcp.bags.contents import why_unreadable
 from ros2_mcp.bags.schema import definitions_in, schema_text
 from ros2_mcp.bags.stored import Span, StoredTopic, joined
 from ros2_mcp.model import names
-from ros2_mcp.model.errors import BadInput, BadValue, NotFound, RobotError, TypeConflict, UnknownInterface
+from ros2_mcp.model.errors import (
+    BadInput,
+    BadValue,
+    LinkError,
+    NotFound,
+    RobotError,
+    TypeConflict,
+    UnknownInterface,
+)
 from ros2_mcp.model.interfaces import DefinitionText
 from ros2_mcp.model.qos import Endpoint, QoS
 from ros2_mcp.model.samples import Sample
@@ -21,6 +30,7 @@ from ros2_mcp.model.text import named
 from ros2_mcp.model.times import recorded_time
 from ros2_mcp.ops.memory.bag_store import BLACK_BOX, BagStore, OpenedBag
 from ros2_mcp.ops.results.results import Report, iso_time, silent
+from ros2_mcp.ops.sources import older_types
 from ros2_mcp.ops.sources.selection import MAX_BYTES
 from ros2_mcp.ops.sources.source import (
     Capture,
@@ -40,6 +50,7 @@ from ros2_mcp.robot import Robot, TopicEndpoints
 if TYPE_CHECKING:
     from ros2_mcp.bags.bag import Bag
     from ros2_mcp.values.cdr import Codec
+    from ros2_mcp.values.definitions import Definitions
 
 _BATCH = 256
 _BATCH_BYTES = 8_000_000
@@ -48,6 +59,9 @@ _WAITING_BYTES = 100_000
 """Of one topic until its messages are passed on together; of 60 topics these are 6 MB."""
 _TO_DISK_NS = 1_000_000_000
 """Messages that are being recorded reach the disk up to a second after they came (`recorder.FLUSH_S`)."""
+_JSON_LOOKED_AT = 20_000
+"""Messages of a JSON type that tell which fields there are, from the beginning, and a tenth of them from the end: of a
+log of events these are all, and reading so many takes half a second."""
 _RECORDED = "(recorded)"
 
 
@@ -149,6 +163,18 @@ class BagSource(Source):
         """From the beginning of the whole bag on."""
         return replace(self, span=replace(self.span, start_ns=min(self.covers[0], self.span.start_ns)))
 
+    async def name_of(self, topic: str) -> str:
+        """The name of a topic as it stands in the bag; another one stays as it is, and is not found."""
+
+        def find() -> str:
+            with self.opened.reading() as bag:
+                return find_topic(bag, topic).name
+
+        try:
+            return await asyncio.to_thread(find)
+        except NotFound:
+            return topic.strip()
+
     async def type_of(self, topic: str) -> str:
         """The type of a topic; raises as `Source.type_of`."""
         return (await self._learn(topic)).type
@@ -199,7 +225,7 @@ class BagSource(Source):
             with self.opened.reading() as bag:
                 for part in parts:
                     part.stream.bag = bag
-                    part.add(_latched_before(bag, part.stored, replace(self.span, topics=(part.stored.name,))))
+                    part.add(latched_before(bag, part.stored, replace(self.span, topics=(part.stored.name,))))
                 return bag.messages(wanted)
 
         def further() -> int | None:
@@ -224,6 +250,7 @@ class BagSource(Source):
             topic=stored.name,
             type=stored.type,
             codec=self._codec,
+            note=older_types.told(self.opened, stored.type),
             publishers=publishers,
             qos=f"{publishers[0].qos.durability}, as it was recorded",
             start_ns=self.span.start_ns,
@@ -247,10 +274,30 @@ class BagSource(Source):
                 return find_topic(bag, name)
 
         topic = await asyncio.to_thread(find)
+        if topic.form == "json":
+            if not self._codec.knows_json(topic.type):
+                await asyncio.to_thread(self._learn_json, topic.type)
+        elif topic.form == "other":
+            self._codec.definitions.refuse(topic.type, UnknownInterface(*why_unreadable(topic)))
         # Another topic of the bag may have brought another definition of the type, or of one that it contains.
-        if topic.definition or not self._codec.definitions.knows(topic.type):
-            self._codec.definitions.add(await definitions_of(topic, self.robot))
+        elif topic.definition or not self._codec.definitions.knows(topic.type):
+            await learn(self._codec.definitions, topic, self.robot)
+            if not topic.definition:
+                await asyncio.to_thread(older_types.take, self.opened, self._codec, topic)
         return topic
+
+    def _learn_json(self, type_name: str) -> None:
+        """Looks at messages of all topics of a JSON type: what they are like."""
+        from ros2_mcp.values.json_messages import shape_of
+
+        with self.opened.reading() as bag:
+            topics = [topic for topic in bag.topics.values() if topic.type == type_name]
+            span = Span(frozenset(topic.name for topic in topics))
+            first = islice(bag.messages(span), _JSON_LOOKED_AT)
+            last = islice(bag.messages(span, newest_first=True), _JSON_LOOKED_AT // 10)
+            schema = next((topic.definition for topic in topics if topic.definition), "")
+            shape = shape_of(schema, (sample.data for _, sample in chain(first, last)))
+        self._codec.learn_json(type_name, shape)
 
     async def _batches(
         self, stream: _BagStream, stored: StoredTopic, limit: int | None, every_n: int, latched: bool
@@ -261,7 +308,7 @@ class BagSource(Source):
         def begin() -> Iterator[tuple[str, Sample]]:
             with self.opened.reading() as bag:
                 stream.bag = bag
-                before = [(stored.name, one) for one in _latched_before(bag, stored, span)] if latched else []
+                before = [(stored.name, one) for one in latched_before(bag, stored, span)] if latched else []
                 messages = bag.messages(span, newest_first=stream.from_end)
                 ordered = chain(messages, before[::-1]) if stream.from_end else chain(before, messages)
                 if limit is None:
@@ -379,6 +426,24 @@ class Bags(SourceKind):
         return [opening(name) for name in candidates]
 
 
+async def learn(definitions: Definitions, topic: StoredTopic, robot: Robot | None) -> None:
+    """Takes in what a topic's bytes mean, with all that its type refers to; where nobody knows it, why it is not known:
+    who asks for values is told that, while times and sizes are measured all the same.
+    """
+    try:
+        definitions.add(await definitions_of(topic, robot))
+        asked: set[str] = set()
+        while lacking := definitions.unknown_in(topic.type):  # some writers leave out what a definition refers to
+            name = lacking[0]
+            if name in asked:
+                raise UnknownInterface(f"No definition of {named(name)} is known, which {named(topic.type)} contains.")
+            asked.add(name)
+            found = await definitions_of(StoredTopic(topic.name, name), robot)
+            definitions.add({name: text for name, text in found.items() if not definitions.knows(name)})
+    except UnknownInterface as error:
+        definitions.refuse(topic.type, error)
+
+
 async def definitions_of(topic: StoredTopic, robot: Robot | None) -> dict[str, DefinitionText]:
     """What a topic's bytes mean: as the bag itself says, else as ROS defines it, else as the robot knows it.
 
@@ -396,22 +461,55 @@ async def definitions_of(topic: StoredTopic, robot: Robot | None) -> dict[str, D
         text, _ = await asyncio.to_thread(common.generate_msgdef, topic.type, ros_version=2)
         if found := definitions_in(topic.type, "ros2msg", text):
             return found
-    if robot is None:
-        raise UnknownInterface(
-            f"The definition of {named(topic.type)} is missing in the bag.", "The recording does not contain it."
+    unknown = UnknownInterface(
+        f"The definition of {named(topic.type)} is missing in the bag.", "The recording does not contain it."
+    )
+    if robot is not None:
+        try:
+            await robot.values.learn(topic.type)
+            return definitions_in(topic.type, "ros2msg", schema_text(robot.values.definitions.interface(topic.type)))
+        except UnknownInterface as error:
+            unknown = error
+        except LinkError as error:
+            hint = f"It is not in the bag, and no robot could be asked: {error.message}"
+            unknown = UnknownInterface(unknown.message, hint)
+    if topic.encoding:  # an empty definition is that of a message without fields
+        return {topic.type: DefinitionText("msg", "")}
+    raise unknown
+
+
+def has_definition(topic: StoredTopic) -> bool:
+    """Whether the bag itself says what a topic's bytes mean, in a way that can be used."""
+    from ros2_mcp.values.definitions import Definitions
+    from ros2_mcp.values.json_messages import is_usable_schema
+
+    if topic.form == "json":
+        return is_usable_schema(topic.definition)
+    if topic.form == "other" or not (topic.definition or topic.encoding):
+        return False
+    definitions = Definitions()
+    try:
+        definitions.add(
+            definitions_in(topic.type, topic.encoding, topic.definition) or {topic.type: DefinitionText("msg", "")}
         )
-    await robot.values.learn(topic.type)
-    return definitions_in(topic.type, "ros2msg", schema_text(robot.values.definitions.interface(topic.type)))
+        return not definitions.unknown_in(topic.type) and bool(definitions.compiled(topic.type))
+    except UnknownInterface:
+        return False
 
 
 def find_topic(bag: Bag, name: str) -> StoredTopic:
-    """A topic of a bag; raises `NotFound` with the nearest name."""
-    full = names.absolute(name)
-    if full not in bag.topics:
-        topics = sorted(bag.topics)
-        hint = names.did_you_mean(full, topics, f"It has {', '.join(map(named, topics[:20]))}.")
-        raise NotFound(f"{bag.path.name} has no topic {full}.", hint)
-    return bag.topics[full]
+    """A topic of a bag: the name as it stands there, or one that differs in the slash before it alone.
+
+    Raises:
+        NotFound: with the nearest name, if there is none.
+    """
+    bare = name.strip().lstrip("/")
+    for written in (name, name.strip(), f"/{bare}", bare):
+        if written in bag.topics:
+            return bag.topics[written]
+    topics = sorted(bag.topics)
+    hint = names.did_you_mean(name, topics, f"It has {', '.join(map(named, topics[:20]))}.")
+    raise NotFound(f"{bag.path.name} has no topic {named(name)}.", hint)
 
 
 def span_in(store: BagStore, bag: Bag, start: str, end: str) -> Span:
@@ -466,7 +564,7 @@ def _batch(messages: Iterator[tuple[str, Sample]]) -> list[tuple[str, Sample]]:
     return found
 
 
-def _latched_before(bag: Bag, topic: StoredTopic, span: Span) -> list[Sample]:
+def latched_before(bag: Bag, topic: StoredTopic, span: Span) -> list[Sample]:
     """What a late subscriber of a latched topic would still have got at the beginning, the oldest first."""
     from ros2_mcp.bags.qos import is_latched  # with rosbags: not before it is needed
 

@@ -140,7 +140,7 @@ class _LiveStream(Stream):
 
     @property
     def left_behind(self) -> str:
-        left = self.counts.dropped if self.robot.is_remote else 0
+        left = self.counts.dropped if self.robot.graph.is_remote else 0
         return (
             f"Not received: {counted(left, 'message')}, more than the link to the robot could carry in this time."
             if left
@@ -182,14 +182,16 @@ class _LiveStream(Stream):
         if self.type not in {publisher.type for publisher in now.publishers}:
             return f"The topic is published with the type {', '.join(now.types)}."
         nodes = ", ".join(sorted({publisher.who for publisher in now.publishers}))
-        far = " Give a longer time: large messages take longer over this link." if self.robot.is_remote else ""
+        far = " Give a longer time: large messages take longer over this link." if self.robot.graph.is_remote else ""
         return f"No message came in this time from {counted(len(now.publishers), 'publisher')}: {nodes}.{far}"
 
     async def take_until(self, deadline: float, *, ends: bool = False) -> AsyncGenerator[Sequence[Sample], None]:
         """What comes before that steady time; nothing more is listened to then if it `ends` so."""
         while (left := deadline - monotonic()) > 0:
             yield self.look_at(await self.listening.take(min(left, _TURN_S)))
-        if ends and self.robot.is_remote:  # the counts come with samples: of those that never left it tells at the end
+        if (
+            ends and self.robot.graph.is_remote
+        ):  # the counts come with samples: of those that never left it tells at the end
             await self.listening.end()
         yield self.look_at(await self.listening.take(0.0))
         if names.UNKNOWN_NODE in {publisher.node for publisher in self.publishers}:  # they had only just appeared
@@ -348,11 +350,11 @@ class Live(Source):
 
     async def lightest(self, topic: str) -> str:
         """Over a network the compressed pictures of a camera, where somebody publishes them."""
-        topic = names.absolute(topic)
-        if not self._robot.is_remote:
+        full = names.absolute(topic)
+        if not self._robot.graph.is_remote:
             return topic
         raw, compressed = await asyncio.gather(
-            *(self._robot.graph.endpoints(name) for name in (topic, f"{topic}/compressed"))
+            *(self._robot.graph.endpoints(name) for name in (full, f"{full}/compressed"))
         )
         has_both = IMAGE in raw.types and any(one.type == COMPRESSED_IMAGE for one in compressed.publishers)
         return compressed.topic if has_both else topic
@@ -363,6 +365,10 @@ class Live(Source):
         rows = [row.name for row in await graph.topics() if not set(types).isdisjoint(row.types)]
         found = await asyncio.gather(*map(graph.endpoints, rows))
         return sorted(one.topic for one in found if any(end.type in types for end in one.publishers))
+
+    async def absence(self) -> str:
+        """As `Source.absence`."""
+        return await self._robot.graph.absence()
 
     async def graph(self) -> GraphSnapshot:
         """The graph now, without our own nodes."""

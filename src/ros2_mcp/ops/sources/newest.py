@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from ros2_mcp.model import names
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.sources.live import Live
+from ros2_mcp.ops.sources.newest_samples import newest_of
 from ros2_mcp.ops.sources.source import GraphSnapshot, Source, Stream
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.transforms import TransformListener
@@ -87,7 +88,7 @@ class NewestOfRobot(Source):
     ) -> AsyncGenerator[Stream, None]:
         """The newest message; raises as `Source.follow`."""
         topic = names.absolute(topic)
-        newest = self._robot.newest.of(topic)
+        newest = newest_of(self._robot, topic)
         sample = newest.sample or await newest.newer(None, max(newest.since + self.duration_s - monotonic(), 0.0))
         if newest.error:
             raise newest.error.again()

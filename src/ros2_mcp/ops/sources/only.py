@@ -23,6 +23,8 @@ async def only_topic(source: Source, topic: str, type_name: str, argument: str =
         return topic, ""
     found = await source.publishing(type_name)
     maps = [name for name in found if "costmap" not in name]
+    if not found and (absence := await source.absence()):
+        raise NotFound(absence, "ros2_status shows domain and middleware.")
     if not found:
         raise NotFound(f"Nobody publishes {type_name} ({source.words}).", "ros2_topic_list lists the topics.")
     if len(found) > 1 and len(maps) != 1:

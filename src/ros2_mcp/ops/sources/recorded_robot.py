@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, NoReturn
 
 from ros2_mcp.guard.guard import Guard
@@ -18,6 +18,7 @@ from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.sources.bag import definitions_of, open_bag
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.graph import REQUEST_S, Graph
+from ros2_mcp.robot.kept import Kept
 from ros2_mcp.robot.values import Values
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from ros2_mcp.model.interfaces import DefinitionText
 
 
-def recorded_robot(store: BagStore, result_bytes: int) -> Robot:
+def recorded_robot(store: BagStore, keeps: Iterable[Kept] = ()) -> Robot:
     """The store's subject as a robot: it has topics and their types, and refuses to do anything."""
 
     def no_ros() -> NoReturn:
@@ -35,7 +36,7 @@ def recorded_robot(store: BagStore, result_bytes: int) -> Robot:
     bridge = Bridge(no_ros)
     graph = RecordedGraph(bridge, store)
     guard = Guard(Policy(read_only=True, recorded=True))
-    return Robot(bridge, guard, result_bytes, graph=graph, values=RecordedValues(graph, store))
+    return Robot(bridge, guard, keeps, graph=graph, values=RecordedValues(graph, store))
 
 
 class RecordedGraph(Graph):
@@ -61,6 +62,11 @@ class RecordedGraph(Graph):
     async def interfaces(self, within_s: float = REQUEST_S) -> list[str]:  # noqa: ARG002 - a file answers at once
         """The types of the recorded topics, with those that they refer to."""
         return sorted(await recorded_definitions(self._store))
+
+    async def name_of(self, topic: str) -> str:
+        """The name as it stands in the recording; of what is not there, as it was asked for."""
+        source = await open_bag(self._store, self._store.subject_name, may_be_empty=True)
+        return await source.name_of(topic)
 
     async def endpoints(self, topic: str, within_s: float | None = None) -> TopicEndpoints:  # noqa: ARG002 - as above
         """The publishers of a topic, without names; none if the recording does not have it."""
@@ -98,6 +104,8 @@ async def recorded_definitions(store: BagStore) -> dict[str, DefinitionText]:
 
     found: dict[str, DefinitionText] = {}
     for topic in await asyncio.to_thread(read):
+        if topic.form != "ros2":
+            continue
         with contextlib.suppress(UnknownInterface):
             found |= await definitions_of(topic, None)
     return found

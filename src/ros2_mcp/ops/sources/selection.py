@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 from weakref import WeakSet
@@ -184,13 +184,14 @@ class Fitted:
     """The messages that fit into a result: `values` as JSON, `messages` as they were decoded, for pictures.
 
     Of those that were chosen to be shown, `undecodable` are not what their type says, the first of them for the reason
-    `trouble`; `left_out` had no room. `truncated` names paths whose values are summaries.
+    `trouble`; `left_out` had no room. `truncated` has the paths whose values are summaries, each with the field that
+    shows more of it.
     """
 
     samples: Sequence[Sample] = ()
     values: Sequence[dict[str, Any]] = ()
     messages: Sequence[Message] = ()
-    truncated: Sequence[str] = ()
+    truncated: Mapping[str, str] = field(default_factory=dict[str, str])
     left_out: int = 0
     undecodable: int = 0
     trouble: str = ""
@@ -252,7 +253,7 @@ def fit(codec: Codec, type_name: str, samples: Sequence[Sample], selection: Sele
         samples=[sample for sample, _ in shown],
         values=[result.value for result in results],
         messages=[message for _, message in shown],
-        truncated=sorted({path for result in results for path in result.truncated}),
+        truncated=dict(sorted({path: by for result in results for path, by in result.truncated.items()}.items())),
         left_out=last + 1 - len(chosen),
         undecodable=len(troubles),
         trouble=troubles[0] if troubles else "",

@@ -12,6 +12,7 @@ from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Generic, Protocol, TypeAlias, TypeVar
 
+from ros2_mcp.model import names
 from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.qos import Endpoint
 from ros2_mcp.model.samples import Counts, Sample
@@ -232,6 +233,10 @@ class Source(ABC):
     def codec(self) -> Codec:
         """Reads its samples; knows the types of the topics that were asked for."""
 
+    async def name_of(self, topic: str) -> str:
+        """The full name of a topic that somebody asks for; raises `BadName` where there can be none of that name."""
+        return names.absolute(topic)
+
     @abstractmethod
     async def type_of(self, topic: str) -> str:
         """The type of a topic, which `codec` knows from then on.
@@ -316,6 +321,10 @@ class Source(ABC):
         """The names of the topics of one of these types that somebody publishes, or has published, in order."""
         topics = (await self.graph()).topics
         return sorted(name for name, found in topics.items() if any(one.type in types for one in found.publishers))
+
+    async def absence(self) -> str:
+        """That no robot is there, as a sentence; empty where one is, and of what was kept."""
+        return ""
 
     def words_after(self, took_s: float) -> str:  # noqa: ARG002 - what was kept is read in no time
         """`words`, where reading may have ended before the source's time did: `live, 0.26 s of at most 5 s`."""

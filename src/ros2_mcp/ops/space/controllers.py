@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from ros2_mcp.model.errors import RobotError, UnknownInterface
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.sources.source import GraphSnapshot
-from ros2_mcp.ops.space.style import Style
 from ros2_mcp.robot import Robot
 
 LIST_CONTROLLERS = "/list_controllers"
@@ -32,6 +31,12 @@ class Controller:
     name: str
     type: str = ""
     state: str = ""
+
+    @property
+    def line(self) -> str:
+        """`/arm_controller JointTrajectoryController is inactive`."""
+        kind = f" {named(self.type)}" if self.type else ""
+        return f"{named(self.name)}{kind}{f' is {named(self.state)}' if self.state else ''}"
 
 
 async def listed_hardware(robot: Robot, node: str) -> Sequence[Mapping[str, Any]] | None:
@@ -118,15 +123,3 @@ def _movers(graph: GraphSnapshot) -> set[str]:
         for one in graph.topics.values()
         if any(kind.startswith("control_msgs/action/") for kind in one.types)
     } - {""}
-
-
-def controllers_in_words(controllers: Iterable[Controller], style: Style) -> list[str]:
-    """A line each, or for those of one type and state together."""
-
-    def about(one: Controller) -> str:
-        kind = f" {named(one.type)}" if one.type and style.has_controller_types else ""
-        return f"{kind}{f' is {named(one.state)}' if one.state else ''}"
-
-    return [
-        f"{style.names(one.name for one in group)}{about(group[0])}" for group in style.groups(controllers, key=about)
-    ]

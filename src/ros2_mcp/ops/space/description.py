@@ -5,11 +5,11 @@ from __future__ import annotations
 import asyncio
 
 from ros2_mcp.model import names, parameters
-from ros2_mcp.model.errors import BadInput, NotFound, RobotError
+from ros2_mcp.model.errors import BadInput, RobotError
 from ros2_mcp.model.text import listed
 from ros2_mcp.ops.nodes.own_services import ask_node
 from ros2_mcp.robot import Robot
-from ros2_mcp.robot.joints import DESCRIPTION
+from ros2_mcp.robot.joints import DESCRIPTION, RobotJoints
 from ros2_mcp.world.urdf import Urdf, parse
 
 _PUBLISHER = "robot_state_publisher"
@@ -31,17 +31,17 @@ async def described(robot: Robot, topic: str = "") -> Urdf:
 async def description_text(robot: Robot, topic: str = "") -> str:
     """The text of it; raises as `described`."""
     if not topic:
-        found = await robot.joints.description_topics()
+        found = await robot.kept.of(RobotJoints).description_topics()
         if len(found) > 1 and found[0] != f"/{DESCRIPTION}":
             raise BadInput(f"There are several robot descriptions: {listed(found, 6)}.", "Name one of them.")
         topic = found[0] if found else ""
     topic = names.absolute(topic) if topic else ""
-    if topic and (text := await robot.joints.description_on(topic)):
+    if topic and (text := await robot.kept.of(RobotJoints).description_on(topic)):
         return text
     if text := await _parameter(robot):
         return text
     heard = f"no message came on {topic}" if topic else f"nobody publishes {DESCRIPTION}"
-    raise NotFound(
+    raise await robot.graph.missing(
         f"No robot description (URDF): {heard}, and no {_PUBLISHER} has it as a parameter.",
         "Start robot_state_publisher with the URDF.",
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +11,7 @@ from ros2_mcp.model.graph import TopicEndpoints
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.sources.source import GraphSnapshot
 from ros2_mcp.ops.space.controllers import idle_nodes
-from ros2_mcp.ops.space.style import Named, Names, Style, is_called_as
+from ros2_mcp.ops.space.lines import Named, some_nodes, to_nodes
 from ros2_mcp.robot.resolution import is_infrastructure
 
 _COMMANDS = ("Twist", "TwistStamped", "AckermannDrive", "AckermannDriveStamped", "JointTrajectory", "Joy")
@@ -51,9 +51,8 @@ _NO_INPUTS = (
 _PLAIN = ("geometry_msgs", "std_msgs")
 _OF_A_HAND = re.compile(r"(servo|delta_twist)", re.IGNORECASE)
 """In the topic of a velocity that moves the tip of an arm, and no base (MoveIt Servo)."""
-_STACKS = {"moveit_msgs": "MoveIt", "nav2_msgs": "Nav2"}
+_STACKS = ("moveit_msgs", "nav2_msgs")
 _TRAJECTORIES = "joint_trajectory"
-_MOST_NAMED = 3
 _OF_PROGRAMS = (
     "composition_interfaces", "controller_manager_msgs", "diagnostic_msgs", "lifecycle_msgs",
     "map_msgs", "moveit_msgs", "nav2_msgs", "nav_msgs", "rcl_interfaces", "robot_localization", "rosbag2_interfaces",
@@ -79,30 +78,15 @@ class CommandInput:
     is_active: bool = True
     or_topic: str = ""
 
-    def about(self, style: Style) -> str:
-        """All but its name, with who else may send there, which whoever would drive there wants to know."""
-        by = f" (from {_some(self.senders, style)})" if self.senders and style.has_senders else ""
+    @property
+    def line(self) -> str:
+        """`/cmd_vel Twist → /base (from /smoother)`: whoever would drive there wants to know who else may."""
         use = self.use if self.use != "trajectory" else ""  # its type says that
         use += f", or topic {named(self.or_topic)}" if self.or_topic else ""
+        kind = f"{named(self.type.rpartition('/')[2])}{f' ({use})' if use else ''}"
         state = "" if self.is_active else ", not active"
-        who = style.whom(self.topic, self.listeners)
-        return f"{self._type_in_words()}{f' ({use})' if use else ''}{who}{state}{by}"
-
-    def _type_in_words(self) -> str:
-        """With a blank before it; nothing where an action is called as its type is."""
-        kind = self.type.rpartition("/")[2]
-        return "" if self.use == "action" and is_called_as(kind, self.topic) else f" {named(kind)}"
-
-
-def _some(nodes: Sequence[str], style: Style) -> str:
-    more = f" and {len(nodes) - _MOST_NAMED} more" if len(nodes) > _MOST_NAMED else ""
-    return f"{', '.join(map(style.name, nodes[:_MOST_NAMED]))}{more}"
-
-
-def inputs_in_words(inputs: Iterable[CommandInput], style: Style) -> list[str]:
-    """A line each, or for those that go the same way together."""
-    groups = style.groups(inputs, key=lambda one: one.about(style))
-    return [f"{style.names(one.topic for one in group)}{group[0].about(style)}" for group in groups]
+        by = f" (from {some_nodes(self.senders, ', ')})" if self.senders else ""
+        return f"{named(self.topic)} {kind}{to_nodes(self.listeners)}{state}{by}"
 
 
 def command_inputs(graph: GraphSnapshot, managed: Mapping[str, Sequence[Mapping[str, Any]]]) -> Sequence[CommandInput]:
@@ -123,21 +107,19 @@ def command_inputs(graph: GraphSnapshot, managed: Mapping[str, Sequence[Mapping[
     return sorted(found, key=lambda one: (not one.is_active, _USES.index(one.use), one.topic.count("/"), one.topic))
 
 
-def other_actions(graph: GraphSnapshot, inputs: Sequence[CommandInput]) -> Names:
-    """The actions that are no command inputs."""
+def other_actions(graph: GraphSnapshot, inputs: Sequence[CommandInput]) -> list[Named]:
+    """The actions that are no command inputs; those that every Nav2 and every MoveIt has last."""
     told = {one.topic for one in inputs}
     found = [one for one in _actions(graph) if one[0] not in told and not _GOALS.fullmatch(one[1])]
-    named_ones = [
-        Named(name, listeners=servers, stack=_STACKS.get(kind.partition("/")[0], "")) for name, kind, servers in found
-    ]
-    return Names("other actions", sorted(named_ones, key=lambda one: bool(one.stack)))
+    found.sort(key=lambda one: one[1].partition("/")[0] in _STACKS)
+    return [Named(name, kind.rpartition("/")[2], listeners=servers) for name, kind, servers in found]
 
 
-def waited_for(graph: GraphSnapshot, inputs: Sequence[CommandInput]) -> Names:
+def waited_for(graph: GraphSnapshot, inputs: Sequence[CommandInput]) -> list[Named]:
     """Topics of which somebody waits for messages that nobody sends, whatever their types are for."""
     told = {one.topic for one in inputs}
     waiting = sorted((one for one in graph.topics.values() if _waits(one, told)), key=_rank)
-    return Names("waited for", [_waiting(one) for one in waiting])
+    return [_waiting(one) for one in waiting]
 
 
 def _waiting(topic: TopicEndpoints) -> Named:
@@ -145,15 +127,14 @@ def _waiting(topic: TopicEndpoints) -> Named:
     return Named(topic.topic, topic.types[0].rpartition("/")[2], listeners=listeners)
 
 
-def orders_by_service(graph: GraphSnapshot) -> Names:
+def orders_by_service(graph: GraphSnapshot) -> list[Named]:
     """Services by which a robot is told to do something, such as to stand up, to arm, to reset."""
-    found = [
+    return [
         Named(name, types[0].rpartition("/")[2])
         for name, types in sorted((graph.services or {}).items(), key=lambda one: (one[0].count("/"), one[0]))
         if not is_infrastructure(name, types) and types[0].partition("/")[0] not in _OF_PROGRAMS
         if not _ASKS.search(name.rpartition("/")[2])
     ]
-    return Names("services", found)
 
 
 def _waits(topic: TopicEndpoints, told: Collection[str]) -> bool:

@@ -3,23 +3,17 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-from ros2_mcp.ops.space.style import Style, same_or_each
+from ros2_mcp.model.text import named
 from ros2_mcp.world.robot_kind import arms_of, is_passive, rotors_of, wheels_of
 from ros2_mcp.world.urdf import Joint, Urdf
 
 _FAR = 1e6
 """Of a limit in rad or m: more means that there is none."""
 _DECIMALS = 3
-"""As exact as anybody looks at a joint."""
-_LEAST_EQUAL = 3
-"""Lines with one speed: then it is told once."""
-_SIDE = r"left|right|front|rear|back|hind|middle|[FRHL][LR]|[LR][FHRB]|[LRlrFfHhBb]"
-_NUMBER_OR_SIDE = re.compile(rf"\d+|(?<![A-Za-z0-9])(?:{_SIDE})(?:_?(?:left|right))?(?=[_.A-Z]|$)")
-"""In the name of a joint: in what those of an arm, of two sides or of four corners differ."""
+"""As exact as anybody looks at a joint; also the digits of a speed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,10 +31,16 @@ class JointNow:
     mimics: str = ""
 
     @property
-    def row(self) -> tuple[str, ...]:
-        """What those have in common that can stand together: all that turn without end, such as wheels, can."""
-        pattern = "" if self.kind == "continuous" else _NUMBER_OR_SIDE.sub("#", self.name, count=1)
-        return pattern, self.kind, self.unit, "limited" if self.span else "", "slow" if self.speed else ""
+    def line(self) -> str:
+        """`elbow 0.1 rad, limits -1 to 1 rad, at most 2 rad/s`."""
+        kind = f" {self.kind}" if self.kind not in ("", "revolute") else ""
+        unit = f" {self.unit}" if self.unit else ""
+        at = "position unknown" if self.at is None else f"{round(self.at, _DECIMALS) + 0.0:g}{unit}"
+        span = f", limits {_span_in_words(*self.span)}{unit}" if self.span else ""
+        speed = f", at most {_at_most(self.speed)}{unit}/s" if self.speed else ""
+        more = "" if self.kind else " (no unit)"
+        more += f", mimics {named(self.mimics)}" if self.mimics else ""
+        return f"{named(self.name)}{kind} {at}{span}{speed}{more}"
 
 
 def joints_now(urdf: Urdf | None, positions: Mapping[str, float], reports: str = "") -> list[JointNow]:
@@ -51,47 +51,11 @@ def joints_now(urdf: Urdf | None, positions: Mapping[str, float], reports: str =
     joints = sorted(joints, key=lambda joint: joint.name not in reports)
     joints += [joint for joint in urdf.joints.values() if joint.mimic and joint.name in positions] if urdf else []
     others = [name for name in positions if urdf is None or name not in urdf.joints]
+    known = {name: at for name, at in positions.items() if math.isfinite(at)}  # drivers send NaN for what they lack
     return [
-        *(_joint(joint, positions.get(joint.name)) for joint in joints),
-        *(JointNow(name, kind="", at=positions[name]) for name in others),
+        *(_joint(joint, known.get(joint.name)) for joint in joints),
+        *(JointNow(name, kind="", at=known.get(name)) for name in others),
     ]
-
-
-def without_last_speeds(joints: Sequence[JointNow]) -> tuple[list[JointNow], int]:
-    """The same without the speeds of the last row that has any, and how many those are."""
-    last = next((joint.row for joint in reversed(joints) if joint.speed), None)
-    found = [replace(joint, speed=0.0) if joint.row == last else joint for joint in joints]
-    return found, sum(joint.row == last for joint in joints)
-
-
-def joints_in_words(joints: Sequence[JointNow], style: Style) -> list[str]:
-    """A line each, or for those together that differ in a number or side alone: `{L,R}Hip 0.1, 0.2 of -1..1`. In brief
-    a speed that all have is told once.
-    """
-    speeds = {_at_most(one.speed, style.decimals) for one in joints if one.speed}
-    groups = style.groups(joints, key=lambda one: one.row)
-    if not style.is_brief or len(speeds) != 1 or sum(bool(group[0].speed) for group in groups) < _LEAST_EQUAL:
-        return [_together(group, style) for group in groups]
-    alone = [_together([replace(one, speed=0.0) for one in group], style) for group in groups if group[0].speed]
-    others = [_together(group, style) for group in groups if not group[0].speed]
-    return [*alone, f"all these {speeds.pop()}/s", *others]
-
-
-def _together(joints: Sequence[JointNow], style: Style) -> str:
-    first = joints[0]
-    is_clear = first.kind == "revolute" or (style.is_brief and first.kind == "prismatic")  # it is told in m
-    kind = "" if is_clear or not first.kind else f" {first.kind}"
-    decimals = style.decimals if first.unit == "rad" else _DECIMALS
-    unknown = "position unknown" if len(joints) == 1 else "unknown"
-    places = [unknown if one.at is None else f"{round(one.at, decimals) + 0.0:g}" for one in joints]
-    span = f" of {_spans_in_words([one.span for one in joints if one.span], style.decimals)}" if first.span else ""
-    is_told = first.unit and not (style.is_brief and first.unit == "rad")
-    unit = f" {first.unit}" if is_told else ""
-    speeds = [_at_most(one.speed, style.decimals) for one in joints if one.speed]
-    speed = f", {'' if style.is_brief else '≤ '}{same_or_each(speeds)}{unit}/s" if speeds else ""
-    more = "" if first.kind else " (no unit)"
-    more += f", mimics {style.name(first.mimics)}" if first.mimics and not style.is_brief else ""
-    return f"{style.names(one.name for one in joints)}{kind} {same_or_each(places)}{span}{unit}{speed}{more}"
 
 
 def placed(urdf: Urdf, positions: Mapping[str, float]) -> Sequence[Joint]:
@@ -115,31 +79,24 @@ def placed(urdf: Urdf, positions: Mapping[str, float]) -> Sequence[Joint]:
 def _joint(joint: Joint, at: float | None) -> JointNow:
     limits = joint.limits
     span = (limits.lower, limits.upper) if limits.lower is not None and limits.upper is not None else None
+    span = span if limits.known else None
     mimics = joint.mimic.joint if joint.mimic else ""
     return JointNow(joint.name, joint.kind, at, span, limits.velocity or 0.0, joint.unit, mimics)
 
 
-def _spans_in_words(spans: Sequence[tuple[float, float]], decimals: int) -> str:
-    said = [_span_in_words(*span, decimals) for span in spans]
-    if len(spans) == 2 and said[0] != said[1] == _span_in_words(-spans[0][1], -spans[0][0], decimals):
-        return f"{said[0]}, mirrored"  # as of the two sides of a body
-    return same_or_each(said)
-
-
-def _span_in_words(lower: float, upper: float, decimals: int) -> str:
+def _span_in_words(lower: float, upper: float) -> str:
     """Rounded inwards: who goes there stays within."""
-    least, most = _inwards(lower, math.ceil, decimals), _inwards(upper, math.floor, decimals)
-    return f"±{most}" if least == f"-{most}" else f"{least}..{most}"
+    return f"{_inwards(lower, math.ceil)} to {_inwards(upper, math.floor)}"
 
 
-def _inwards(limit: float, rounded: Callable[[float], int], decimals: int) -> str:
+def _inwards(limit: float, rounded: Callable[[float], int]) -> str:
     """To so many decimals; one that is beyond anything that moves as it is."""
-    return f"{rounded(limit * 10**decimals) / 10**decimals:g}" if abs(limit) < _FAR else f"{limit:.3g}"
+    return f"{rounded(limit * 10**_DECIMALS) / 10**_DECIMALS:g}" if abs(limit) < _FAR else f"{limit:.3g}"
 
 
-def _at_most(speed: float, digits: int) -> str:
-    """So many digits of it, rounded down: who moves so fast is within the limit."""
+def _at_most(speed: float) -> str:
+    """Rounded down: who moves so fast is within the limit."""
     if not 0 < speed < _FAR:
         return f"{speed:.3g}"
-    unit = 10.0 ** (digits - 1 - math.floor(math.log10(speed)))
+    unit = 10.0 ** (_DECIMALS - 1 - math.floor(math.log10(speed)))
     return f"{math.floor(speed * unit) / unit:g}"

@@ -6,7 +6,7 @@ from contextlib import suppress
 from typing import Any
 
 from ros2_mcp.model.aside import aside, load
-from ros2_mcp.model.errors import RobotError
+from ros2_mcp.model.errors import BadData, RobotError
 from ros2_mcp.model.meanings import DepthMeaning, Meaning, ScanMeaning
 from ros2_mcp.model.pictures import COMPRESSED_IMAGE, IMAGE, LASER_SCAN, POINT_CLOUD
 from ros2_mcp.ops.pictures.next_message import next_message
@@ -35,9 +35,10 @@ async def meaning_of_newest(source: Source, stream: Stream, fitted: Fitted) -> M
 
 
 async def meaning_of(source: Source, topic: str, type_name: str, message: Any, at_ns: int) -> Meaning | None:
-    """What a message says that was received at `at_ns`; None where it says nothing of the kind, or is broken."""
+    """What a message says that was received at `at_ns`, or why it cannot be told; None where it says nothing such."""
     is_depth = (type_name == IMAGE and message.encoding in _DEPTHS) or (
-        type_name == COMPRESSED_IMAGE and _COMPRESSED in message.format
+        type_name == COMPRESSED_IMAGE
+        and (_COMPRESSED in message.format or message.format.partition(";")[0].strip() in _DEPTHS)
     )
     if type_name not in (LASER_SCAN, POINT_CLOUD) and not is_depth:
         return None
@@ -47,7 +48,7 @@ async def meaning_of(source: Source, topic: str, type_name: str, message: Any, a
 
     mount = await mount_of(source, message.header.frame_id, at_ns)
     where = mount.pose, mount.base
-    with suppress(RobotError):
+    try:
         if type_name == LASER_SCAN:
             scan: ScanMeaning = await aside(4 * len(message.ranges), scan_meaning, message, *where)
             return Meaning(scan=scan)
@@ -58,7 +59,10 @@ async def meaning_of(source: Source, topic: str, type_name: str, message: Any, a
             intrinsics = await _intrinsics(source, topic, message)
             depth = await aside(len(message.data), depth_meaning, message, intrinsics, *where)
         return Meaning(depth=depth) if depth else None
-    return None
+    except BadData as error:
+        return Meaning(unknown=str(error))
+    except RobotError:
+        return None
 
 
 async def _intrinsics(source: Source, topic: str, image: Any) -> Intrinsics | None:

@@ -1,11 +1,11 @@
-"""The robot in two kilobytes: what it is, how it is driven, what it senses with, where it is, what is unhealthy."""
+"""The robot in four kilobytes: what it is, how it is driven, what it senses with, where it is, what is unhealthy."""
 
 from __future__ import annotations
 
 import asyncio
 import logging
 import math
-from collections.abc import Awaitable, Mapping, Sequence
+from collections.abc import Awaitable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from time import monotonic
@@ -23,29 +23,27 @@ from ros2_mcp.ops.pictures.next_message import next_message
 from ros2_mcp.ops.results.results import silent
 from ros2_mcp.ops.sources.source import GraphSnapshot, Source
 from ros2_mcp.ops.space.body import NO_MOUNT, MountInWords, footprint_in_words, mounted
-from ros2_mcp.ops.space.brief import MOST_BYTES, Parts, RobotInBrief, within
-from ros2_mcp.ops.space.controllers import LIST_CONTROLLERS, controllers_of, idle_movers, listed_controllers
+from ros2_mcp.ops.space.brief import MOST_BYTES, Part, RobotInBrief, one_part, within
+from ros2_mcp.ops.space.controllers import LIST_CONTROLLERS, Controller, controllers_of, idle_movers, listed_controllers
 from ros2_mcp.ops.space.description import described
 from ros2_mcp.ops.space.edges import edge_row, in_words
 from ros2_mcp.ops.space.first_heard import FIRST_S, YOUNG_S, frames_heard, not_heard_in_words
 from ros2_mcp.ops.space.frames import WORLDS, disputed_roots, frames_of, separate_roots
 from ros2_mcp.ops.space.heads import Head, heads_of
-from ros2_mcp.ops.space.inputs import command_inputs, drive_types, orders_by_service, other_actions, waited_for
-from ros2_mcp.ops.space.joints import joints_now, placed
-from ros2_mcp.ops.space.sensors import (
-    JOINT_STATE,
-    MISSED,
-    ODOMETRY,
-    Sensor,
-    also_told,
-    ranked,
-    rate_in_words,
-    sensors_of,
+from ros2_mcp.ops.space.inputs import (
+    CommandInput,
+    command_inputs,
+    drive_types,
+    orders_by_service,
+    other_actions,
+    waited_for,
 )
+from ros2_mcp.ops.space.joints import JointNow, joints_now, placed
+from ros2_mcp.ops.space.lines import Named
+from ros2_mcp.ops.space.sensors import JOINT_STATE, MISSED, ODOMETRY, also_told, ranked, rate_in_words, sensors_of
 from ros2_mcp.ops.space.stacks import stacks_of
 from ros2_mcp.ops.space.standing_time import standing_time
 from ros2_mcp.ops.space.states import states_of
-from ros2_mcp.ops.space.style import Named, Names, Style, braced
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.transforms import LISTENS
 from ros2_mcp.world.robot_kind import arms_of, kind_of, wheels_of
@@ -67,7 +65,7 @@ _IMAGE, _CAMERA = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"
 _MOST_RANGES, _MOST_CAMERAS = 8, 16
 _WITH_RANGE = ("sensor_msgs/msg/LaserScan", "sensor_msgs/msg/Range")
 _MOST_SENSORS, _MOST_STATES = 30, 20
-"""Of which rate and frame, or the value, are looked for, where not all are told: two kilobytes have hardly room for
+"""Of which rate and frame, or the value, are looked for, where not all are told: four kilobytes have hardly room for
 more."""
 _MOST_HEARD = 40
 """Sensors of which rate and frame are looked for, where all are told."""
@@ -124,17 +122,19 @@ class _Seen:
         return max(self.waits_until - monotonic(), self.listen_s)
 
 
-async def in_brief(robot: Robot, source: Source, *, whole: bool = False) -> RobotInBrief:
-    """What the robot is and has, and where it is, from its description, transforms, graph and sensors; in two
-    kilobytes, or the `whole` of it.
+async def in_brief(robot: Robot, source: Source, *, part: Part = "", whole: bool = False) -> RobotInBrief:
+    """What the robot is and has, and where it is, from its description, transforms, graph and sensors; in four
+    kilobytes, one `part` of it in full, or the `whole` of it.
 
     Raises:
         NotFound: if no robot is there.
         LinkError: if there is no bridge.
     """
-    seen = await _gathered(robot, source, _MOST_HEARD if whole else _MOST_SENSORS)
-    parts = _parts(source, seen)
-    return parts.in_words(Style()) if whole else await asyncio.to_thread(within, parts, MOST_BYTES)
+    seen = await _gathered(robot, source, _MOST_HEARD if whole or part == "sensors" else _MOST_SENSORS)
+    everything = _everything(source, seen)
+    if part:
+        return one_part(everything, part)
+    return everything if whole else await asyncio.to_thread(within, everything, MOST_BYTES)
 
 
 async def unhealthy_besides(robot: Robot, source: Source) -> Sequence[str]:
@@ -143,9 +143,9 @@ async def unhealthy_besides(robot: Robot, source: Source) -> Sequence[str]:
     """
     seen = await _gathered(robot, source, _MOST_SENSORS)
     unsure = "" if seen.tree.frames else _NO_DESCRIPTION  # perhaps it is no robot with a body, and misses none
-    is_unheard = not seen.positions and bool(_topics(seen.graph, JOINT_STATE))  # told of the topic, if it is silent
-    found = [each for each in _of_the_robot(seen) if each != unsure]
-    return [each for each in found if not (is_unheard and each.startswith(_NOTHING_REPORTS))]
+    is_heard = seen.positions or not _topics(seen.graph, JOINT_STATE)
+    beside = () if is_heard else (_NOTHING_REPORTS,)  # the topic is silent, which is told of it
+    return [each for each in _of_the_robot(seen) if each != unsure and not each.startswith(beside)]
 
 
 async def _gathered(robot: Robot, source: Source, most_sensors: int) -> _Seen:
@@ -331,7 +331,8 @@ async def _batteries(source: Source, seen: _Seen) -> None:
     for one, message in zip(topics, found, strict=True):
         share = float(message.percentage) if message else math.nan
         share = share / 100 if share > 1 else share  # some drivers give percent, against the definition
-        seen.batteries[one.topic] = share if 0 <= share <= 1 else None
+        is_told = 0 < share <= 1 or (share == 0 and message.capacity > 0)  # 0 alone was never filled in
+        seen.batteries[one.topic] = share if is_told else None
 
 
 async def _reports(source: Source, seen: _Seen) -> None:
@@ -397,11 +398,11 @@ async def _managed(robot: Robot, source: Source, seen: _Seen) -> None:
 # ── composing ────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def _parts(source: Source, seen: _Seen) -> Parts:
+def _everything(source: Source, seen: _Seen) -> RobotInBrief:
     base = _base_of(seen)
     inputs = command_inputs(seen.graph, seen.managed)
     waited = waited_for(seen.graph, inputs)
-    asked = {*(one.topic for one in inputs), *(one.name for one in waited.found)}
+    asked = {*(one.topic for one in inputs), *(one.name for one in waited)}
     told = [
         Named(name, kind.rpartition("/")[2], seen.states.get(name) or seen.rates.get(name, ""))
         for name, kind in also_told(seen.graph)
@@ -409,26 +410,30 @@ def _parts(source: Source, seen: _Seen) -> Parts:
     ]
     stacks = stacks_of(seen.graph)
     place, trouble = _place(source, seen, base)
-    return Parts(
+    return RobotInBrief(
         name=(seen.urdf.name if seen.urdf else "") or "robot",
         kind=kind_of(seen.urdf, drive_types(inputs), stacks, _controller_types(seen)),
         base_frame=base,
         footprint=footprint_in_words(seen.urdf, seen.tree, base, seen.footprint, seen.footprint_frame),
         place=place,
-        inputs=inputs,
-        actions=other_actions(seen.graph, inputs),
-        waited=waited,
-        services=orders_by_service(seen.graph),
-        sensors=_sensors(seen, base),
-        told=Names("also told", told),
-        joints=joints_now(seen.urdf, seen.positions, " ".join(seen.reports)),
-        controllers=controllers_of(seen.graph, seen.managed, is_controlled="ros2_control" in stacks),
-        stacks=stacks,
         frames=_frames_in_words(seen, base),
+        stacks=stacks,
         unhealthy=[*trouble, *_unhealthy(source, seen)],
-        not_read=seen.not_read,
-        read_from="" if source.is_live else source.words,
+        command_inputs=_lines(inputs),
+        other_actions=_lines(other_actions(seen.graph, inputs)),
+        waited_for=_lines(waited),
+        command_services=_lines(orders_by_service(seen.graph)),
+        sensors=_sensors(seen, base),
+        also_told=_lines(told),
+        joints=_lines(joints_now(seen.urdf, seen.positions, " ".join(seen.reports))),
+        controllers=_lines(controllers_of(seen.graph, seen.managed, is_controlled="ros2_control" in stacks)),
+        not_read=seen.not_read or None,
+        read_from=None if source.is_live else source.words,
     )
+
+
+def _lines(things: Iterable[CommandInput | Named | JointNow | Controller]) -> list[str]:
+    return [one.line for one in things]
 
 
 def _controller_types(seen: _Seen) -> list[str]:
@@ -447,14 +452,14 @@ def _base_of(seen: _Seen) -> str:
     return arms[0][0].parent if arms else root
 
 
-def _sensors(seen: _Seen, base: str) -> list[Sensor]:
+def _sensors(seen: _Seen, base: str) -> list[str]:
     frames = {head.frame for head in seen.heads.values() if head.frame}
     mounts = {frame: _mounted(seen, base, frame) for frame in frames}
     batteries = {
         topic: ", ".join(filter(None, ("" if share is None else f"{share:.0%}", seen.rates.get(topic))))
         for topic, share in seen.batteries.items()
     }
-    return sensors_of(seen.graph, seen.heads, mounts, seen.ranges, batteries, seen.views)
+    return [one.line for one in sensors_of(seen.graph, seen.heads, mounts, seen.ranges, batteries, seen.views)]
 
 
 def _mounted(seen: _Seen, base: str, frame: str) -> MountInWords:
@@ -553,15 +558,16 @@ def _unhealthy(source: Source, seen: _Seen) -> list[str]:
         if row.problem:
             found.append(in_words(row))
     missed = {one.topic for one, kind in ranked(seen.graph) if kind in MISSED}
-    if silent_ones := [topic for topic, head in seen.heads.items() if not head.count and topic in missed]:
-        found.append(f"{_are(silent_ones)} published, but silent.")
+    silent_ones = (topic for topic, head in seen.heads.items() if not head.count and topic in missed)
+    found += [f"{named(topic)} is published, but silent." for topic in silent_ones]
     return [*found, *_of_the_robot(seen), *idle_movers(seen.graph, seen.managed), *seen.reports]
 
 
 def _of_the_robot(seen: _Seen) -> list[str]:
     """What is wrong with its description, joints, batteries, mounts of sensors and place, and the faults it tells."""
-    found = list(seen.urdf.problems[:2]) if seen.urdf else []
+    found: list[str] = []
     if seen.urdf:
+        found += seen.urdf.problems[:2]
         wheels = {joint.name for joint in wheels_of(seen.urdf)}
         unknown = [
             one.name
@@ -578,16 +584,8 @@ def _of_the_robot(seen: _Seen) -> list[str]:
         found.append(f"The battery is at {min(low):.0%}.")
     base = _base_of(seen)
     frames = dict.fromkeys(head.frame for head in seen.heads.values() if head.frame and seen.tree.frames)
-    if astray := [named(frame) for frame in frames if _mounted(seen, base, frame) == NO_MOUNT]:
-        found.append(f"Not in TF: {', '.join(astray)}.")
-    found += seen.faults
-    if lost := _not_localised(seen):
-        found.append(lost)
-    return found
-
-
-def _are(topics: Sequence[str]) -> str:
-    return f"{braced(list(map(named, topics)))} {'is' if len(topics) == 1 else 'are'}"
+    found += [f"Not in TF: {named(frame)}." for frame in frames if _mounted(seen, base, frame) == NO_MOUNT]
+    return [*found, *seen.faults, *filter(None, [_not_localised(seen)])]
 
 
 def _not_localised(seen: _Seen) -> str:

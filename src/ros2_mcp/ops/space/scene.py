@@ -18,6 +18,7 @@ from ros2_mcp.model.poses import Pose, planar
 from ros2_mcp.model.text import listed, named
 from ros2_mcp.model.times import recorded_time, seconds_in
 from ros2_mcp.ops.navigation.costmaps import Costmap, chosen_costmaps, costmap_of
+from ros2_mcp.ops.navigation.known_places import NamedPlace, places_of
 from ros2_mcp.ops.navigation.navigate import Navigation
 from ros2_mcp.ops.pictures.next_message import Next, next_message
 from ros2_mcp.ops.pictures.robot_place import placed, robot_place
@@ -26,11 +27,10 @@ from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.ops.space.ages import age_of, since_s, stamp_ns
 from ros2_mcp.ops.space.frames import WORLDS, frames_of
 from ros2_mcp.ops.space.meaning import meaning_of
-from ros2_mcp.ops.space.plans import sent_before
+from ros2_mcp.ops.space.plans import plans_of, sent_before
 from ros2_mcp.ops.space.scene_picture import SceneLayer, ScenePicture, SceneRequest, Way
 from ros2_mcp.ops.space.silhouette import silhouette_of
 from ros2_mcp.robot import Robot
-from ros2_mcp.robot.places import NamedPlace
 from ros2_mcp.world.limbs import Limb, LimbSeen, limbs_seen
 from ros2_mcp.world.transforms import FrameTree, Located, pose_of
 
@@ -127,7 +127,7 @@ class Gathered:
         grid_type = COSTMAP if self.grid_topic in raw else OCCUPANCY_GRID
         goals = [name for name in poses if "goal" in name.rpartition("/")[2]]
         if source.is_live:
-            await self.asked.last_plans.hear([*paths, *goals])
+            await plans_of(self.asked).hear([*paths, *goals])
         shown = [] if request.way else paths  # a way that is handed in is not drawn twice
         wanted = [("path", name, PATH) for name in self._first("paths", shown, _MOST_PATHS)]
         wanted += [("goal", name, POSE_STAMPED) for name in self._first("goals", goals, _MOST_GOALS)]
@@ -158,10 +158,10 @@ class Gathered:
 
         What is heard from an earlier question on is not awaited again: nothing came.
         """
-        heard_s = self.asked.last_plans.heard_s(topic) if self.source.is_live and layer in ("path", "goal") else 0.0
+        heard_s = plans_of(self.asked).heard_s(topic) if self.source.is_live and layer in ("path", "goal") else 0.0
         found: Next | RobotError
         if heard_s > _LAYER_S:
-            was_sent = self.asked.last_plans.last(topic) is not None
+            was_sent = plans_of(self.asked).last(topic) is not None
             why = "The last one is empty." if was_sent else "Nothing was sent so far."
             found = TimedOut(why)
         else:
@@ -390,7 +390,7 @@ class Gathered:
             yaw_rad = None if leg.yaw_deg is None else math.radians(leg.yaw_deg)
             self._mark_in(NamedPlace(leg.place or "navigation", leg.frame, leg.x_m, leg.y_m, yaw_rad), "goal")
         try:
-            known = robot.places.all()
+            known = places_of(robot).all()
         except RobotError as error:
             self.missing.append(f"Named places are not shown: {error.message}")
             return
@@ -450,7 +450,12 @@ async def _picture(gathered: Gathered, request: SceneRequest) -> ScenePicture:
     source, at = gathered.source, gathered.robot
     if request.radius_m is not None and at is None:
         raise BadInput(f"Without the robot's place in {named(gathered.frame)} nothing can be shown around it.")
-    drawing, scene, picture = await asyncio.to_thread(_drawn, gathered, request)
+    try:
+        drawing, scene, picture = await asyncio.to_thread(_drawn, gathered, request)
+    except BadData as error:  # there is nothing to show
+        if absence := await source.absence():
+            raise NotFound(absence, "ros2_status shows domain and middleware.") from error
+        raise
     first_scan = next(((name, found) for kind, name, found in gathered.read_layers if kind == "scan"), None)
     meaning = None
     if first_scan:

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from ros2_mcp.model.graph import TopicEndpoints
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.sources.source import GraphSnapshot
-from ros2_mcp.ops.space.body import MOVING, MountInWords
+from ros2_mcp.ops.space.body import MountInWords
 from ros2_mcp.ops.space.heads import Head
 from ros2_mcp.ops.space.inputs import LOW_LEVEL, REPORT
-from ros2_mcp.ops.space.style import Style, braced, factors, same_or_each
 
 _IMAGE, _COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 SENSORS = (
@@ -43,9 +41,7 @@ _OF_ROS = (
 """Packages of messages that are of no robot's own: what of them is a sensor's stands above."""
 ODOMETRY, JOINT_STATE = "nav_msgs/msg/Odometry", "sensor_msgs/msg/JointState"
 _DESCRIPTIONS = ("robot_description", "robot_description_semantic")
-_WHOLE_HZ, _EQUAL_HZ = 9.95, 1.1
-_MOVES = re.compile(rf"{MOVING} \S+")
-_RATE = re.compile(r"[\d.]+ Hz")
+_WHOLE_HZ = 9.95
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +58,15 @@ class Sensor:
     note: str = ""
     sees: str = ""
     view: str = ""
+
+    @property
+    def line(self) -> str:
+        """`/scan LaserScan 10 Hz in laser at 0.2 0 0.3 yaw 180°, 0.1 to 12 m over 360°`."""
+        view = f"{self.view}° wide" if self.view else ""
+        at = f"at {self.at}" if self.at else ""
+        where = f"in {named(self.frame)} {at}".rstrip() + self.note if self.frame else ""
+        said = " ".join(filter(None, (named(self.topic), named(self.type), self.state, view, where)))
+        return f"{said}, {self.sees}" if self.sees else said
 
 
 def ranked(graph: GraphSnapshot) -> Sequence[tuple[TopicEndpoints, str]]:
@@ -117,68 +122,6 @@ def _rate_in_words(rate_hz: float | None) -> str:
     if rate_hz is None:
         return ""
     return f"{rate_hz:.0f} Hz" if rate_hz >= _WHOLE_HZ else f"{rate_hz:.2g} Hz"
-
-
-def sensors_in_words(sensors: Iterable[Sensor], style: Style) -> list[str]:
-    """A line each: topic, type, rate, frame with its place, what it sees; or for those that are alike together."""
-
-    def all_but_frame(one: Sensor) -> tuple[str, ...]:
-        return one.type, one.state.lstrip("0123456789."), one.note, one.sees, "wide" if one.view else ""
-
-    told = set[str]()
-    by_frame = style.groups(sensors, key=lambda one: (*all_but_frame(one), one.frame))
-    alike = style.groups(by_frame, key=lambda all_of: (*all_but_frame(all_of[0]), len(all_of)))
-    lines = [_together(group, told, style) for groups in alike for group in _merged(groups)]
-    if style.has_frames:
-        return [f"{said}{where and f' {where}'}{sees and f', {sees}'}" for said, where, sees in lines]
-    return [
-        f"{where and f'{where}: '}{'; '.join(said + (sees and f', {sees}') for said, _, sees in all_of)}"
-        for all_of in style.groups(lines, key=lambda line: line[1])
-        for where in [all_of[0][1]]
-    ]
-
-
-def _merged(groups: Sequence[Sequence[Sensor]]) -> Iterator[Sequence[Sequence[Sensor]]]:
-    """Groups of sensors, each in one frame, that can stand in one line: a topic in each, or all combinations of some
-    and of what the frames differ in, so that it is clear which sits where.
-    """
-    rows = list(zip(*groups, strict=True))
-    if len(rows) == 1 or (len(groups) > 1 and factors([one.topic for row in rows for one in row])):
-        yield groups
-    else:
-        yield from ([group] for group in groups)
-
-
-def _together(groups: Sequence[Sequence[Sensor]], told: set[str], style: Style) -> tuple[str, str, str]:
-    """What they are, where they are, what they see. Of several sensors in one frame the first tells where it sits:
-    `told` has the frames of those.
-    """
-    sensors = [one for row in zip(*groups, strict=True) for one in row]
-    first, frames = sensors[0], [group[0].frame for group in groups]
-    state = _states_in_words([one.state for one in sensors])
-    said = f"{style.names(one.topic for one in sensors)} {named(first.type)}{f' {state}' if state else ''}"
-    said += f" {same_or_each([one.view for one in sensors])}° wide" if first.view else ""
-    if not first.frame:
-        return said, "", first.sees
-    places = [group[0].at for group in groups]
-    at = f"at {same_or_each(places, '; ')}" if any(places) else ""
-    inside = f"in {braced(list(map(named, frames)))}"
-    if not style.has_frames:
-        note = _MOVES.sub(" (moves)", first.note) if at else ""  # what is not in TF stands in unhealthy
-        return said, f"{at or inside}{note}", first.sees
-    is_new = not told.issuperset(frames)
-    told.update(frames)
-    return said, " ".join(filter(None, (inside, at if is_new else ""))) + (first.note if is_new else ""), first.sees
-
-
-def _states_in_words(states: Sequence[str]) -> str:
-    """Rates that are nearly equal are told as one."""
-    if not all(map(_RATE.fullmatch, states)):
-        return same_or_each(states)
-    rates_hz = [float(state.removesuffix(" Hz")) for state in states]
-    if max(rates_hz) <= _EQUAL_HZ * min(rates_hz):
-        return _rate_in_words(sum(rates_hz) / len(rates_hz))
-    return f"{same_or_each([state.removesuffix(' Hz') for state in states])} Hz"
 
 
 def also_told(graph: GraphSnapshot) -> list[tuple[str, str]]:

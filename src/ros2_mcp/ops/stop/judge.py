@@ -35,12 +35,14 @@ _POSE_NOISE_M, _POSE_NOISE_RAD = 0.002, 0.005
 class Reading:
     """One message about motion: when it was received, sent and measured, and what it reports.
 
-    Times are Unix times in ns, 0 where there is none: `received_ns` by the receiver's clock, `source_ns` by the
-    publisher's (the source timestamp of DDS), `header_ns` by the clock of whoever measured. `velocity` is linear x, y,
-    z in m/s and angular x, y, z in rad/s; `position` is in m, `orientation` a quaternion (x, y, z, w); `joints` are
-    positions in rad or m, not finite where the message gives none.
+    `heard_s` is when the judge got it, by a steady clock. Other times are Unix times in ns, 0 where there is none:
+    `received_ns` by the receiver's clock, `source_ns` by the publisher's (the source timestamp of DDS), `header_ns` by
+    the clock of whoever measured. `velocity` is linear x, y, z in m/s and angular x, y, z in rad/s; `position` is in m,
+    `orientation` a quaternion (x, y, z, w); `joints` are positions in rad or m, not finite where the message gives
+    none.
     """
 
+    heard_s: float
     received_ns: int
     source_ns: int = 0
     header_ns: int = 0
@@ -49,10 +51,12 @@ class Reading:
     orientation: Sequence[float] | None = None
     joints: Mapping[str, float] = field(default_factory=dict[str, float])
 
-    @property
-    def sent_s(self) -> float:
-        """When it was sent, else received."""
-        return (self.source_ns or self.received_ns) / 1e9
+    def since_s(self, before: Reading) -> float:
+        """The time since another one, in s: no more than has passed by each of two clocks. That of the publisher may be
+        set meanwhile; of the steady one, messages that waited on their way arrive together.
+        """
+        sent_ns = (self.source_ns or self.received_ns) - (before.source_ns or before.received_ns)
+        return min(sent_ns / 1e9, self.heard_s - before.heard_s)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -154,7 +158,7 @@ class BaseJudge:
             self._problem = problem
             return
         self._fresh.append(reading)
-        while len(self._fresh) > 2 and reading.sent_s - self._fresh[1].sent_s >= self._still.window_s:
+        while len(self._fresh) > 2 and reading.since_s(self._fresh[1]) >= self._still.window_s:
             self._fresh.popleft()
 
     @property
@@ -191,7 +195,7 @@ class BaseJudge:
 
     @property
     def _is_whole(self) -> bool:
-        return self._fresh[-1].sent_s - self._fresh[0].sent_s >= self._still.window_s
+        return self._fresh[-1].since_s(self._fresh[0]) >= self._still.window_s
 
     def _is_slow(self, reading: Reading) -> bool:
         velocity = reading.velocity or ()
@@ -200,7 +204,7 @@ class BaseJudge:
     def _keeps_its_place(self) -> bool:
         """Whether the means over the window are small: of the velocities, and by the distance between the poses."""
         first, last = self._fresh[0], self._fresh[-1]
-        elapsed_s = last.sent_s - first.sent_s
+        elapsed_s = last.since_s(first)
         means = [
             math.fsum(reading.velocity[axis] for reading in self._fresh if reading.velocity) / len(self._fresh)
             for axis in range(6)
@@ -223,7 +227,7 @@ class JointJudge:
 
     def __init__(self, freshness: Freshness, expected: Sequence[str] = ()) -> None:
         self._freshness = freshness
-        self._joints: dict[str, deque[tuple[float, float]]] = {name: deque() for name in expected}
+        self._joints: dict[str, deque[tuple[Reading, float]]] = {name: deque() for name in expected}
         self._problem = NOTHING_CAME
 
     def hear(self, reading: Reading) -> None:
@@ -235,8 +239,8 @@ class JointJudge:
             elif problem := self._freshness.problem(reading, name):
                 self._problem = problem
             else:
-                told.append((reading.sent_s, position))
-                while len(told) > 2 and told[-1][0] - told[1][0] >= JOINT_WINDOW_S:
+                told.append((reading, position))
+                while len(told) > 2 and reading.since_s(told[1][0]) >= JOINT_WINDOW_S:
                     told.popleft()
 
     @property
@@ -264,13 +268,13 @@ class JointJudge:
         return list(self._joints)
 
     @staticmethod
-    def _way(told: deque[tuple[float, float]]) -> float:
+    def _way(told: deque[tuple[Reading, float]]) -> float:
         positions = [position for _, position in told]
         return max(positions) - min(positions) if positions else 0.0
 
     @staticmethod
-    def _is_whole(told: deque[tuple[float, float]]) -> bool:
-        return len(told) > 1 and told[-1][0] - told[0][0] >= JOINT_WINDOW_S
+    def _is_whole(told: deque[tuple[Reading, float]]) -> bool:
+        return len(told) > 1 and told[-1][0].since_s(told[0][0]) >= JOINT_WINDOW_S
 
 
 def distance_m(one: Sequence[float] | None, other: Sequence[float] | None) -> float:

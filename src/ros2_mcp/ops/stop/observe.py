@@ -30,6 +30,7 @@ from ros2_mcp.ops.stop.judge import (
 )
 from ros2_mcp.robot import HOLD_TYPES, VELOCITY_TYPES, Robot
 from ros2_mcp.robot.goals import Goal
+from ros2_mcp.robot.kept import Kept
 from ros2_mcp.robot.seen import is_of_robot
 
 _KINDS: Mapping[str, int] = {ODOMETRY: 4, JOINT_STATE: 8}
@@ -53,6 +54,27 @@ _TAKE_S = 0.1
 """How often the time is checked while nothing arrives."""
 _MESSAGE_BYTES = 1_000_000
 """The most that may wait: a second of odometry at 1 kHz with its covariances."""
+_MOST_NOTED = 1000
+"""Joints of each topic, and topics: more than any robot has. No more are noted."""
+
+
+class _Reported(Kept):
+    """The joints that each topic of joint states has reported in this session, so that they are missed once they fall
+    silent.
+    """
+
+    def __init__(self) -> None:
+        self._joints: dict[str, dict[str, None]] = {}
+
+    def note_joints(self, topic: str, joints: Collection[str]) -> None:
+        """Notes that a topic reported these joints."""
+        if topic in self._joints or len(self._joints) < _MOST_NOTED:
+            known = self._joints.setdefault(topic, {})
+            known.update(dict.fromkeys([*joints][: max(0, _MOST_NOTED - len(known))]))
+
+    def joints(self, topic: str) -> Sequence[str]:
+        """All joints that the topic has ever reported."""
+        return list(self._joints.get(topic, ()))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -158,7 +180,7 @@ async def _account(robot: Robot, source: _Source, began_ns: int) -> Account:
         async with robot.listen(source.topic, source.type, is_volatile=True, max_bytes=_MESSAGE_BYTES) as listening:
             freshness = Freshness(began_ns, is_latched=listening.choice.qos.durability != "volatile")
             if source.path is None:
-                judge = JointJudge(freshness, robot.reported.joints(source.topic))
+                judge = JointJudge(freshness, robot.kept.get(_Reported, _Reported).joints(source.topic))
             else:
                 judge = BaseJudge(freshness, source.still)
             while (state := judge.state) != "still":
@@ -170,7 +192,7 @@ async def _account(robot: Robot, source: _Source, began_ns: int) -> Account:
     except RobotError as error:
         return Account(named(source.topic), "not observed", str(error).rstrip("."))
     if isinstance(judge, JointJudge):
-        robot.reported.note_joints(source.topic, judge.names)
+        robot.kept.get(_Reported, _Reported).note_joints(source.topic, judge.names)
     return Account(named(source.topic), judge.state, judge.why, is_base=source.path is not None)
 
 
@@ -183,6 +205,7 @@ def reading_of(message: Mapping[str, Any], sample: Sample, path: str | None) -> 
     is_base = path is not None
     pose = (_at(message, "pose.pose") or _at(message, "pose")) if is_base else None
     return Reading(
+        heard_s=monotonic(),
         received_ns=sample.received_ns,
         source_ns=sample.source_ns,
         header_ns=seconds * 1_000_000_000 + nanoseconds,

@@ -11,6 +11,7 @@ from time import monotonic
 import anyio
 
 from ros2_mcp.guard.state import RESET_HINT
+from ros2_mcp.model.commands import LOCAL
 from ros2_mcp.model.errors import BridgeLost, RobotError, TimedOut
 from ros2_mcp.model.goals import STATUS, TERMINAL
 from ros2_mcp.model.graph import TopicEndpoints
@@ -139,23 +140,24 @@ class Stopped:
         return f"{verdict}: {f'{told}. ' if told else ''}{self.note}".rstrip()
 
 
-async def stop(robot: Robot, by: str = "") -> Stopped:
+async def stop(robot: Robot, by: str = "", *, client: str = LOCAL.name) -> Stopped:
     """Ends what this server has set in motion: from the beginning of this call on, nothing leaves that was accepted
     before it; repeated publishing, relays and playbacks end, every velocity topic that was driven gets its zero, every
     goal is cancelled. Says what of it was confirmed, and never raises a `RobotError`.
 
-    A stop by a person, who is named by `by`, sets the latch; that of an agent does so under a policy.
+    A stop by a person, who is named by `by`, sets the latch; that of an agent does so under a policy. The audit names
+    the person, or else the `client`.
     """
     _begin(robot, by)
-    return await _carry_out(robot, by)
+    return await _carry_out(robot, by or client)
 
 
-async def stop_in_reach(robot: Robot) -> Stopped:
+async def stop_in_reach(robot: Robot, client: str = LOCAL.name) -> Stopped:
     """As `stop`; but the answer waits no longer for a robot elsewhere once that is out of reach: it says so, and the
     stop goes on behind it.
     """
     _begin(robot, "")
-    task, begun_at = asyncio.ensure_future(_carry_out(robot, "")), monotonic()
+    task, begun_at = asyncio.ensure_future(_carry_out(robot, client)), monotonic()
     _going_on.add(task)
     task.add_done_callback(_going_on.discard)
     while not task.done() and (monotonic() - begun_at < LATCHED_S or not is_out_of_reach(robot)):
@@ -165,7 +167,7 @@ async def stop_in_reach(robot: Robot) -> Stopped:
 
 def is_out_of_reach(robot: Robot) -> bool:
     """Whether a robot elsewhere that was reached is silent for so long that it stands by itself."""
-    return robot.is_remote and robot.graph.was_reached and robot.graph.unheard_s > _OUT_OF_REACH_S
+    return robot.graph.is_remote and robot.graph.was_reached and robot.graph.unheard_s > _OUT_OF_REACH_S
 
 
 def unreached(robot: Robot) -> str:
@@ -184,7 +186,7 @@ async def _carry_out(robot: Robot, by: str) -> Stopped:
         if robot.guard.audit:
             robot.guard.audit.note(
                 "stopped",
-                by=by or robot.principal.name,
+                by=by,
                 topics=[topic.topic_name for topic in stopped.topics],
                 flights=[flight.vehicle for flight in stopped.flights],
                 confirmed=stopped.confirmed,
@@ -249,9 +251,9 @@ async def _stop(robot: Robot) -> Stopped:
     missing = problem or "the bridge has sent no zero on it"
     judging = [_judged(robot, topic, zeros.get((topic, kind)), missing) for topic, kind in _topics(robot, zeros)]
     hovers = any(flight.armed for flight in flights)
-    commands, unsettled = robot.failsafes.commands(), robot.no_known_stop.unsettled()
+    commands, unsettled = robot.failsafes.commands(), robot.stops.unknown.unsettled()
     observation, topics = await asyncio.gather(observe_still(robot, hovers=hovers), asyncio.gather(*judging))
-    services, others = robot.no_known_stop.names("service"), robot.no_known_stop.names("topic")
+    services, others = robot.stops.unknown.names("service"), robot.stops.unknown.names("topic")
     notes = [f"{problem}."] if problem else []
     notes += [f"The latch could not be saved ({unwritten}): it is lost when this server ends."] if unwritten else []
     notes += [f"{job.kind} {job.id} did not end cleanly: {error}" for job, error in jobs.items() if error]
@@ -264,7 +266,7 @@ async def _stop(robot: Robot) -> Stopped:
     if confirmed := is_confirmed(doubts, observation, unsettled):
         robot.failsafes.stands(commands)
     if observation.stands:
-        robot.no_known_stop.settle(unsettled)
+        robot.stops.unknown.settle(unsettled)
     facts = [flight.sentence for flight in flights if flight.confirmed]
     facts += _facts(ended, topics, [*goals, *flights], jobs)
     facts += [] if is_doubtful else [observation.sentence]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from ros2_mcp.model import names, qos
+from ros2_mcp.model import qos
 from ros2_mcp.model.qos import Endpoint
 from ros2_mcp.model.text import counted, named
 from ros2_mcp.ops.results.results import SAID
@@ -59,7 +59,7 @@ async def topic_info(robot: Robot, topic: str) -> TopicInfo:
     Raises:
         NotFound: if nobody publishes or subscribes to it.
     """
-    topic = names.absolute(topic)
+    topic = await robot.graph.name_of(topic)
     found = await robot.graph.endpoints(topic)
     if not found.types:
         raise await robot.graph.no_such_topic(topic)

@@ -16,10 +16,12 @@ from ros2_mcp.model.errors import BadInput, LinkError, Stopped
 from ros2_mcp.model.text import counted
 from ros2_mcp.ops.acting.defaults import left_at_default
 from ros2_mcp.ops.acting.endings import ended_by, guarded, limited, reason_of
+from ros2_mcp.ops.acting.idle import COMMAND_TYPES, why_idle
 from ros2_mcp.ops.results.results import HIDDEN, SAID, Report, or_error, silent, unless_all_failed
 from ros2_mcp.ops.topics.info import mismatches
 from ros2_mcp.robot import HOLD_TYPES, MOTION_TYPES, VELOCITY_TYPES, Robot, Sent
 from ros2_mcp.robot.jobs import Job
+from ros2_mcp.robot.session import Session
 from ros2_mcp_common.wire.limits import MAX_DURATION_S, MAX_RATE_HZ, MIN_RATE_HZ
 
 MATCH_S = 1.0
@@ -82,7 +84,7 @@ class PublishedSeveral:
         return [published.summary() for published in self.topics]
 
 
-async def publish(robot: Robot, request: PublishRequest, report: Report = silent) -> Published:
+async def publish(robot: Robot, session: Session, request: PublishRequest, report: Report = silent) -> Published:
     """Publishes, after every value has been checked against its definition; nothing is sent if one does not fit.
 
     Raises:
@@ -104,7 +106,7 @@ async def publish(robot: Robot, request: PublishRequest, report: Report = silent
     else:
         make_command = partial(Repeat, rate_hz=rate_hz, duration_s=duration_s)
     command = make_command(
-        principal=robot.principal,
+        principal=session.principal,
         name=to.topic,
         type=to.type,
         value=request.data,
@@ -113,15 +115,17 @@ async def publish(robot: Robot, request: PublishRequest, report: Report = silent
     )
     reason = ""
     if isinstance(command, Repeat):
-        sent, reason = await _repeat(robot, command, report)
+        sent, reason = await _repeat(robot, session, command, report)
     else:
-        sent = await robot.do(command)
+        sent = await robot.do(command, session)
         robot.types.note_sent(to, request.message_type, sent.endpoints)
     definitions = robot.values.definitions
     subscribers = counted(sent.matched, "subscriber")
     own = f"{sent.ours} of {subscribers} belong to this server (it records, reads or relays the topic)."
+    may_be_idle = sent.matched and to.type in COMMAND_TYPES and not reason  # many may be stopped at once
     notes = (
         await _note(robot, sent, reason),
+        await why_idle(robot, sent.topic) if may_be_idle else "",
         own if sent.ours else "",
         left_at_default(definitions, to.type, request.data),
     )
@@ -141,7 +145,7 @@ async def publish(robot: Robot, request: PublishRequest, report: Report = silent
 
 
 async def publish_several(
-    robot: Robot, requests: Sequence[PublishRequest], report: Report = silent
+    robot: Robot, session: Session, requests: Sequence[PublishRequest], report: Report = silent
 ) -> PublishedSeveral:
     """Publishes on several topics at the same time; the `error` of one does not end the others.
 
@@ -152,7 +156,10 @@ async def publish_several(
     if not requests:
         raise BadInput("No topics are given.", 'Give a list of {"topic_name", "message_type", "data"}.')
     publications = [
-        or_error(publish(robot, request, report), partial(Published, status="failed", topic_name=request.topic_name))
+        or_error(
+            publish(robot, session, request, report),
+            partial(Published, status="failed", topic_name=request.topic_name),
+        )
         for request in requests
     ]
     return PublishedSeveral(unless_all_failed(await asyncio.gather(*publications)))
@@ -167,9 +174,9 @@ class Repetition(Job):
     patience_s = 1.0
     """`ros2_stop` ends repetitions in the bridge first and the jobs then; the bridge's answer is under way by then."""
 
-    def __init__(self, robot: Robot, command: Repeat | Move) -> None:
+    def __init__(self, robot: Robot, session: Session, command: Repeat | Move) -> None:
         super().__init__(owner=command.principal, moves=[command.name])
-        self._robot = robot
+        self._robot, self._session = robot, session
         self._command = replace(command, repeat_id=self.id) if isinstance(command, Repeat) else None
         self.is_motion = command.type in MOTION_TYPES
         self.sent: Sent | None = None
@@ -179,7 +186,7 @@ class Repetition(Job):
         assert self._command
         await self._robot.values.learn(self._command.type)  # as long as it is starting, a stop ends it at once
         self.begun()
-        self.sent = await self._robot.do(self._command)
+        self.sent = await self._robot.do(self._command, self._session)
 
     async def stop_for(self, reason: str) -> None:
         """Has the bridge end it with its zero. Its call's answer gives the reason. Raises as `Graph.ask` and `stop`."""
@@ -193,9 +200,9 @@ class Repetition(Job):
         """Does nothing: the bridge ends the repetition, and its answer with what was sent is still awaited."""
 
 
-async def _repeat(robot: Robot, command: Repeat, report: Report) -> tuple[Sent, str]:
+async def _repeat(robot: Robot, session: Session, command: Repeat, report: Report) -> tuple[Sent, str]:
     """What was sent, and what ended it before its time."""
-    repetition = Repetition(robot, command)
+    repetition = Repetition(robot, session, command)
     topic, duration_s = command.name, command.duration_s
 
     awaited = "a subscriber and for the stopper, which sends zero if the bridge dies"

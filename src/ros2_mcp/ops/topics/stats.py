@@ -6,14 +6,14 @@ Of a message nothing but the header's stamp is decoded, so that fast topics and 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
 from ros2_mcp.model.errors import BadInput, NotFound
 from ros2_mcp.model.graph import OF_EVERY_NODE
-from ros2_mcp.model.names import absolute, is_hidden
+from ros2_mcp.model.names import is_hidden
 from ros2_mcp.model.text import counted, listed, named
 from ros2_mcp.model.times import both_times, recorded_time
 from ros2_mcp.ops.measure.flow import (
@@ -162,16 +162,19 @@ async def measure(source: Source, topics: Sequence[str] | None = None, report: R
     else:
         results = unless_all_failed(await _recorded(source, topics, report))
     if any(found.error for found in results):
-        results = _with_publishers(results, await source.graph())
+        full = {found.topic_name: await source.name_of(found.topic_name) for found in results if found.error}
+        results = _with_publishers(results, full, await source.graph())
     results = sorted(results, key=lambda found: -(found.bytes_per_second or 0.0))
     return Stats(results, round(source.duration_s, 6), source.words, note, source.is_live)
 
 
-def _with_publishers(results: Sequence[TopicStats], graph: GraphSnapshot) -> Sequence[TopicStats]:
+def _with_publishers(
+    results: Sequence[TopicStats], full: Mapping[str, str], graph: GraphSnapshot
+) -> Sequence[TopicStats]:
     """Those that could not be measured with who publishes on them, which may be why: with several types, for one."""
 
     def known(found: TopicStats) -> TopicStats:
-        topic = graph.topics.get(absolute(found.topic_name)) if found.error else None
+        topic = graph.topics.get(full[found.topic_name]) if found.error else None
         if not topic:
             return found
         who = sorted({one.who for one in topic.publishers})

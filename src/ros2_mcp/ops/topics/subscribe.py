@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 from ros2_mcp.model.aside import aside, load
 from ros2_mcp.model.errors import BadData, BadInput, RobotError
 from ros2_mcp.model.meanings import Meaning
-from ros2_mcp.model.names import absolute
 from ros2_mcp.model.pictures import COMPRESSED_IMAGE, IMAGE, Picture
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import counted, named
@@ -241,7 +240,7 @@ async def read(source: Source, topic: str, type_name: str, selection: Selection,
     source = source.lasting(selection.live_s, recorded_s=selection.duration_s)
     chosen = topic if type_name or selection.fields else await source.lightest(topic)
     collected = await collect(source, chosen, type_name, selection, report)
-    return _told(await _shown(source, collected, selection), topic)
+    return _told(await _shown(source, collected, selection), as_asked=chosen == topic)
 
 
 async def read_several(
@@ -277,7 +276,7 @@ async def echo(source: Source, topic: str, topic_type: str, selection: Selection
     selection = replace(selection, message_limit=1)
     chosen = topic if topic_type or selection.fields else await source.lightest(topic)
     collected = await collect(source, chosen, topic_type, selection)
-    reading = _told(await _shown(source, collected, selection), topic)
+    reading = _told(await _shown(source, collected, selection), as_asked=chosen == topic)
     if collected.samples and not reading.messages and not source.is_live:  # the next one that is what its type says
         several = await collect(source, topic, topic_type, replace(selection, message_limit=_TRIED))
         found, note = await asyncio.to_thread(_first_readable, several)
@@ -303,9 +302,9 @@ async def echo(source: Source, topic: str, topic_type: str, selection: Selection
     )
 
 
-def _told(reading: Reading, topic: str) -> Reading:
+def _told(reading: Reading, *, as_asked: bool) -> Reading:
     """With a note, if another topic was read than the one that was asked for."""
-    if reading.topic_name == absolute(topic):
+    if as_asked:
         return reading
     why = f"The robot is reached over a network, so the compressed pictures on {named(reading.topic_name)} were read."
     note = f"{why} {reading.note}"
@@ -339,7 +338,7 @@ async def _shown(source: Source, collected: Collected, selection: Selection) -> 
         images, said = await asyncio.to_thread(pictures_of, stream.type, fitted)
     start, times_s = message_times(source, fitted.samples)
     # Who sees the picture needs no advice on how to read its bytes.
-    hint = summarised([path for path in fitted.truncated if not images or path != "data"])
+    hint = summarised({path: by for path, by in fitted.truncated.items() if not images or path != "data"})
     # Fewer than were asked for, and there are more: they were too much to keep.
     cut = collected.more if len(collected.samples) < (selection.enough or 0) else ""
     if collected.dropped and collected.samples and not collected.left_behind:
@@ -361,7 +360,7 @@ async def _shown(source: Source, collected: Collected, selection: Selection) -> 
         lost=collected.lost,
         publishers=stream.nodes,
         qos=stream.qos,
-        truncated=fitted.truncated,
+        truncated=list(fitted.truncated),
         note=" ".join(filter(None, notes)),
         source=source.words_after(collected.covered_s),
         meaning=await meaning_of_newest(source, stream, fitted),

@@ -11,7 +11,7 @@ from ros2_mcp.model.qos import Endpoint, QoS
 from ros2_mcp.ops.measure.checks import CHECKS, findings_in
 from ros2_mcp.ops.measure.checks.parameter_ranges import outside
 from ros2_mcp.ops.measure.diagnostics import DiagnosticTable
-from ros2_mcp.ops.measure.evidence import Control, Evidence, Expectations
+from ros2_mcp.ops.measure.evidence import Evidence, Expectations, Ros2Control
 from ros2_mcp.ops.measure.findings import Finding
 from ros2_mcp.ops.measure.rivals import Rivals
 from ros2_mcp.ops.nodes.lifecycle import LifecycleState
@@ -59,7 +59,7 @@ def component(name: str, state: str, *interfaces: str) -> Mapping[str, Any]:
 
 
 def managed(controllers: Sequence[Mapping[str, Any]], hardware: Sequence[Mapping[str, Any]] = ()) -> list[Finding]:
-    return found_in(control={"/controller_manager": Control(controllers, hardware)})
+    return found_in(ros2_control={"/controller_manager": Ros2Control(controllers, hardware)})
 
 
 ARM = controller("arm", "active", claimed_interfaces=["joint1/position"])
@@ -94,10 +94,10 @@ class _Status:
         self.values = [type("KeyValue", (), {"key": key, "value": value})() for key, value in values.items()]
 
 
-def reported(message: str, control: Mapping[str, Control] | None = None, **values: str) -> list[Finding]:
+def reported(message: str, ros2_control: Mapping[str, Ros2Control] | None = None, **values: str) -> list[Finding]:
     table = DiagnosticTable()
     table.add(type("Array", (), {"status": [_Status(0, "manager: state", message, values)]})(), 1)
-    return found_in(diagnostics=table, control=control)
+    return found_in(diagnostics=table, ros2_control=ros2_control)
 
 
 @pytest.mark.parametrize("message", ["Managed nodes are inactive", "gripper not active", "2 parts unconfigured"])
@@ -113,7 +113,7 @@ def test_a_message_that_names_none_does_not(message: str) -> None:
 def test_a_value_at_level_ok_that_is_a_state_of_doing_nothing_counts_unless_its_controller_is_judged_anyway() -> None:
     assert "«ArmHW» is «unconfigured»" in reported("all running", ArmHW="unconfigured", arm="active")[0].problem
     waiting = controller("by_force", "inactive", required_command_interfaces=["joint1/position"])
-    control = {"/controller_manager": Control([ARM, waiting])}
+    control = {"/controller_manager": Ros2Control([ARM, waiting])}
     assert reported("all running", control, by_force="inactive") == []
 
 

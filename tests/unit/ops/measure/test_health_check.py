@@ -276,7 +276,7 @@ async def test_the_first_in_a_chain_is_named(window: Make) -> None:
         "/robot_description",
         "Start what publishes /robot_description.",
     )
-    assert "/joints waits for it, and nobody publishes it" in finding.problem
+    assert "/joints waits for /robot_description, which nobody publishes" in finding.problem
     assert "/odom" in finding.problem and "/joint_states" in finding.problem
 
 

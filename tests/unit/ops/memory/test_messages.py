@@ -24,6 +24,7 @@ from ros2_mcp.ops.memory import bags
 from ros2_mcp.ops.memory import messages as history
 from ros2_mcp.ops.memory.bag_store import BLACK_BOX, BagStore
 from ros2_mcp.ops.memory.messages import StoredMessages
+from ros2_mcp.ops.results.results import AnswerBytes
 from ros2_mcp.ops.sources.kinds import Sources
 from ros2_mcp.ops.sources.recorded_robot import recorded_robot
 from ros2_mcp.ops.sources.selection import Selection
@@ -61,7 +62,7 @@ class Asker:
 
     def __init__(self, folder: Path, subject: Path | None = None) -> None:
         self.store = BagStore(folder, subject=subject)
-        self.robot = recorded_robot(self.store, 32_000)
+        self.robot = recorded_robot(self.store, [AnswerBytes(32_000)])
 
     async def get(self, topic: str = "/count", number: int = 0, **asked: str) -> StoredMessages:
         selection = Selection(message_limit=number or None)

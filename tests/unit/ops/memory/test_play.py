@@ -9,9 +9,11 @@ from pathlib import Path
 import anyio
 import pytest
 
+from ros2_mcp.bags.qos import qos_text
 from ros2_mcp.bags.stored import StoredTopic
 from ros2_mcp.bags.writer import BagWriter
 from ros2_mcp.model.errors import BadValue, Refused
+from ros2_mcp.model.qos import QoS
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.memory import play as playing
 from ros2_mcp.ops.memory.bag_store import BagStore
@@ -43,7 +45,7 @@ async def store(tmp_path: Path, bridge: MadeBridge) -> AsyncIterator[BagStore]:
 @pytest.fixture
 def play(robot: Robot, store: BagStore) -> Play:
     async def play(request: PlayRequest, wait_s: float = 5.0) -> PlaybackState:
-        return await playing.play(robot, store, request, wait_s)
+        return await playing.play(robot, robot.session(), store, request, wait_s)
 
     return play
 
@@ -67,6 +69,20 @@ async def test_the_loop_of_a_single_moment_lasts_a_tenth_of_a_second(bridge: Mad
     end = "2023-11-14T22:13:20Z"
     await play(PlayRequest(bag="run", topics=["/goal"], end=end, loop=True), 0.45)
     assert 2 <= len(times_of(bridge)) <= 5
+
+
+async def test_what_was_latched_before_the_part_that_is_played_is_published_first(
+    tmp_path: Path, bridge: MadeBridge, play: Play
+) -> None:
+    (tmp_path / "latched").mkdir()
+    writer = BagWriter(tmp_path / "latched", "latched")
+    for topic, at_ms in (("/goal", 0), ("/odom", 0), ("/odom", 400)):
+        qos = qos_text([QoS(durability="transient_local" if topic == "/goal" else "volatile")])
+        writer.add_topic(StoredTopic(topic, NUMBER, None, "ros2msg", "int32 data\n", qos))
+        writer.write(topic, Sample(START_NS + at_ms * 1_000_000, 0, None, b"\0\1\0\0\0\0\0\0"))
+    writer.close()
+    await play(PlayRequest(bag="latched", start="0.3 s in"))
+    assert [topic for topic, _ in bridge.heard] == ["/goal", "/odom"]
 
 
 async def test_a_play_of_nothing_ends_and_says_so(bridge: MadeBridge, play: Play) -> None:

@@ -52,7 +52,7 @@ async def test_a_recording_that_is_cancelled_before_it_began_is_ended(
 
     bridge.topics = look
     with scope:  # as the MCP server cancels: again and again
-        await recording.start(robot, BagStore(tmp_path), RecordRequest())
+        await recording.start(robot, robot.session(), BagStore(tmp_path), RecordRequest())
     assert scope.cancelled_caught
     [begun] = robot.jobs.all(Recording)
     assert not begun.is_running
@@ -63,7 +63,7 @@ async def test_a_recording_that_is_cancelled_while_its_folder_is_made_never_begi
     tmp_path: Path, bridge: MadeBridge, robot: Robot
 ) -> None:
     bridge.topics = lambda: asyncio.sleep(1000)
-    starting = asyncio.create_task(recording.start(robot, BagStore(tmp_path), RecordRequest()))
+    starting = asyncio.create_task(recording.start(robot, robot.session(), BagStore(tmp_path), RecordRequest()))
     while not list(tmp_path.iterdir()):
         await asyncio.sleep(0)
     starting.cancel()
@@ -80,7 +80,7 @@ async def test_a_recording_that_fails_to_begin_for_another_reason_is_ended(
 ) -> None:
     bridge.topics = lambda: [["not", "as", "foreseen"]]
     with pytest.raises(TypeError, match="TopicRow"):
-        await recording.start(robot, BagStore(tmp_path), RecordRequest())
+        await recording.start(robot, robot.session(), BagStore(tmp_path), RecordRequest())
     assert not robot.jobs.running(Recording)
     [failed] = (await recording.status(robot)).recordings
     assert failed.state == "failed" and "TopicRow" in failed.reason
@@ -89,7 +89,7 @@ async def test_a_recording_that_fails_to_begin_for_another_reason_is_ended(
 async def test_a_recording_whose_folder_cannot_be_made_says_so(tmp_path: Path, robot: Robot) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(BadInput, match="cannot be written"):
-        await recording.start(robot, BagStore(tmp_path / "file"), RecordRequest())
+        await recording.start(robot, robot.session(), BagStore(tmp_path / "file"), RecordRequest())
     [failed] = (await recording.status(robot)).recordings
     assert (failed.state, failed.bag, failed.messages) == ("failed", "", 0)
 
@@ -116,7 +116,7 @@ async def test_a_topic_with_two_types_is_told_in_words_at_start_in_status_and_at
 ) -> None:
     bridge.topics, bridge.sent = lambda: [["/scan", ["a/msg/One", "a/msg/Other"], 2, 0]], ("a/msg/One", "a/msg/Other")
     told = "/scan is not recorded: It has several types: a/msg/One, a/msg/Other."
-    begun = await recording.start(robot, BagStore(tmp_path), RecordRequest(topics=["/scan"]))
+    begun = await recording.start(robot, robot.session(), BagStore(tmp_path), RecordRequest(topics=["/scan"]))
     assert begun.summary().endswith(f"Z. {told}") and " 0 messages of 0 topics" in begun.summary()
     assert (await recording.status(robot)).summary()[0].endswith(told)
     assert (await recording.stop(robot, begun.recording_id)).summary().endswith(f"stopped. {told}")
@@ -126,7 +126,7 @@ async def test_a_type_that_only_a_subscriber_wants_keeps_nothing_from_being_reco
     tmp_path: Path, bridge: MadeBridge, robot: Robot
 ) -> None:
     bridge.topics, bridge.sent = lambda: [["/scan", ["a/msg/Other", NUMBER], 1, 1]], (NUMBER,)
-    begun = await recording.start(robot, BagStore(tmp_path), RecordRequest(topics=["/scan"]))
+    begun = await recording.start(robot, robot.session(), BagStore(tmp_path), RecordRequest(topics=["/scan"]))
     [scan] = begun.topics
     assert scan.topic_type == NUMBER and "several types" not in scan.error and not scan.other_types
 
@@ -135,7 +135,7 @@ async def test_a_topic_of_the_robot_with_the_name_of_our_own_is_told_as_not_reco
     tmp_path: Path, bridge: MadeBridge, robot: Robot
 ) -> None:
     bridge.topics = lambda: [["/agent/calls", [NUMBER], 1, 0]]
-    begun = await recording.start(robot, BagStore(tmp_path), RecordRequest())
+    begun = await recording.start(robot, robot.session(), BagStore(tmp_path), RecordRequest())
     assert begun.notes == ["/agent/calls records what this server does, not the topic of that name on the robot."]
 
 
@@ -146,7 +146,9 @@ async def test_the_only_recording_that_runs_is_stopped_without_its_id_and_never_
     await keep_black_box(robot, store, Settings(black_box=()))
     with pytest.raises(NotFound, match="No recording has been started"):
         await recording.stop(robot)
-    first, second = [await recording.start(robot, store, RecordRequest(name=name)) for name in ("one", "two")]
+    first, second = [
+        await recording.start(robot, robot.session(), store, RecordRequest(name=name)) for name in ("one", "two")
+    ]
     with pytest.raises(BadInput, match=f"{first.recording_id}, {second.recording_id}"):
         await recording.stop(robot)
     await recording.stop(robot, first.recording_id)
@@ -158,7 +160,7 @@ async def test_the_only_recording_that_runs_is_stopped_without_its_id_and_never_
 async def test_a_recording_that_has_ended_at_its_limit_is_told_by_who_wants_to_stop_it(
     tmp_path: Path, robot: Robot
 ) -> None:
-    begun = await recording.start(robot, BagStore(tmp_path), RecordRequest(max_duration_s=0.05))
+    begun = await recording.start(robot, robot.session(), BagStore(tmp_path), RecordRequest(max_duration_s=0.05))
     await soon(lambda: not robot.jobs.running(Recording))
     for named in ("", begun.recording_id):
         found = await recording.stop(robot, named)
@@ -196,13 +198,13 @@ async def test_a_recording_that_runs_goes_on_until_now_however_long_nothing_came
 
 
 async def test_a_named_topic_that_nobody_publishes_is_told(tmp_path: Path, robot: Robot) -> None:
-    state = await recording.start(robot, BagStore(tmp_path), RecordRequest(topics=["/later"]))
+    state = await recording.start(robot, robot.session(), BagStore(tmp_path), RecordRequest(topics=["/later"]))
     assert state.notes == ["/later: nobody publishes it yet; recording begins within a second after somebody does."]
 
 
 async def test_what_is_still_being_recorded_is_not_called_damaged(tmp_path: Path, robot: Robot) -> None:
     store = BagStore(tmp_path)
-    await recording.start(robot, store, RecordRequest(name="run"))
+    await recording.start(robot, robot.session(), store, RecordRequest(name="run"))
     assert (await bags.info(store, "run")).problems == ["It is still being recorded."]
     await robot.jobs.close()
     await store.close()
@@ -226,7 +228,7 @@ async def test_what_the_policy_forbids_is_left_out_also_where_everything_is_reco
     robot.guard.policy = Policy(documents=[document], rules=compiled([document]))
     types = ["a/msg/One", "a/msg/Other"]
     bridge.topics, bridge.sent = lambda: [["/camera/image", types, 1, 0], ["/said", types, 1, 0]], tuple(types)
-    begun = await recording.start(robot, BagStore(tmp_path), RecordRequest())
+    begun = await recording.start(robot, robot.session(), BagStore(tmp_path), RecordRequest())
     camera, said = begun.topics
     assert camera.error == "The policy: recording /camera/image is forbidden (p line 4: forbid record /camera/**)."
     assert "several types" in said.error  # it was taken

@@ -31,9 +31,9 @@ async def test_a_call_that_is_cancelled_while_health_is_looked_at_ends_the_navig
         return []
 
     monkeypatch.setattr(module, "health_of", endless)
-    job = Driving(robot, "/navigate_to_pose", [Target("", "map", 1.0, 0.0, 0.0)])
+    job = Driving(robot, robot.session(), "/navigate_to_pose", [Target("", "map", 1.0, 0.0, 0.0)])
     await robot.jobs.start(job)
-    call = asyncio.create_task(navigate(robot, None, job_id=job.id, timeout_s=0.0))
+    call = asyncio.create_task(navigate(robot, robot.session(), None, job_id=job.id, timeout_s=0.0))
     await looking.wait()
     call.cancel()
     with pytest.raises(asyncio.CancelledError):

@@ -5,8 +5,8 @@ import math
 import pytest
 
 from ros2_mcp.model.errors import BadInput, NotFound
+from ros2_mcp.ops.navigation.known_places import NamedPlace, Places
 from ros2_mcp.ops.navigation.targets import targets_of
-from ros2_mcp.robot.places import NamedPlace, Places
 
 
 @pytest.fixture

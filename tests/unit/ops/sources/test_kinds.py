@@ -19,7 +19,7 @@ from ros2_mcp.ops.memory import bags
 from ros2_mcp.ops.memory import messages as history
 from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.pictures import plot as plotting
-from ros2_mcp.ops.results.results import silent
+from ros2_mcp.ops.results.results import AnswerBytes, silent
 from ros2_mcp.ops.sources.bag import BagSource, open_bag
 from ros2_mcp.ops.sources.kinds import OWN_KINDS, Sources
 from ros2_mcp.ops.sources.recorded_robot import recorded_robot
@@ -57,7 +57,7 @@ async def test_a_new_kind_of_source_is_one_class_and_one_line(tmp_path: Path, wi
     made = Recorded([window("/x", FLOAT, [(each / 10, {"data": float(each)}) for each in range(11)], 1.0)])
     kinds = [MadeSources(made), *OWN_KINDS]
     store = BagStore(tmp_path)
-    robot = recorded_robot(store, 32_000)
+    robot = recorded_robot(store, [AnswerBytes(32_000)])
 
     async def ask(name: str, **arguments: Any) -> Mapping[str, Any]:
         tool = bind(next(each for each in DECLARED if each.name == name), robot, store, kinds)
@@ -104,7 +104,7 @@ async def damaged(tmp_path: Path) -> AsyncIterator[BagStore]:
 
 
 async def test_what_cannot_be_decoded_is_skipped_counted_and_told_by_whoever_reads(damaged: BagStore) -> None:
-    robot = recorded_robot(damaged, 32_000)
+    robot = recorded_robot(damaged, [AnswerBytes(32_000)])
     six, told = Selection(message_limit=6), "2 messages that cannot be decoded"
     read = await reading.read(await open_bag(damaged, "run"), "/count", "", six)
     from_bag = await bags.read(robot, damaged, "run", "/count", six)
@@ -196,7 +196,7 @@ async def test_of_a_bag_every_nth_message_is_counted_from_the_end_where_the_last
         writer.write("/count", Sample(START_NS + number * SECOND, 0, number, data))
     writer.close()
     store, thinned = BagStore(tmp_path), Selection(message_limit=2, every_n=3)
-    robot = recorded_robot(store, 32_000)
+    robot = recorded_robot(store, [AnswerBytes(32_000)])
     for start, expected in (("", [6, 9]), ("first 1 s", [1, 4])):
         read = await reading.read(await open_bag(store, "run", start), "/count", "", thinned)
         from_bag = await bags.read(robot, store, "run", "/count", thinned, start)

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from ros2_mcp.model.graph import TopicEndpoints
 from ros2_mcp.model.qos import Endpoint, QoS
 from ros2_mcp.ops.sources.source import GraphSnapshot
 from ros2_mcp.ops.space.inputs import (
+    CommandInput,
     command_inputs,
     drive_types,
-    inputs_in_words,
     orders_by_service,
     other_actions,
     waited_for,
 )
-from ros2_mcp.ops.space.style import Style
+from ros2_mcp.ops.space.lines import Named
 
 FLOATS, TRAJECTORY = "std_msgs/msg/Float64MultiArray", "trajectory_msgs/msg/JointTrajectory"
 
@@ -29,6 +31,10 @@ def graph(*topics: TopicEndpoints) -> GraphSnapshot:
     return GraphSnapshot({one.topic: one for one in topics}, [], {})
 
 
+def lines(things: Sequence[CommandInput | Named]) -> list[str]:
+    return [one.line for one in things]
+
+
 def test_types_that_are_for_anything_command_by_the_name_of_their_topic() -> None:
     found = command_inputs(
         graph(
@@ -40,7 +46,7 @@ def test_types_that_are_for_anything_command_by_the_name_of_their_topic() -> Non
         ),
         {},
     )
-    assert inputs_in_words(found, Style()) == [
+    assert lines(found) == [
         "/cmd_vel Twist → /base (from /smoother)",
         "/goal_pose PoseStamped (goal) → /bt_navigator",
         "/commands/motor/speed Float64 (low level) → /vesc",
@@ -51,7 +57,7 @@ def test_the_input_of_a_controller_that_is_not_active_says_so_and_comes_last() -
     arm, other = "/arm_controller", "/forward_controller"
     present = graph(heard(f"{arm}/joint_trajectory", TRAJECTORY, arm), heard(f"{other}/commands", FLOATS, other))
     states = [{"name": "arm_controller", "state": "inactive"}, {"name": "forward_controller", "state": "active"}]
-    assert inputs_in_words(command_inputs(present, {"/controller_manager": states}), Style()) == [
+    assert lines(command_inputs(present, {"/controller_manager": states})) == [
         "/forward_controller/commands Float64MultiArray (low level) → /forward_controller",
         "/arm_controller/joint_trajectory JointTrajectory → /arm_controller, not active",
     ]
@@ -72,10 +78,10 @@ def test_movements_come_before_goals_and_goals_before_lower_inputs() -> None:
         ),
         {},
     )
-    assert inputs_in_words(found, Style()) == [
+    assert lines(found) == [
         "/base/reference TwistStamped → /base",
         "/arm/servo_node/delta_twist_cmds TwistStamped → /servo_node",
-        "/nav/navigate_to_pose (action) → /bt_navigator",
+        "/nav/navigate_to_pose NavigateToPose (action) → /bt_navigator",
         "/spot/body_pose Pose (pose) → /spot",
         "/thrust Float32 (low level) → /hull",
     ]
@@ -99,7 +105,7 @@ def test_what_a_driver_tells_is_no_input_and_turning_alone_and_joysticks_are_tol
         ),
         {},
     )
-    assert inputs_in_words(found, Style()) == [
+    assert lines(found) == [
         "/uav/setpoint_velocity/cmd_vel TwistStamped → /uav",
         "/uav/setpoint_attitude/cmd_vel TwistStamped (body rates) → /uav",
         "/joint_command JointState (joints) → /simulator",
@@ -115,24 +121,20 @@ def test_actions_that_move_it_are_inputs_and_others_are_named() -> None:
         action("/gripper/cmd", "control_msgs/action/GripperCommand", "/gripper"),
         action("/move_action", "moveit_msgs/action/MoveGroup", "/move_group"),
         *(action(f"/{name}", f"nav2_msgs/action/{name}", "/behaviors") for name in ("Spin", "BackUp", "Wait")),
+        action("/undock", "maker_msgs/action/Undock", "/dock"),
     )
     found = command_inputs(present, {"/controller_manager": [{"name": "gripper", "state": "inactive"}]})
-    assert inputs_in_words(found, Style()) == [
+    assert lines(found) == [
         "/move_action MoveGroup (action) → /move_group",
-        f"{arm} (action, or topic joint_trajectory) → /arm_controller",
+        f"{arm} FollowJointTrajectory (action, or topic joint_trajectory) → /arm_controller",
         "/gripper/cmd GripperCommand (action) → /gripper, not active",
     ]
-    assert other_actions(present, found).in_words(Style()) == [
-        "other actions: /Spin → /behaviors; /BackUp → /behaviors; /Wait → /behaviors"
-    ]
-    brief = Style(is_brief=True)
-    others = other_actions(present, found)
-    assert others.in_words(brief) == ["other actions: /Spin, /BackUp, /Wait → /behaviors"]
-    assert others.with_known().in_words(brief) == ["other actions: 3 of Nav2"]
-    assert inputs_in_words(found, brief)[1:] == [
-        f"{arm} (action, or topic joint_trajectory)",
-        "/gripper/cmd GripperCommand (action), not active",
-    ], "whoever listens there has the name that the input begins with"
+    assert lines(other_actions(present, found)) == [
+        "/undock Undock → /dock",
+        "/Spin Spin → /behaviors",
+        "/BackUp BackUp → /behaviors",
+        "/Wait Wait → /behaviors",
+    ], "those that every Nav2 has are needed least"
 
 
 def test_topics_on_which_somebody_waits_for_orders_are_named_and_sensors_that_are_missing_are_not() -> None:
@@ -145,33 +147,17 @@ def test_topics_on_which_somebody_waits_for_orders_are_named_and_sensors_that_ar
         heard("/speech", "std_msgs/msg/String", "/driver"),
         heard("/chatter", "std_msgs/msg/String", "/listener", "/talker"),
     )
-    waited = waited_for(present, command_inputs(present, {}))
-    assert waited.in_words(Style()) == [
-        "waited for: /setpoint_raw/local PositionTarget → /mavros; /joint_angles JointAnglesWithSpeed → /driver; "
-        "/initialpose PoseWithCovarianceStamped → /amcl; /speech String → /driver"
-    ]
-    assert waited.in_words(Style(is_brief=True, has_types=False)) == [
-        "waited for: /setpoint_raw/local → /mavros; /joint_angles, /speech → /driver; /initialpose → /amcl"
-    ]
-
-
-def test_what_goes_the_same_way_stands_together_where_it_must_be_brief() -> None:
-    present = graph(
-        heard("/r1/cmd_vel", "geometry_msgs/msg/Twist", "/r1/mux", "/r1/nav"),
-        heard("/r1/joy/cmd_vel", "geometry_msgs/msg/Twist", "/r1/mux"),
-        heard("/r1/motor/left/cmd", "std_msgs/msg/Float64", "/r1/vesc"),
-        heard("/r1/motor/right/cmd", "std_msgs/msg/Float64", "/r1/vesc"),
-    )
-    style = Style(is_brief=True, namespace="/r1", has_senders=False)
-    assert inputs_in_words(command_inputs(present, {}), style) == [
-        "cmd_vel, joy/cmd_vel Twist → mux",
-        "motor/{left,right}/cmd Float64 (low level) → vesc",
+    assert lines(waited_for(present, command_inputs(present, {}))) == [
+        "/setpoint_raw/local PositionTarget → /mavros",
+        "/joint_angles JointAnglesWithSpeed → /driver",
+        "/initialpose PoseWithCovarianceStamped → /amcl",
+        "/speech String → /driver",
     ]
 
 
 def test_of_many_senders_the_first_three_are_named() -> None:
     present = graph(heard("/cmd_vel", "geometry_msgs/msg/Twist", "/base", "/a", "/b", "/c", "/d"))
-    told = inputs_in_words(command_inputs(present, {}), Style())
+    told = lines(command_inputs(present, {}))
     assert told == ["/cmd_vel Twist → /base (from /a, /b, /c and 1 more)"]
 
 
@@ -185,4 +171,4 @@ def test_services_by_which_a_robot_is_told_to_do_something_are_named_and_those_o
         "/mavros/set_mode": ["mavros_msgs/srv/SetMode"],
     }
     found = orders_by_service(GraphSnapshot({}, [], services))
-    assert found.in_words(Style(is_brief=True)) == ["services: /mavros/set_mode; /spot/{sit,stand} Trigger"]
+    assert lines(found) == ["/mavros/set_mode SetMode", "/spot/sit Trigger", "/spot/stand Trigger"]

@@ -1,22 +1,22 @@
-"""The robot in brief out of what was recorded of it: right, and never more than two kilobytes."""
+"""The robot in brief out of what was recorded of it: right, and never more than four kilobytes."""
 
 from __future__ import annotations
 
 import json
 import math
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 
 from ros2_mcp.model.graph import TopicEndpoints
 from ros2_mcp.model.qos import Endpoint, QoS
 from ros2_mcp.ops.results.results import as_json
+from ros2_mcp.ops.results.text import as_text
 from ros2_mcp.ops.sources.source import GraphSnapshot
 from ros2_mcp.ops.space.body import MountInWords, mounted
-from ros2_mcp.ops.space.brief import MOST_BYTES, RobotInBrief
-from ros2_mcp.ops.space.controllers import Controller, controllers_in_words, controllers_of, idle_movers
+from ros2_mcp.ops.space.brief import MOST_BYTES, Part, RobotInBrief
+from ros2_mcp.ops.space.controllers import Controller, controllers_of, idle_movers
 from ros2_mcp.ops.space.robot import in_brief
-from ros2_mcp.ops.space.style import Style
 from ros2_mcp.robot import Robot
 from ros2_mcp.world.transforms import FrameTree
 from ros2_mcp.world.urdf import parse
@@ -37,7 +37,8 @@ BASE = (
 CART = f"""<robot name="cart">{BASE}{"".join(WHEEL.format(name) for name in ("left_wheel", "right_wheel"))}
 {TURN.format("left_wheel", 0.2)}{TURN.format("right_wheel", -0.2)}</robot>"""
 
-JOINTS = "also told: /joint_states JointState"
+IN_LASER = "in laser at 0.2 0 0.3 yaw 180° (by URDF, not TF)"
+JOINTS = "/joint_states JointState"
 """Whose rate is not known of one message."""
 
 
@@ -86,8 +87,8 @@ async def test_everything_is_told_of_a_cart_with_a_laser(window: Make, robot: Ro
     assert (found.name, found.kind, found.base_frame) == ("cart", "differential drive base, 2 wheels", "base_link")
     assert found.footprint.startswith("0.60 × 0.44 m, centred")
     assert found.command_inputs == ["/cmd_vel Twist → /base"]
-    mount = "in laser at 0.2 0 0.3 yaw 180° (by URDF, not TF)"
-    assert found.sensors == [f"/scan LaserScan 10 Hz {mount}, 0.1 to 12 m over 360°", JOINTS]
+    assert found.sensors == [f"/scan LaserScan 10 Hz {IN_LASER}, 0.1 to 12 m over 360°"]
+    assert found.also_told == [JOINTS]
     assert found.joints[0] == "left_wheel_joint continuous 1.5 rad"
     assert found.place == "In map at x 6.00 y 0.00 m, yaw 0° (TF, localised)."
     assert found.frames == "map → odom → base_link; 3 in all"
@@ -119,9 +120,22 @@ async def test_one_sensor_that_cannot_be_read_takes_nothing_else_away(window: Ma
     ]
     found = await in_brief(robot, source(made))
     lines = "\n".join(found.sensors)
-    assert "/sonar Range 10 Hz in laser, 0.05 to 4 m" in lines
+    assert f"/sonar Range 10 Hz {IN_LASER}, 0.05 to 4 m" in lines
     assert "/battery BatteryState 72%" in lines and "/wrench WrenchStamped 10 Hz" in lines
     assert found.unhealthy == [] and found.kind.startswith("differential")
+
+
+@pytest.mark.parametrize(
+    ("told", "shown"),
+    [({"percentage": 0.0, "voltage": 12.4}, ""), ({"percentage": 0.0, "capacity": 5.0}, " 0%"), ({}, "")],
+)
+async def test_a_battery_whose_percentage_was_never_filled_in_is_not_at_zero(
+    window: Make, robot: Robot, told: dict[str, float], shown: str
+) -> None:
+    battery = window("/battery", "sensor_msgs/msg/BatteryState", [(4.0, told)])
+    found = await in_brief(robot, source([*windows(window, CART), battery]))
+    assert ("/battery BatteryState 0%" in "\n".join(found.sensors)) == bool(shown)
+    assert any("The battery is at" in line for line in found.unhealthy) == bool(shown)
 
 
 async def test_what_a_joint_carries_sits_where_that_joint_is_or_nowhere(window: Make, robot: Robot) -> None:
@@ -130,13 +144,13 @@ async def test_what_a_joint_carries_sits_where_that_joint_is_or_nowhere(window: 
     made = windows(window, f'<robot name="cart">{pan}</robot>')
     found = await in_brief(robot, source(made))
     unknown = "in laser (mount unknown: mount moves it)"
-    assert found.sensors == [f"/scan LaserScan 10 Hz {unknown}, 0.1 to 12 m over 360°", JOINTS]
+    assert found.sensors == [f"/scan LaserScan 10 Hz {unknown}, 0.1 to 12 m over 360°"]
     told = window(
         "/joint_states", "sensor_msgs/msg/JointState", [(4.9, {"name": ["mount"], "position": [-math.pi / 2]})]
     )
     found = await in_brief(robot, source([*made[:-1], told]))
     mount = "in laser at 0.2 0 0.3 yaw 90° moving with mount (by URDF, not TF)"
-    assert found.sensors == [f"/scan LaserScan 10 Hz {mount}, 0.1 to 12 m over 360°", JOINTS]
+    assert found.sensors == [f"/scan LaserScan 10 Hz {mount}, 0.1 to 12 m over 360°"]
 
 
 async def test_joints_that_are_told_in_turns_are_all_told(window: Make, robot: Robot) -> None:
@@ -198,8 +212,8 @@ async def test_what_a_robot_tells_of_itself_has_its_value_and_one_that_is_a_faul
         window("/left_motor", "std_msgs/msg/Float32", []),
     ]
     found = await in_brief(robot, source(made))
-    told = "/is_homed Bool true; /left_motor Float32; /mode String «navigation»"
-    assert found.sensors[-1] == f"{JOINTS}; {told}" and found.unhealthy == []
+    told = ["/is_homed Bool true", "/left_motor Float32", "/mode String «navigation»"]
+    assert found.also_told == [JOINTS, *told] and found.unhealthy == []
 
 
 async def test_how_wide_a_camera_and_an_ultrasound_see_is_told(window: Make, robot: Robot) -> None:
@@ -213,8 +227,8 @@ async def test_how_wide_a_camera_and_an_ultrasound_see_is_told(window: Make, rob
         window("/sonar", "sensor_msgs/msg/Range", [(at / 10, sonar) for at in range(49)]),
     ]
     lines = (await in_brief(robot, source(made))).sensors
-    assert "/camera/image_raw Image 10 Hz 90° wide in laser" in lines
-    assert "/sonar Range 10 Hz in laser, 0.25 to 2.55 m over 30°" in lines
+    assert f"/camera/image_raw Image 10 Hz 90° wide {IN_LASER}" in lines
+    assert f"/sonar Range 10 Hz {IN_LASER}, 0.25 to 2.55 m over 30°" in lines
 
 
 async def test_of_joints_only_what_is_told_as_their_states_is_where_they_are(window: Make, robot: Robot) -> None:
@@ -310,14 +324,10 @@ def test_controllers_are_told_movers_first_and_the_inactive_as_such() -> None:
         {"name": "arm_controller", "type": "x/JointTrajectoryController", "state": "active"},
     ]
     told = controllers_of(graph, {"/controller_manager": rows}, is_controlled=True)
-    assert controllers_in_words(told, Style()) == [
+    assert [one.line for one in told] == [
         "/arm_controller JointTrajectoryController",
         "/forward JointGroupVelocityController is inactive",
         "/joint_state_broadcaster",
-    ]
-    assert controllers_in_words(told, Style(is_brief=True, has_controller_types=False)) == [
-        "/arm_controller, /joint_state_broadcaster",
-        "/forward is inactive",
     ]
 
 
@@ -326,8 +336,6 @@ def test_without_a_manager_s_answer_a_name_alone_makes_no_controller() -> None:
         Controller("/arm_controller")
     ]
     assert controllers_of(controlled("/driver"), {}, is_controlled=False) == []  # an action in the driver's namespace
-    same = [Controller(f"/{side}_arm", "JointTrajectoryController") for side in ("left", "right")]
-    assert controllers_in_words(same, Style(is_brief=True)) == ["/{left,right}_arm JointTrajectoryController"]
 
 
 def test_that_all_controllers_that_move_joints_are_idle_is_told() -> None:
@@ -379,71 +387,82 @@ async def test_of_a_mobile_manipulator_the_joints_of_the_arm_are_told_before_its
     assert size_of(found) <= MOST_BYTES
 
 
-def words(number: int) -> str:
-    """A name of its own for each, which has nothing in common with the others'."""
-    return "".join(chr(ord("q") + int(digit)) * 3 for digit in str(number))
-
-
-@pytest.mark.parametrize("count", [3, 200])
-async def test_it_is_never_more_than_two_kilobytes(window: Make, robot: Robot, count: int) -> None:
-    chain = "".join(
-        f'<link name="link_{n}"/><joint name="a_long_name_of_the_joint_{words(n)}" type="revolute">'
+def chain_of(count: int, name: str = "snake") -> str:
+    """A robot with so many joints in a row."""
+    links = "".join(
+        f'<link name="link_{n}"/><joint name="a_long_name_of_the_joint_{n}" type="revolute">'
         f'<parent link="{f"link_{n - 1}" if n else "base_link"}"/>'
         f'<child link="link_{n}"/><limit lower="-1" upper="{1 + n / 10}" velocity="1" effort="1"/></joint>'
         for n in range(count)
     )
-    made = source(windows(window, f'<robot name="{"x" * 500}">{BASE}{chain}</robot>'))
-    found = await in_brief(robot, made)
-    assert max(size_of(found), len(found.summary().encode())) <= MOST_BYTES
-    assert (found.left_out > 0) == (count > 12) == ("whole=true shows all" in found.summary())
-    whole = await in_brief(robot, made, whole=True)
-    assert (len(whole.joints), whole.left_out) == (count + len(("the left wheel", "the right wheel")), 0)
-    last = f"a_long_name_of_the_joint_{words(count - 1)}"
-    assert whole.joints[count - 1] == f"{last} position unknown of -1..{1 + (count - 1) / 10:g} rad, ≤ 1 rad/s"
+    return f'<robot name="{name}">{BASE}{links}</robot>'
 
 
-async def test_a_hundred_joints_of_one_chain_stand_in_one_line(window: Make, robot: Robot) -> None:
-    links = "".join(f'<link name="link_{n}"/>' for n in range(100))
-    joints = "".join(
-        f'<joint name="joint_{n}" type="revolute"><parent link="{f"link_{n - 1}" if n else "base_link"}"/>'
-        f'<child link="link_{n}"/><limit lower="-1" upper="1" velocity="2" effort="1"/></joint>'
-        for n in range(100)
-    )
-    found = await in_brief(robot, source(windows(window, f'<robot name="snake">{BASE}{links}{joints}</robot>')))
-    names = ",".join(map(str, range(100)))
-    assert found.joints[0] == f"joint_{{{names}}} unknown of ±1, 2/s"
-    assert (found.left_out, size_of(found) <= MOST_BYTES) == (0, True)
+def bytes_of(found: RobotInBrief) -> int:
+    """Of its JSON or its text, whichever has more."""
+    return max(size_of(found), len(as_text(found).encode()))
 
 
-@pytest.mark.parametrize("count", [2, 30])
-async def test_a_namespace_of_most_names_is_told_once_where_all_would_be_too_long(
+@pytest.mark.parametrize("count", [3, 200])
+async def test_it_is_never_more_than_four_kilobytes_and_what_is_left_out_is_counted(
     window: Make, robot: Robot, count: int
 ) -> None:
-    header = {"frame_id": "laser", "stamp": stamp(4.9)}
-    namespace = f"/a_robot_{'with_a_long_name_' * 6}0140"
-    kinds = [f"sensor_msgs/msg/{kind}" for kind in ("Imu", "Range", "NavSatFix", "FluidPressure", "Temperature")]
-    kinds += [f"sensor_msgs/msg/{kind}" for kind in ("MagneticField", "Illuminance", "PointCloud2", "Image")]
-    sensors = [
-        window(f"{namespace}/{words(n)}/{words(n)}/data", kind, [(4.9, {"header": header})])
-        for n, kind in enumerate(kinds * count)
-    ]
-    made = source([*windows(window, CART), *sensors])
+    made = source(windows(window, chain_of(count, "x" * 2000)))
     found = await in_brief(robot, made)
-    assert found.namespace == namespace
-    assert f"{words(0)}/{words(0)}" in " ".join(found.sensors) and namespace not in " ".join(found.sensors)
-    assert found.command_inputs == ["/cmd_vel Twist → /base"]
-    assert size_of(found) <= MOST_BYTES
-    assert (found.left_out > 0) == (count > 2)
-    assert (await in_brief(robot, made, whole=True)).namespace is None
+    assert bytes_of(found) <= MOST_BYTES
+    whole = await in_brief(robot, made, whole=True)
+    assert (len(whole.joints), whole.left_out) == (count + len(("the left wheel", "the right wheel")), 0)
+    assert whole.joints[count - 1] == (
+        f"a_long_name_of_the_joint_{count - 1} position unknown, "
+        f"limits -1 to {1 + (count - 1) / 10:g} rad, at most 1 rad/s"
+    )
+    if count == 3:
+        assert (found.left_out, found.joints) == (0, whole.joints)
+        return
+    *first, account = found.joints
+    assert len(first) > 10 and first == whole.joints[: len(first)]
+    assert account == f'{len(whole.joints) - len(first)} more: part="joints" shows all.'
+    assert found.left_out == len(whole.joints) - len(first)
+    assert str(found.left_out) in found.summary()
+
+
+async def test_one_part_is_told_in_full_beside_what_is_unhealthy_and_the_others_are_counted(
+    window: Make, robot: Robot
+) -> None:
+    made = source(windows(window, chain_of(200)))
+    whole, found = await in_brief(robot, made, whole=True), await in_brief(robot, made, part="joints")
+    assert (found.joints, found.unhealthy) == (whole.joints, whole.unhealthy) and len(found.joints) == 202
+    assert found.sensors == ['1: part="sensors" shows all.'] and found.controllers == []
+    assert found.left_out == len([*whole.sensors, *whole.command_inputs, *whole.also_told])
+
+
+@pytest.mark.parametrize("part", get_args(Part)[1:])
+async def test_every_part_has_everything_with_its_name(window: Make, robot: Robot, part: Part) -> None:
+    made = source(windows(window, chain_of(100)))
+    whole, found = await in_brief(robot, made, whole=True), await in_brief(robot, made, part=part)
+    assert getattr(found, part) == getattr(whole, part)
+
+
+async def test_what_is_unhealthy_stands_in_the_first_kilobyte(window: Make, robot: Robot) -> None:
+    header = {"frame_id": "velodyne", "stamp": stamp(4.9)}
+    cloud = window("/points", "sensor_msgs/msg/PointCloud2", [(at / 10, {"header": header}) for at in range(49)])
+    services = {f"/driver/order_{n}": ["std_srvs/srv/Trigger"] for n in range(300)}
+    graph = await source([*windows(window, chain_of(100)), cloud]).graph()
+    found = await in_brief(
+        robot, Recorded([*windows(window, chain_of(100)), cloud], GraphSnapshot(graph.topics, graph.nodes, services))
+    )
+    assert as_text(found).index("Not in TF: velodyne.") < 1000
+    assert bytes_of(found) <= MOST_BYTES
 
 
 async def test_what_is_only_named_is_left_out_before_what_is_described(window: Make, robot: Robot) -> None:
     """Services first: a robot's driver has dozens."""
     made = windows(window, CART)
-    live = source([*made, *(window(f"/said_{words(n)}", "std_msgs/msg/Bool", []) for n in range(30))])
-    services = {f"/driver/order_{words(n)}": ["std_srvs/srv/Trigger"] for n in range(300)}
+    live = source([*made, *(window(f"/said_{n}", "std_msgs/msg/Bool", []) for n in range(30))])
+    services = {f"/driver/order_{n}": ["std_srvs/srv/Trigger"] for n in range(300)}
     graph = await live.graph()
     found = await in_brief(robot, Recorded([*made], GraphSnapshot(graph.topics, graph.nodes, services)))
-    assert found.joints == ["{left,right}_wheel_joint continuous 1.5, -0.25"]
-    assert "/scan LaserScan" in found.sensors[0] and not found.sensors[-1].endswith("more")
-    assert "more" in found.command_inputs[-1] and found.left_out > 0 and size_of(found) <= MOST_BYTES
+    assert found.joints == ["left_wheel_joint continuous 1.5 rad", "right_wheel_joint continuous -0.25 rad"]
+    assert "/scan LaserScan" in found.sensors[0] and len(found.also_told) == 31
+    assert found.command_services[-1] == f'{found.left_out} more: part="command_services" shows all.'
+    assert bytes_of(found) <= MOST_BYTES

@@ -42,7 +42,7 @@ async def test_progress_counts_from_the_first_message_and_repeats_no_line(robot:
 
     bridge.may_answer.clear()
     command = Repeat(**on("/cmd_vel", value={}, choice=CHOICE, wait_match_s=0.0, rate_hz=10.0, duration_s=WHOLE_S))
-    repeating = asyncio.ensure_future(_repeat(robot, command, report))
+    repeating = asyncio.ensure_future(_repeat(robot, robot.session(), command, report))
     await ticks.wait()  # the bridge has not said that it has begun
     ticks.clear()
     bridge.repeats_begun[bridge.arguments["repeat"]["name"]] = monotonic() - 2 * WHOLE_S

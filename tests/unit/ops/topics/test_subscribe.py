@@ -17,7 +17,7 @@ from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.memory import bags
 from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.memory.messages import get_messages
-from ros2_mcp.ops.results.results import silent
+from ros2_mcp.ops.results.results import AnswerBytes, silent
 from ros2_mcp.ops.sources.bag import BagSource, open_bag
 from ros2_mcp.ops.sources.kinds import Sources
 from ros2_mcp.ops.sources.live import Live
@@ -123,7 +123,7 @@ async def test_reads_with_a_filter_and_a_limit_say_how_to_read_on(bag: BagSource
     last = await reading.read(bag, "/tf", "", asked)
     assert last.note == "No such element in 3 other messages."
     store = BagStore(tmp_path, subject=tmp_path / "run")
-    robot = recorded_robot(store, 32_000)
+    robot = recorded_robot(store, [AnswerBytes(32_000)])
     first = await bags.read(robot, store, "run", "/tf", asked, start="0 s in")
     assert first.times_s == [0.5, 1.5]
     assert "There may be later messages: to read them, give start" in first.note and "No such element" in first.note

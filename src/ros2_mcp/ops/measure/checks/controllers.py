@@ -7,17 +7,17 @@ from typing import Any
 
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.measure.checks.check import FIRST, Check
-from ros2_mcp.ops.measure.evidence import Control, Evidence
+from ros2_mcp.ops.measure.evidence import Evidence, Ros2Control
 from ros2_mcp.ops.measure.findings import Finding
 
 
 def _find(evidence: Evidence) -> Iterator[Finding]:
-    for node, control in (evidence.control or {}).items():
+    for node, control in (evidence.ros2_control or {}).items():
         yield from _idle_controllers(node, control)
         yield from _idle_hardware(node, control)
 
 
-def _idle_controllers(node: str, control: Control) -> Iterator[Finding]:
+def _idle_controllers(node: str, control: Ros2Control) -> Iterator[Finding]:
     """One of several for the same joints is meant to wait: those whose interfaces an active one has claimed."""
     active = [one for one in control.controllers if one["state"] == "active"]
     claimed = {str(name) for one in active for name in one.get("claimed_interfaces", ())}
@@ -32,7 +32,7 @@ def _idle_controllers(node: str, control: Control) -> Iterator[Finding]:
         yield Finding("warning", name, problem, advice, name)
 
 
-def _idle_hardware(node: str, control: Control) -> Iterator[Finding]:
+def _idle_hardware(node: str, control: Ros2Control) -> Iterator[Finding]:
     active = [one for one in control.controllers if one["state"] == "active"]
     for component in control.hardware or ():
         state = str(component["state"]["label"] or component["state"]["id"])
@@ -58,4 +58,4 @@ def _full(node: str, controller: Mapping[str, Any]) -> str:
     return f"{node.rpartition('/')[0]}/{controller['name']}"
 
 
-CHECK = Check(("control",), _find, place=FIRST)
+CHECK = Check(("ros2_control",), _find, place=FIRST)

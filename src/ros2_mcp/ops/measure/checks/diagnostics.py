@@ -22,7 +22,7 @@ _MOST_PARTS = 6
 def _find(evidence: Evidence) -> Iterator[Finding]:
     """By convention (`diagnostic_updater`) a component is named after its node: `lidar: status`."""
     nodes = {*(evidence.graph.nodes or ()), *evidence.graph.left.nodes}
-    known = {str(one["name"]) for control in (evidence.control or {}).values() for one in control.controllers}
+    known = {str(one["name"]) for control in (evidence.ros2_control or {}).values() for one in control.controllers}
     for row in evidence.diagnostics.rows:
         node = row.name.partition(":")[0].strip("/ ")
         cause = only([name for name in nodes if name.strip("/") == node or name.endswith(f"/{node}")])

@@ -79,17 +79,18 @@ def _of(evidence: Evidence, row: TopicRow, measured: Flow | None, waits: Mapping
         publishers = nodes_of(topic.publishers)
         problem, advice = _silence(publishers, measured), f"Check the device, parameters and log of {publishers}."
         root = evidence.graph.topics.get(waits.get(row.topic_name, ""))
-        if root is None:
-            yield Finding(severity, row.topic_name, problem, advice, cause)
-        elif root.publishers:
-            by = nodes_of(root.publishers)
-            problem += f" The cause may be {root.topic}, which {by} publishes, and which is silent, too."
-            first = only(sorted({one.node for one in root.publishers})) or root.topic
-            yield Finding(severity, row.topic_name, problem, f"First find out why {root.topic} is silent.", first)
-        else:
+        if root and not root.publishers:
             who = listed(sorted({one.node for one in root.subscribers}), MAX_NAMES)
-            problem = f"{who} waits for it, and nobody publishes it. {row.topic_name} is silent: {problem}"
+            problem = f"{who} waits for {root.topic}, which nobody publishes; so {row.topic_name} is silent."
             yield Finding(severity, root.topic, problem, f"Start what publishes {root.topic}.", root.topic)
+            return
+        if root:
+            problem += (
+                f" The cause may be {root.topic}: what {nodes_of(root.publishers)} publishes there is silent, too."
+            )
+            advice = f"First find out why {root.topic} is silent."
+            cause = only(sorted({one.node for one in root.publishers})) or root.topic
+        yield Finding(severity, row.topic_name, problem, advice, cause)
 
 
 def _silence(publishers: str, measured: Flow | None) -> str:

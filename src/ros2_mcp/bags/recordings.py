@@ -1,0 +1,134 @@
+"""Which files of a folder are one recording: those that `metadata.yaml` lists, or whose names differ in `_N` alone."""
+
+from __future__ import annotations
+
+import re
+from contextlib import suppress
+from pathlib import Path
+
+from ros2_mcp.bags.rosbag2 import METADATA, FolderFacts, read_metadata
+from ros2_mcp.model.errors import BadData, BadInput, NotFound
+from ros2_mcp.model.text import listed, named
+
+SUFFIXES = (".mcap", ".db3", ".db3.zstd", ".mcap.zstd")
+ROS_1_START = b"#ROSBAG V"
+"""What the files of ROS 1 begin with."""
+_STEM = re.compile(r"(?P<stem>.*?)(?:_\d+)?(?:\.mcap|\.db3)(?:\.zstd)?", re.DOTALL)
+_OF_RING = re.compile(r"(?P<stem>box)_\d{8}T\d{6}_\d{9}_0\.mcap")
+"""The files of a black box, whose names have the times at which they began (`ring.py`)."""
+_MOST_NAMED = 10
+"""Recordings that an error names."""
+
+
+def recordings_in(folder: Path, *, as_whole: bool = True) -> list[Path]:
+    """The recordings of a folder: itself, where all its files are one; else each of them, by its name in the folder.
+
+    Without `as_whole` the folder itself is none, as the one that has all recordings. A recording of several files has
+    the name that these have in common, without a number and a suffix.
+    """
+    files = _in_order(folder)
+    stems = {stem_of(path): path for path in files}
+    if as_whole and len(stems) == 1:
+        return [folder]
+    of_folder = _of_metadata(folder, files) if as_whole and files else []
+    found = [folder] if of_folder else []
+    for stem in stems:
+        parts = [path for path in files if stem_of(path) == stem]
+        if parts[0] in of_folder:
+            continue
+        whole = folder / stem
+        found += [whole] if len(parts) > 1 and stem and not whole.exists() else parts
+    return found
+
+
+def files_of(path: Path) -> list[Path]:
+    """The files of a recording, in their order.
+
+    Raises:
+        NotFound: if there is none of that path.
+        BadInput: if the folder has several.
+        BadData: if it cannot be looked into.
+    """
+    try:
+        if path.is_file():
+            return [path]
+        found = _in_folder(path) if path.is_dir() else _of_stem(path)
+    except OSError as error:
+        raise BadData(f"{path.name} cannot be read: {error.strerror}.") from error
+    if not found and path.is_dir():
+        raise NotFound(f"{path.name} is not a bag: it has no .mcap or .db3 file.")
+    if not found:
+        raise NotFound(f"There is no bag {path.name}.")
+    return found
+
+
+def is_recording(path: Path) -> bool:
+    """Whether there is something to read at a path: a file, a folder, or files with that name and a number."""
+    try:
+        return path.exists() or bool(_of_stem(path))
+    except OSError:
+        return False
+
+
+def stem_of(path: Path) -> str:
+    """The name of a file without its suffix and its number: `run` of `run_2.mcap`."""
+    match = _OF_RING.fullmatch(path.name) or _STEM.fullmatch(path.name)
+    return match["stem"] if match else path.name
+
+
+def order_of(path: Path) -> list[tuple[int, str]]:
+    """`run_2.mcap` comes before `run_10.mcap`."""
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.name)]
+
+
+def of_ros_1(path: Path) -> str:
+    """What is said of a recording of ROS 1, with the way to convert it; empty for other files."""
+    with path.open("rb") as file:
+        if file.read(len(ROS_1_START)) != ROS_1_START:
+            return ""
+    convert = f"rosbags-convert --src {path.name} --dst {path.stem}"
+    return f"{named(path.name)} is a recording of ROS 1. Convert it: {convert} (pip install rosbags)."
+
+
+def foreign_in(folder: Path) -> list[str]:
+    """What looks like a recording in a folder and is none of ROS 2, in words."""
+    found: list[str] = []
+    with suppress(OSError):
+        for path in sorted(folder.glob("*.bag")):
+            with suppress(OSError):
+                found.append(of_ros_1(path))
+    return list(filter(None, found))
+
+
+def _in_folder(folder: Path) -> list[Path]:
+    """The files of the one recording of a folder; raises `BadInput` where there are several."""
+    files = _in_order(folder)
+    if len({stem_of(path) for path in files}) <= 1:
+        return files
+    if of_folder := _of_metadata(folder, files):
+        return of_folder
+    found = [f"{folder.name}/{path.name}" for path in recordings_in(folder)]
+    raise BadInput(
+        f"{named(folder.name)} has {len(found)} recordings: nothing says that they are one.",
+        f"Name one of them: {listed(found, _MOST_NAMED)}.",
+    )
+
+
+def _of_metadata(folder: Path, files: list[Path]) -> list[Path]:
+    """Those of the files that `metadata.yaml` lists, however they are compressed now; none without one."""
+    facts = read_metadata(folder) if (folder / METADATA).exists() else ""
+    if not isinstance(facts, FolderFacts):
+        return []
+    stems = {stem_of(Path(name)) for name in facts.files}
+    return [path for path in files if stem_of(path) in stems]
+
+
+def _of_stem(path: Path) -> list[Path]:
+    """The files with the name of a path and a number each."""
+    if not path.name or not path.parent.is_dir():
+        return []
+    return [file for file in _in_order(path.parent) if stem_of(file) == path.name and file.name != path.name]
+
+
+def _in_order(folder: Path) -> list[Path]:
+    return sorted((path for path in folder.iterdir() if path.name.endswith(SUFFIXES) and path.is_file()), key=order_of)

@@ -1,0 +1,141 @@
+"""Why what is commanded may not move: its controller or the hardware below it is not active, or a node is frozen."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from ros2_mcp.model.errors import NotFound, RobotError, TimedOut
+from ros2_mcp.model.text import named
+from ros2_mcp.ops.space.controllers import LIST_CONTROLLERS
+from ros2_mcp.robot import MOTION_TYPES, Robot
+
+COMMAND_TYPES = frozenset((*MOTION_TYPES, "std_msgs/msg/Float64MultiArray", "control_msgs/msg/MultiDOFCommand"))
+"""What controllers of ros2_control listen to: the others are not asked about."""
+_LIST = "controller_manager_msgs/srv/ListControllers"
+_HARDWARE, _LIST_HARDWARE = "/list_hardware_components", "controller_manager_msgs/srv/ListHardwareComponents"
+_PARAMETERS, _GET_PARAMETERS = "/get_parameters", "rcl_interfaces/srv/GetParameters"
+_ANSWER_S = 0.7
+"""One that is alive answers within milliseconds, the first time after 0.1 s of discovery."""
+_MOST_NODES = 4
+"""That are asked: who listens to a command is one base, perhaps a recorder and a filter."""
+_ACTIVE = "active"
+
+
+async def why_idle(
+    robot: Robot, commands: str = "", feedback: str = "", action: str = "", *, is_in_doubt: bool = False
+) -> str:
+    """Sentences on what keeps the listeners of a topic with commands, the publishers of one with feedback, or the
+    server of an action from acting: their controllers and hardware, by each controller manager; empty where nothing
+    does, or nobody knows.
+
+    `is_in_doubt` where something did not move: then also nodes that no manager knows are asked for a sign of life.
+    Takes up to some tenths of a second, 1.5 s where one is frozen. Raises no `RobotError`.
+    """
+    try:
+        services = {row.name for row in await robot.graph.services()}
+        hosts = [name.removesuffix(LIST_CONTROLLERS) for name in services if name.endswith(LIST_CONTROLLERS)]
+        if not (hosts or is_in_doubt):
+            return ""
+        nodes = await _nodes(robot, commands, feedback, action)
+        told = [await _by_its_list(robot, host, nodes, services) for host in sorted(hosts)[:2]]
+    except RobotError:  # what was sent is sent, and is to be told
+        return ""
+    if is_in_doubt and not any(told):
+        told = await asyncio.gather(*(_sign_of_life(robot, node, services) for node in sorted(nodes)[:_MOST_NODES]))
+    return " ".join(filter(None, told))
+
+
+async def with_reason(
+    robot: Robot, error: NotFound | TimedOut, commands: str = "", feedback: str = "", action: str = ""
+) -> RobotError:
+    """The same error with what keeps those from acting whose answer did not come."""
+    why = await why_idle(robot, commands, feedback, action, is_in_doubt=True)
+    return type(error)(f"{error.message} {why}".rstrip(), error.hint)
+
+
+async def _nodes(robot: Robot, commands: str, feedback: str, action: str) -> set[str]:
+    """Who is commanded, and who reports."""
+    found: set[str] = set()
+    if commands:
+        found |= {one.node for one in (await robot.graph.endpoints(commands)).subscribers if not one.ours}
+    for topic in filter(None, (feedback, f"{action}/_action/status" if action else "")):
+        found |= {one.node for one in (await robot.graph.endpoints(topic)).publishers if not one.ours}
+    return found
+
+
+async def _by_its_list(robot: Robot, host: str, nodes: set[str], services: set[str]) -> str:
+    """What a controller manager, the node `host`, says of the controllers that are among these nodes."""
+    try:
+        answer = await _asked(robot, f"{host}{LIST_CONTROLLERS}", _LIST)
+    except TimedOut:
+        within = f"{host.rpartition('/')[0]}/"
+        is_theirs = any(node.startswith(within) for node in nodes)
+        return f"{named(host)} does not answer: it is frozen, or very busy." if is_theirs else ""
+    except RobotError:
+        return ""
+    controllers: dict[str, Mapping[str, Any]] = {str(one["name"]): one for one in answer["controller"]}
+    namespace = host.rpartition("/")[0]
+    meant = [name for name in controllers if f"{namespace}/{name}" in nodes]
+    chain = _below(controllers, meant)
+    inactive = [name for name in chain if controllers[name]["state"] != _ACTIVE]
+    if inactive:
+        states = [
+            f"{named(f'{namespace}/{name}')} is not active: it is {named(str(controllers[name]['state']))}"
+            for name in inactive
+        ]
+        return f"{'; '.join(states)}. Its controller manager {named(host)} activates it (switch_controller)."
+    if not chain or f"{host}{_HARDWARE}" not in services:
+        return ""
+    try:
+        components = (await _asked(robot, f"{host}{_HARDWARE}", _LIST_HARDWARE))["component"]
+    except RobotError:
+        return ""
+    told: list[str] = []
+    for name in meant:
+        used = {interface for each in _below(controllers, [name]) for interface in _interfaces(controllers[each])}
+        told += [
+            f"{named(f'{namespace}/{name}')} is active, its hardware {named(str(one['name']))} is "
+            f"{named(str(one['state']['label']))}: nothing moves until it is active (set_hardware_component_state)."
+            for one in components
+            if one["state"]["label"] != _ACTIVE and used & {str(each["name"]) for each in one["command_interfaces"]}
+        ]
+    return " ".join(told)
+
+
+def _below(controllers: Mapping[str, Mapping[str, Any]], meant: Sequence[str]) -> Sequence[str]:
+    """These controllers, and those that they command (chained ones): an interface of such a one has its name."""
+    found = list(meant)
+    for name in found:  # grows while it is gone through
+        through = {interface.partition("/")[0] for interface in _interfaces(controllers[name])}
+        found += [other for other in controllers if other in through and other not in found]
+    return found
+
+
+def _interfaces(controller: Mapping[str, Any]) -> Sequence[str]:
+    """What a controller commands: claimed while it is active, required always."""
+    return [*controller["claimed_interfaces"], *controller["required_command_interfaces"]]
+
+
+async def _sign_of_life(robot: Robot, node: str, services: set[str]) -> str:
+    """A sentence where a node does not answer the question that every node answers."""
+    service = f"{node}{_PARAMETERS}"
+    if service not in services:
+        return ""
+    try:
+        await _asked(robot, service, _GET_PARAMETERS, {"names": []})
+    except TimedOut:
+        return f"{named(node)} does not answer: it is frozen, or very busy."
+    except RobotError:
+        pass
+    return ""
+
+
+async def _asked(robot: Robot, service: str, service_type: str, request: Mapping[str, Any] | None = None) -> Any:
+    """The answer of a service that reads something; raises `TimedOut` also where discovery takes too long."""
+    try:
+        asked = robot.ask_service(service, service_type, request or {}, timeout_s=_ANSWER_S)
+        return await robot.fields_of(await asyncio.wait_for(asked, 2 * _ANSWER_S))
+    except asyncio.TimeoutError as error:
+        raise TimedOut(f"{service} did not answer.") from error

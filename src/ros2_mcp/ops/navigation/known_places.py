@@ -1,0 +1,165 @@
+"""Places of a robot that are known by name, kept beyond the life of one server in the robot's state folder."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, cast
+
+from ros2_mcp.guard.state import StateFolder
+from ros2_mcp.model.errors import BadData, BadInput, NotFound, RobotError
+from ros2_mcp.model.names import did_you_mean
+from ros2_mcp.model.text import is_unicode, listed, quoted
+from ros2_mcp.robot import Robot
+from ros2_mcp.robot.kept import Kept
+from ros2_mcp_common.files import PLAIN, replace
+
+FILE = "places.json"
+MOST_PLACES = 1000
+"""More than a building has rooms; the file stays below 200 kB."""
+MOST_CHARACTERS = 80
+"""Of a name: as many as a quotation shows."""
+_MOST_NAMED = 15
+"""In an error; ros2_place_list has them all."""
+_MOST_BYTES = 1_000_000
+"""Of the file: several times what all places take. What is longer is none of ours."""
+
+
+@dataclass(frozen=True, slots=True)
+class NamedPlace:
+    """A pose on the ground under a name: metres in `frame`, radians from its x axis towards y; no yaw: any heading."""
+
+    name: str
+    frame: str
+    x_m: float
+    y_m: float
+    yaw_rad: float | None = None
+
+
+class Places(Kept):
+    """The places of one robot. Without a folder they are kept in memory, as long as this server runs.
+
+    The file is read anew each time: other servers of the same user may have written it.
+    """
+
+    def __init__(self, folder: StateFolder | None = None) -> None:
+        self._folder = folder
+        self._in_memory: dict[str, NamedPlace] = {}
+
+    @property
+    def kept_in(self) -> Path | None:
+        """The file, or None."""
+        return self._folder.path / FILE if self._folder else None
+
+    def all(self) -> Sequence[NamedPlace]:
+        """Every place, by name.
+
+        Raises:
+            BadData: if the file cannot be read.
+        """
+        return [place for _, place in sorted(self._read().items())]
+
+    def find(self, name: str) -> NamedPlace:
+        """One by its name; capitals make no difference where only one place is meant.
+
+        Raises:
+            NotFound: with the nearest name.
+            BadData: as `all`.
+        """
+        known, name = self._read(), name.strip()
+        alike = [place for place in known.values() if place.name.lower() == name.lower()]
+        if found := known.get(name) or (alike[0] if len(alike) == 1 else None):
+            return found
+        kept = f"Kept places: {listed(sorted(known), _MOST_NAMED)}." if known else "No place is kept yet."
+        by_numbers = "Give x and y, which ros2_scene shows; ros2_place_set keeps a place by its name."
+        hint = did_you_mean(name, list(known), by_numbers)
+        raise NotFound(f"There is no place {quoted(name)}. {kept}", hint)
+
+    def set(self, place: NamedPlace) -> NamedPlace | None:
+        """Keeps a place; returns the one of that name that was there before.
+
+        Raises:
+            BadInput: for a name that cannot be, numbers that are not finite, or too many places.
+            BadData: as `all`.
+            RobotError: if it cannot be written.
+        """
+        name = place.name.strip()
+        if not name or len(name) > MOST_CHARACTERS or not is_unicode(name) or not name.isprintable():
+            raise BadInput(
+                f"{quoted(name) if name else 'An empty text'} is no name for a place.",
+                f"Give 1 to {MOST_CHARACTERS} printable characters.",
+            )
+        if not all(map(math.isfinite, (place.x_m, place.y_m, place.yaw_rad or 0.0))):
+            raise BadInput("A place has finite numbers.")
+        known = self._read()
+        former = known.get(name)
+        if former is None and len(known) >= MOST_PLACES:
+            raise BadInput(f"{MOST_PLACES} places are kept already.", "Remove one: ros2_place_set with remove.")
+        known[name] = NamedPlace(name, place.frame, place.x_m, place.y_m, place.yaw_rad)
+        self._write(known)
+        return former
+
+    def remove(self, name: str) -> NamedPlace:
+        """Forgets a place; raises as `find` and `set`."""
+        place, known = self.find(name), self._read()
+        known.pop(place.name, None)
+        self._write(known)
+        return place
+
+    def _read(self) -> dict[str, NamedPlace]:
+        file = self.kept_in
+        if file is None:
+            return dict(self._in_memory)
+        try:
+            descriptor = os.open(file, os.O_RDONLY | PLAIN)
+        except FileNotFoundError:
+            return {}
+        except OSError as error:
+            raise BadData(f"The places cannot be read: {error}.") from error
+        with os.fdopen(descriptor, "rb") as opened:
+            text = opened.read(_MOST_BYTES + 1)
+        try:
+            return {name: _place(name, fields) for name, fields in json.loads(text)["places"].items()}
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise BadData(
+                f"The file of places {file} is damaged: {error!r}.", "Repair the file, or move it away."
+            ) from error
+
+    def _write(self, places: Mapping[str, NamedPlace]) -> None:
+        self._in_memory = dict(places)
+        if self._folder is None:
+            return
+        kept = {name: _fields(place) for name, place in places.items()}
+        folder = self._folder.make()
+        draft = folder / f"{FILE}.{os.getpid()}"
+        try:
+            draft.write_text(json.dumps({"places": kept}, indent=1), encoding="utf-8")
+            replace(draft, folder / FILE)
+        except OSError as error:
+            raise RobotError(f"The places cannot be written: {error}.") from error
+
+
+def places_of(robot: Robot) -> Places:
+    """The places of a robot; in memory alone where it was built without a folder for them."""
+    return robot.kept.get(Places, Places)
+
+
+def _fields(place: NamedPlace) -> dict[str, Any]:
+    fields = asdict(place)
+    del fields["name"]
+    return fields
+
+
+def _place(name: str, fields: object) -> NamedPlace:
+    values = cast("Mapping[str, Any]", fields)
+    yaw = values.get("yaw_rad")
+    place = NamedPlace(
+        name, str(values["frame"]), float(values["x_m"]), float(values["y_m"]), None if yaw is None else float(yaw)
+    )
+    if not all(map(math.isfinite, (place.x_m, place.y_m, place.yaw_rad or 0.0))):
+        raise ValueError(f"{name!r} has numbers that are not finite")
+    return place

@@ -1,0 +1,128 @@
+"""The newest message of topics that somebody looks at, as bytes: each is subscribed to once."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from dataclasses import dataclass, field
+from time import monotonic
+
+import anyio
+
+from ros2_mcp.model.errors import RobotError
+from ros2_mcp.model.samples import Sample
+from ros2_mcp.robot import Robot
+from ros2_mcp.robot.kept import Kept
+from ros2_mcp.robot.listening import Listening
+
+_IDLE_S = 5.0
+"""After the last look: who looks, looks several times a second, and a page that is gone must not cost anything."""
+_TURN_S = 1.0
+"""Between two looks at whether it is still needed, where nothing comes."""
+_AGAIN_S = 2.0
+"""Before a topic that could not be listened to is tried again: its publisher may be coming up."""
+_FITS_S = 3.0
+"""Between two looks at whether another QoS fits the publishers by now. One look costs the bridge a millisecond."""
+_RATE_S = 3.0
+"""The time over which a rate is told: short enough to show a drop, long enough for a topic of 1 Hz."""
+_logger = logging.getLogger(__name__)
+
+
+@dataclass(eq=False)
+class Newest:
+    """One topic. `since` is when it was first looked at (monotonic, s); `error` says why it is not listened to."""
+
+    topic: str
+    since: float = field(default_factory=monotonic)
+    listening: Listening | None = None
+    sample: Sample | None = None
+    error: RobotError | None = None
+    came: asyncio.Event = field(default_factory=asyncio.Event)
+    task: asyncio.Task[None] | None = None
+    looked_at: float = 0.0
+    counted: list[tuple[float, int]] = field(default_factory=list[tuple[float, int]])
+
+    async def newer(self, than: Sample | None, timeout_s: float) -> Sample | None:
+        """A sample that is not that one, as soon as there is one; None if none came in time."""
+        self.looked_at = monotonic()
+        deadline = monotonic() + timeout_s
+        while self.sample is None or self.sample is than:
+            with anyio.move_on_after(max(deadline - monotonic(), 0.0)) as scope:
+                await self.came.wait()
+            if scope.cancelled_caught:
+                return None
+        return self.sample
+
+    def rate_hz(self) -> float | None:
+        """How many messages came in a second, of late; None before that is known."""
+        if self.listening is None:
+            return None
+        now, received = monotonic(), self.listening.counts.received
+        self.counted = [one for one in self.counted if now - one[0] <= _RATE_S]
+        self.counted.append((now, received))
+        began, first = self.counted[0]
+        return (received - first) / (now - began) if now - began > _RATE_S / 2 else None
+
+    def tell(self) -> None:
+        """Wakes everybody who waits for it."""
+        came, self.came = self.came, asyncio.Event()
+        came.set()
+
+
+class NewestSamples(Kept):
+    """The newest message of each topic, from the first look until nobody has looked for ten seconds."""
+
+    def __init__(self, robot: Robot) -> None:
+        self._robot = robot
+        self._topics: dict[str, Newest] = {}
+
+    def of(self, topic: str) -> Newest:
+        """That of a topic, which is listened to from now on."""
+        newest = self._topics.get(topic)
+        if newest is None or newest.task is None or newest.task.done():
+            newest = self._topics[topic] = Newest(topic)
+            newest.task = asyncio.create_task(self._follow(newest))
+        newest.looked_at = monotonic()
+        return newest
+
+    async def close(self) -> None:
+        """Ends listening."""
+        tasks = [newest.task for newest in self._topics.values() if newest.task]
+        self._topics.clear()
+        for task in tasks:
+            task.cancel()
+        if tasks:
+            await asyncio.wait(tasks)
+
+    async def _follow(self, newest: Newest) -> None:
+        while monotonic() - newest.looked_at < _IDLE_S:
+            try:
+                async with self._robot.listen(newest.topic, keep="latest") as listening:
+                    newest.listening, newest.error, newest.counted = listening, None, []
+                    await self._take(newest, listening)
+            except RobotError as error:
+                newest.error = error
+                _logger.info("%s is not shown: %s", newest.topic, error)
+                newest.tell()
+                await asyncio.sleep(_AGAIN_S)
+            finally:
+                newest.listening = None
+        if self._topics.get(newest.topic) is newest:
+            del self._topics[newest.topic]
+
+    async def _take(self, newest: Newest, listening: Listening) -> None:
+        """Until nobody looks any more, or it has to be listened to in another way."""
+        looked_at = monotonic()
+        while monotonic() - newest.looked_at < _IDLE_S:
+            if samples := await listening.take(_TURN_S):
+                newest.sample = samples[-1]
+                newest.tell()
+            if monotonic() - looked_at > _FITS_S:
+                looked_at = monotonic()
+                if not listening.still_fits(await self._robot.graph.endpoints(listening.topic)):
+                    return
+
+
+def newest_of(robot: Robot, topic: str) -> Newest:
+    """The newest message of a topic of a robot, which is listened to from now on."""
+    return robot.kept.get(NewestSamples, lambda: NewestSamples(robot)).of(topic)

@@ -1,0 +1,120 @@
+"""The newest picture of a camera."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+from collections import deque
+from collections.abc import Sequence
+from typing import Any
+
+from ros2_mcp.model.aside import load
+from ros2_mcp.model.errors import NotFound, RobotError
+from ros2_mcp.model.pictures import COMPRESSED_IMAGE, IMAGE, Bounds
+from ros2_mcp.model.text import named
+from ros2_mcp.model.times import iso_time
+from ros2_mcp.ops.pictures.next_message import next_message
+from ros2_mcp.ops.results.results import silent
+from ros2_mcp.view.look import Content, Look, PageContext, Panel, Shown
+
+_BOUNDS = Bounds(max_side=800, max_bytes=120_000)
+"""A panel is some 600 pixels wide, and a chat host passes 130 kB on; JPEG of 640 × 480 has 40 to 90 kB."""
+_MOST_DEPTHS = 15
+"""Depth images that are kept for who picks a box in one: those of the last second."""
+
+
+class ImagePanel(Panel):
+    """What a camera, or a depth camera, sees."""
+
+    name = "image"
+    shows_types = (IMAGE, COMPRESSED_IMAGE)
+    shows_kind = "image"
+    period_s = 0.066
+    """15 pictures a second: more no panel of this size needs."""
+
+    def __init__(self, page: PageContext) -> None:
+        super().__init__(page)
+        self._shown = Shown()
+        self._depths: deque[tuple[str, str, Any]] = deque(maxlen=_MOST_DEPTHS)
+        """Topic, time and message of those that were shown last."""
+
+    async def show(self, look: Look) -> Content | None:
+        """The newest picture of the chosen camera, else of the first one."""
+        topics = await look.source.publishing(IMAGE, COMPRESSED_IMAGE)
+        topic = look.chosen or _preferred(topics)
+        if not topic:
+            raise NotFound("No camera topic." if look.source.is_live else "The recording has no pictures.")
+        source = look.source
+        if source.is_live:
+            found = await self._shown.newer(look.robot, topic)
+            if found is None:
+                is_shown = self._shown.sample is not None
+                return None if is_shown else {"topic": topic, "topics": topics, "why": _silent(look, topic, topics)}
+            sample, newest, listening = found
+            message: Any = await asyncio.to_thread(look.robot.values.codec.decode, listening.type, sample.data)
+            kind, rate_hz = listening.type, newest.rate_hz()
+        else:
+            kind, rate_hz = await source.type_of(topic), None
+            recorded = await next_message(source, topic, kind, silent)
+            message, sample = recorded.message, recorded.sample
+        picture = await _picture(kind, message)
+        self._keep(topic, sample.received_ns, message)
+        whole = picture.whole if any(picture.whole) else (picture.width, picture.height)
+        return {
+            "topic": topic,
+            "topics": topics,
+            "type": kind,
+            "at_s": sample.received_ns / 1e9,
+            "rate_hz": rate_hz,
+            "mime": picture.mime,
+            "width": picture.width,
+            "height": picture.height,
+            "whole": [message.width, message.height] if kind == IMAGE else list(whole),
+            "frame": str(message.header.frame_id),
+            "note": picture.note,
+            "bulk": base64.b64encode(picture.data).decode("ascii"),
+        }
+
+    def _keep(self, topic: str, at_ns: int, message: Any) -> None:
+        from ros2_mcp.pictures.images import may_be_depth
+
+        if may_be_depth(message):
+            told_ns = round(at_ns / 1e9 * 1e9)  # as a page tells it again: its times are floats, some 100 ns off
+            self._depths.append((topic, iso_time(told_ns), message))
+
+    async def depth_within(self, topic: str, at: str, box: Sequence[int]) -> tuple[float | None, str]:
+        """The depth in a box of a picture that was shown at that time; None, and words, where it is not known.
+
+        Where a slow page is about a picture that is no longer kept, it is that of the next one, which is said.
+        """
+        later = [(time, message) for name, time, message in self._depths if name == topic and time >= at]
+        if not later:
+            return None, ""
+        time, message = later[0]
+        from ros2_mcp.world.depths import depth_within
+
+        try:
+            depth_m, told = await asyncio.to_thread(depth_within, message, box)
+        except RobotError as error:
+            return None, str(error)
+        return depth_m, told if time == at or depth_m is None else f"{told} in the picture of {time}"
+
+
+async def _picture(kind: str, message: Any) -> Any:
+    await load("ros2_mcp.pictures.messages")
+    from ros2_mcp.pictures.messages import picture_of
+
+    return await asyncio.to_thread(picture_of, kind, message, "", _BOUNDS)
+
+
+def _preferred(topics: list[str]) -> str:
+    """A camera in colour first: what is compressed or measures depth is chosen by who wants it."""
+    plain = [name for name in topics if not name.endswith(("/compressed", "/compressedDepth")) and "depth" not in name]
+    return next(iter([*plain, *topics]), "")
+
+
+def _silent(look: Look, topic: str, topics: list[str]) -> str:
+    if topic not in topics:
+        return f"Nobody publishes on {named(topic)} now."
+    failure = look.robot.graph.failure
+    return failure or f"{named(topic)} has a publisher, but no picture has come yet."

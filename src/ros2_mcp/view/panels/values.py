@@ -1,0 +1,72 @@
+"""The values of one topic."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ros2_mcp.model.errors import NotFound
+from ros2_mcp.model.text import named
+from ros2_mcp.ops.pictures.next_message import next_message
+from ros2_mcp.ops.results.results import silent
+from ros2_mcp.ops.sources.source import Source
+from ros2_mcp.view.look import Content, Look, PageContext, Panel, Shown
+
+_FIRST = ("nav_msgs/msg/Odometry", "sensor_msgs/msg/JointState", "sensor_msgs/msg/BatteryState")
+"""What is shown where nothing is chosen: what moves, or else what there is."""
+_MOST_ARRAY, _MOST_STRING, _MOST_BYTES = 12, 400, 12_000
+"""Of one message: as much as a person looks at while it changes."""
+_MOST_JOINTS = 64
+"""Of what has a row for each joint: a humanoid with both hands."""
+
+
+class ValuesPanel(Panel):
+    """The newest message of a topic, with its rate."""
+
+    name = "values"
+    period_s = 0.2
+
+    def __init__(self, page: PageContext) -> None:
+        super().__init__(page)
+        self._shown = Shown()
+
+    async def show(self, look: Look) -> Content | None:
+        """The newest message of the chosen topic, else of one that tells how the robot moves."""
+        from ros2_mcp.values.render import RenderOptions  # numpy: not at the start
+
+        topic = look.chosen or await first_topic(look.source)
+        if not topic:
+            raise NotFound("There is no topic to show.")
+        rate_hz: float | None = None
+        publishers: Sequence[str] = ()
+        if look.source.is_live:
+            found = await self._shown.newer(look.robot, topic)
+            if found is None:
+                why = f"No message has come on {named(topic)} yet."
+                return None if self._shown.sample else {"topic": topic, "why": why}
+            sample, newest, listening = found
+            kind, rate_hz = listening.type, newest.rate_hz()
+            publishers = sorted({one.who for one in listening.publishers})
+        else:
+            kind = await look.source.type_of(topic)
+            sample = (await next_message(look.source, topic, kind, silent)).sample
+            await look.robot.values.learn(kind)
+        most = _MOST_JOINTS if kind == "sensor_msgs/msg/JointState" else _MOST_ARRAY
+        options = RenderOptions(max_array=most, max_string=_MOST_STRING, max_bytes=_MOST_BYTES)
+        rendered = await look.robot.values.render(kind, sample.data, options)
+        return {
+            "topic": topic,
+            "type": kind,
+            "at_s": sample.received_ns / 1e9,
+            "rate_hz": rate_hz,
+            "publishers": list(publishers),
+            "bytes": sample.size,
+            "value": rendered.value,
+        }
+
+
+async def first_topic(source: Source) -> str:
+    """What is shown where nothing is chosen; empty where there is none of that."""
+    for kind in _FIRST:
+        if found := await source.publishing(kind):
+            return found[0]
+    return ""
