@@ -59,7 +59,8 @@ def scan_points(message: Any) -> ScanPoints:
     ranges = np.asarray(message.ranges, np.float64)
     angle, step = float(message.angle_min), float(message.angle_increment)
     if len(ranges) > _MOST_BEAMS or not (math.isfinite(angle) and math.isfinite(step)):
-        raise BadData(f"The scan has {len(ranges)} beams from {angle} rad in steps of {step} rad.")
+        told = f"angle_min is {angle:g} rad, angle_increment {step:g} rad".replace("nan", "NaN")
+        raise BadData(f"The angles of the scan's {len(ranges)} beams are not known: {told}.")
     if step == 0 and len(ranges) > 1:
         raise BadData(
             f"The scan has no bearings: angle_increment is 0 for {len(ranges)} ranges.",

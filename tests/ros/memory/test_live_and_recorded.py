@@ -278,8 +278,8 @@ def test_a_recording_in_the_place_of_the_robot_needs_no_ros(
         assert health["verdict"] == "CRITICAL"
         assert [each["subject"] for each in health["findings"] if each["severity"] == "critical"] == [
             "/nowhere",
-            "/scan",
             "lidar: status",
+            "/scan",
         ]
         stopped = next(each["problem"] for each in health["findings"] if each["subject"] == "/scan")
         assert re.match(r"It has stopped: no message in the last \d+\.\d s, from ", stopped)

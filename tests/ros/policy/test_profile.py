@@ -43,7 +43,7 @@ def test_what_is_allowed_is_told_in_words_and_numbers_and_never_where_it_stands(
     assert told["strength"] == status["policy_strength"] == "advisory"
     assert told["digest"] == status["policy_digest"] and len(told["digest"]) == 64
     assert "at most 50 Hz; for at most 10 s each time" in " ".join(told["allowed"])
-    assert "the length of linear at most 0.2; the length of angular at most 0.5" in " ".join(told["limits"])
+    assert "the length of linear at most 0.2 m/s; the length of angular at most 0.5 rad/s" in " ".join(told["limits"])
     assert status["policy"] == "teleop-slow"
     assert ".yaml" not in json.dumps([told, status])
 

@@ -17,7 +17,8 @@ TYPE = "std_msgs/msg/Int32"
 def stream_of(clock_s: float, sent_s: list[float]) -> tuple[_LiveStream, list[Sample]]:
     """Latched messages sent at these times from asking on, by a publisher whose clock is so far ahead of ours."""
     listening: Any = SimpleNamespace(choice=SimpleNamespace(qos=SimpleNamespace(durability="transient_local")))
-    robot: Any = None
+    seen = SimpleNamespace(note_stream=lambda _: None)
+    robot: Any = SimpleNamespace(graph=SimpleNamespace(seen=seen))
     stream = _LiveStream(
         topic="/map",
         type=TYPE,
