@@ -21,7 +21,10 @@ _alone: WeakKeyDictionary[Graph, dict[str, float]] = WeakKeyDictionary()
 
 
 async def servers_of(robot: Robot, service: str) -> Sequence[str]:
-    """The nodes that serve a service, where there are several; else empty. Raises no `RobotError`."""
+    """The nodes that serve a service, where there are several; else empty. Raises no `RobotError`.
+
+    Nodes of one name count as one: a node that was killed and started again is listed twice until its lease is over.
+    """
     known = _alone.setdefault(robot.graph, {})
     if monotonic() - known.get(service, -_KNOWN_S) < _KNOWN_S:
         return ()
@@ -29,7 +32,7 @@ async def servers_of(robot: Robot, service: str) -> Sequence[str]:
         found = await robot.graph.servers(service)
     except RobotError:  # the call itself tells what is wrong
         return ()
-    if len(found) > 1:
+    if len(set(found)) > 1:
         return found
     if len(known) >= _MOST_KNOWN:
         known.clear()
