@@ -19,7 +19,7 @@ SERVER = [sys.executable, "-m", "ros2_mcp"]
 
 @pytest.fixture(scope="module", autouse=True)
 def nothing_is_built_later(prefixes):
-    """The robot builds what is missing in a process that outlives it: a test that ends first would leave that behind."""
+    """The robot builds what is missing in a process that outlives it, and a test that ends first."""
     build_interfaces(later=True)
 
 
