@@ -279,7 +279,7 @@ class Outbox:
             return packet
 
     def _answer_counts(self, queue: SampleQueue) -> None:
-        """Answers when all that waited has been sent: more may have come, and been sent, since the counts were asked for."""
+        """When all that waited has been sent: more may have come, and been sent, since the counts were asked for."""
         self._packets.extend(_pack({"id": asked, "ok": queue.counts(lost)}, b"") for asked, lost in queue.asked)
         queue.asked.clear()
 
