@@ -1,7 +1,7 @@
 """Asks the simulated robots with each tool, over stdio, and writes what was answered to docs/reference/examples.json.
 
 docs/generate.py puts these examples into docs/reference/tools.md. Run it where a tool's answer has changed its form:
-`python docs/examples.py` (about two minutes), then `python docs/generate.py`. Numbers differ from run to run.
+`PYTHONPATH=tests python docs/examples.py` (a minute), then `python docs/generate.py`. Numbers differ from run to run.
 """
 
 from __future__ import annotations
