@@ -47,12 +47,15 @@ def read_packets(
     together and acknowledged through it, and what the other side acknowledges is told to it.
     """
     reader, lanes = PacketReader(), Lanes()
+    # Read into one buffer: os.read makes an object of so many bytes and then shrinks it, and what is made meanwhile lies
+    # behind it, so that each read tore a hole into the heap and the process grew by 8 MB in an hour of small requests.
+    buffer = memoryview(bytearray(READ_BYTES))
     while True:
         wait_readable()
-        piece = os.read(descriptor, READ_BYTES)
-        if not piece:
+        size = os.readv(descriptor, [buffer])
+        if not size:
             break
-        for packet in reader.feed(piece):
+        for packet in reader.feed(bytes(buffer[:size])):
             op = packet.header.get("op")
             if outbox and op == "ack":
                 outbox.acknowledge(packet.header.get("bytes"))
