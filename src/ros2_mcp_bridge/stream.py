@@ -47,8 +47,8 @@ def read_packets(
     together and acknowledged through it, and what the other side acknowledges is told to it.
     """
     reader, lanes = PacketReader(), Lanes()
-    # Read into one buffer: os.read makes an object of so many bytes and then shrinks it, and what is made meanwhile lies
-    # behind it, so that each read tore a hole into the heap and the process grew by 8 MB in an hour of small requests.
+    # Read into one buffer: os.read makes an object of so many bytes and then shrinks it. What is made meanwhile lies
+    # behind it, so each read tore a hole into the heap, and the process grew by 8 MB in an hour of small requests.
     buffer = memoryview(bytearray(READ_BYTES))
     while True:
         wait_readable()
