@@ -8,7 +8,7 @@ service introspection on: discovery tells the hash of its request, and the node 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import RobotError
@@ -16,7 +16,6 @@ from ros2_mcp.model.interfaces import DefinitionText
 
 if TYPE_CHECKING:
     from ros2_mcp.robot.graph import Graph
-    from ros2_mcp.robot.values import Values
 
 _SERVICE = "type_description_interfaces/srv/GetTypeDescription"
 _ANSWER_S = 2.0
@@ -38,7 +37,15 @@ _FILLER = "structure_needs_at_least_one_member"
 """The field that the generator gives to messages without any."""
 
 
-async def described(graph: Graph, values: Values, type_name: str) -> dict[str, DefinitionText]:
+class _Values(Protocol):
+    """What it needs of `Values`, which imports this module."""
+
+    async def encode(self, type_name: str, value: object) -> bytes: ...
+
+    async def in_full(self, type_name: str, body: bytes) -> dict[str, Any]: ...
+
+
+async def described(graph: Graph, values: _Values, type_name: str) -> dict[str, DefinitionText]:
     """The definition of a type with all that it contains, from a node that uses it; empty where none tells it.
 
     Of a `msg` its own text, with constants, defaults and comments, where the node was built with it.
@@ -57,7 +64,7 @@ async def described(graph: Graph, values: Values, type_name: str) -> dict[str, D
     return {}
 
 
-async def _ask(graph: Graph, values: Values, node: str, type_name: str, type_hash: str) -> dict[str, DefinitionText]:
+async def _ask(graph: Graph, values: _Values, node: str, type_name: str, type_hash: str) -> dict[str, DefinitionText]:
     asked = {"type_name": type_name, "type_hash": type_hash, "include_type_sources": True}
     try:
         reply = await graph.ask(

@@ -63,9 +63,14 @@ def load_to_read(type_name: str) -> Any:
         try:
             return interfaces.load(type_name)
         except OperationError as error:
-            is_there = not isinstance(error.__cause__, (ModuleNotFoundError, AttributeError, KeyError))
-            if is_there or get_rmw_implementation_identifier() != _MIDDLEWARE or find_spec(_SINCE) is None:
+            if not isinstance(error.__cause__, (ModuleNotFoundError, AttributeError, KeyError)):
                 raise
+            middleware = get_rmw_implementation_identifier()
+            if middleware != _MIDDLEWARE or find_spec(_SINCE) is None:
+                problem = (
+                    f"{error.message} Only {_MIDDLEWARE}, from Jazzy on, reads it all the same; this is {middleware}."
+                )
+                raise OperationError("unknown_type", problem, error.hint) from error
         _made[type_name] = _make(type_name)
         interfaces.stood_in.add(type_name)
     return _made[type_name][0]
@@ -86,8 +91,11 @@ def _make(type_name: str) -> tuple[Any, ...]:
         """What Fast DDS wants besides is a description of the type for tools of its own, which are told Log's."""
         return ctypes.addressof(own) if wanted == _SUPPORT else choosing.find(address, wanted)
 
+    def no_hash(_handle: int) -> int:
+        return ctypes.addressof(unknown_hash)
+
     own.data = ctypes.addressof(callbacks)
-    own.hash = front.hash = _Hash(lambda _: ctypes.addressof(unknown_hash))
+    own.hash = front.hash = _Hash(no_hash)
     front.find = _Find(find)
     capsule = _new_capsule(ctypes.addressof(front), None, None)
     metaclass = type(f"Metaclass_{name}", (type,), {"_TYPE_SUPPORT": capsule})

@@ -1,22 +1,18 @@
-"""A node with types that are not installed elsewhere, and two services whose events it publishes.
+"""A node with types that are not installed elsewhere, and two services of which it publishes all events."""
 
-It ends with its input.
-"""
-
-import contextlib
-import sys
 import threading
 
 import rclpy
 from geometry_msgs.msg import TransformStamped
 from mavros_msgs.msg import ExtendedState, State, Waypoint, WaypointList
 from mavros_msgs.srv import CommandBool
-from rclpy.executors import ExternalShutdownException
 from rclpy.qos import qos_profile_system_default
 from rclpy.service_introspection import ServiceIntrospectionState
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool
 from tf2_msgs.msg import TFMessage
+
+from support.leaving import leave_on_sigterm
 
 PERIOD_S = 0.1
 
@@ -40,12 +36,11 @@ def main():
         node.create_publisher(TFMessage, "/tf", 10),
     )
     clients = []
+    told = node.get_clock(), qos_profile_system_default, ServiceIntrospectionState.CONTENTS
     for kind, name, answer in ((SetBool, "/grip", grip), (CommandBool, "/arm", arm)):
-        service = node.create_service(kind, name, answer)
-        service.configure_introspection(
-            node.get_clock(), qos_profile_system_default, ServiceIntrospectionState.CONTENTS
-        )
+        node.create_service(kind, name, answer).configure_introspection(*told)
         clients.append(node.create_client(kind, name))
+        clients[-1].configure_introspection(*told)
 
     def tick():
         state.publish(State(mode="GUIDED", armed=True))
@@ -58,11 +53,14 @@ def main():
         for client, request in zip(clients, (SetBool.Request(data=True), CommandBool.Request(value=True)), strict=True):
             client.call_async(request)
 
+    told_to_end = threading.Event()
+    leave_on_sigterm(told_to_end.set)
     node.create_timer(PERIOD_S, tick)
     print("ready", flush=True)
-    threading.Thread(target=lambda: (sys.stdin.read(), rclpy.try_shutdown()), daemon=True).start()
-    with contextlib.suppress(ExternalShutdownException):
-        rclpy.spin(node)
+    while not told_to_end.is_set():
+        rclpy.spin_once(node, timeout_sec=0.1)
+    node.destroy_node()
+    rclpy.shutdown()
 
 
 if __name__ == "__main__":

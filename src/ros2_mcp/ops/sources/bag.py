@@ -473,7 +473,7 @@ async def definitions_of(topic: StoredTopic, robot: Robot | None) -> dict[str, D
         except LinkError as error:
             hint = f"It is not in the bag, and no robot could be asked: {error.message}"
             unknown = UnknownInterface(unknown.message, hint)
-    if topic.encoding:  # an empty definition is that of a message without fields
+    if topic.encoding and not names.is_derived(topic.type):  # an empty definition is that of a message without fields
         return {topic.type: DefinitionText("msg", "")}
     raise unknown
 
