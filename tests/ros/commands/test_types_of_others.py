@@ -99,14 +99,14 @@ def test_messages_of_a_type_that_is_not_installed_are_read(
 
 
 def test_what_is_measured_of_such_topics_is_their_rate_and_the_frames_in_them(stranger: Agent) -> None:
-    (measured,) = stranger.call("ros2_topic_stats", topic_names=["/state"], duration=2)["topics"]
+    (measured,) = stranger.call("ros2_topic_stats", topic_names=["/state"], duration_s=2)["topics"]
     assert 5 < measured["rate_hz"] < 15
     found = stranger.call("ros2_tf_lookup", target_frame="map", source_frame="base_link")
     assert found["translation"]["x"] == 2.5
 
 
 def test_such_a_topic_is_recorded_with_the_definition_of_its_node(stranger: Agent, folder: Path) -> None:
-    stranger.call("ros2_record_start", topics=["/waypoints", "/arm/_service_event"], name="of_others")
+    stranger.call("ros2_record_start", topic_names=["/waypoints", "/arm/_service_event"], name="of_others")
     stranger.call("ros2_topic_subscribe", topic_name="/waypoints", message_limit=10, duration=20)
     stranger.call("ros2_record_stop")
     with agent_for(dict(os.environ), "--tools", "all", "--bag", str(folder / "of_others")) as reader:
@@ -167,7 +167,7 @@ def test_the_events_of_a_service_are_read_live(
 
 
 def test_recorded_events_are_read_without_ros(stranger: Agent, folder: Path) -> None:
-    stranger.call("ros2_record_start", topics=["/grip/_service_event"], name="events")
+    stranger.call("ros2_record_start", topic_names=["/grip/_service_event"], name="events")
     stranger.call("ros2_topic_subscribe", topic_name="/grip/_service_event", message_limit=12, duration=20)
     stranger.call("ros2_record_stop")
     (topic,) = stranger.call("ros2_bag_info", bag="events")["topics"]

@@ -113,7 +113,7 @@ async def test_where_times_go_back_is_told_with_the_message_and_by_how_much(
     assert "go back at message 31 by 62.9 s" in flow["note"]
     plotted = await ask("ros2_plot", bag=path.name, series=["/speed:data"])
     assert "go back at message 31 by 62.9 s" in plotted["note"]
-    read = await ask("ros2_bag_read", bag=path.name, topic_name="/speed", limit=2)
+    read = await ask("ros2_bag_read", bag=path.name, topic_name="/speed", message_limit=2)
     assert any("message 31 by 62.9 s" in problem for problem in read["problems"])
 
 
