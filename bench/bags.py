@@ -212,7 +212,7 @@ CALLS: dict[str, tuple[str, dict[str, Any]]] = {
     "plot": ("ros2_plot", {"series": ["/odom:pose.pose.position.x"]}),
     "wait": ("ros2_wait_until", {"topic_name": "/imu", "condition": CONDITION}),
 }
-LAST = "ros2_bag_read", {"topic_name": "/odom", "limit": 100}
+LAST = "ros2_bag_read", {"topic_name": "/odom", "message_limit": 100}
 
 
 async def call_s(folder: Path, bag: Path, *calls: tuple[str, dict[str, Any]]) -> tuple[list[float], float]:

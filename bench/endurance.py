@@ -147,14 +147,14 @@ async def read(load: Load) -> None:
             both = [{"name": name, "duration": 1.0, "message_limit": 10} for name in chance.sample(SCALARS, 3)]
             await load.call("ros2_subscribe_multiple_topics", topics=both)
         case 3:
-            await load.call("ros2_topic_statistics", topic_names=["/odom"], duration=1.0)
+            await load.call("ros2_topic_statistics", topic_names=["/odom"], duration_s=1.0)
         case 4:
-            await load.call("ros2_topic_stats", topic_names=["/odom", "/scan"], duration=1.0)
+            await load.call("ros2_topic_stats", topic_names=["/odom", "/scan"], duration_s=1.0)
         case 5:
             await load.call("ros2_health_check", rate_check_duration_sec=1.0)
         case _:
             condition = "twist.twist.linear.x > 9"
-            await load.call("ros2_wait_until", topic_name="/odom", condition=condition, timeout=1.0)
+            await load.call("ros2_wait_until", topic_name="/odom", condition=condition, timeout_s=1.0)
 
 
 async def see(load: Load) -> None:
@@ -165,7 +165,7 @@ async def see(load: Load) -> None:
             await load.call("ros2_scene")
         case 1:
             series = ["/odom:twist.twist.linear.x", "/imu:angular_velocity.z"]
-            await load.call("ros2_plot", series=series, duration=1.5)
+            await load.call("ros2_plot", series=series, duration_s=1.5)
         case 2:
             await load.call("ros2_get_map_as_image")
         case _:
@@ -197,7 +197,7 @@ async def move(load: Load) -> None:
         case _:
             program = "import robot\nfor m in robot.messages('/odom', message_limit=5):\n    "
             program += "robot.publish('/cmd_vel', {'linear': {'x': 0.1}})\nprint('done')"
-            await load.call("ros2_program_run", program=program, timeout=10)
+            await load.call("ros2_program_run", program=program, timeout_s=10)
     if chance.random() < 0.5:
         await load.call("ros2_stop")
 
@@ -207,12 +207,12 @@ async def remember(load: Load) -> None:
     load.recordings += 1
     name = f"run{load.recordings}"
     topics = ["/odom", "/scan", "/imu", "/tf", "/tf_static"]
-    recording = await load.begin("recording_id", "ros2_record_start", topics=topics, name=name)
+    recording = await load.begin("recording_id", "ros2_record_start", topic_names=topics, name=name)
     await asyncio.sleep(3.0)
     await load.call("ros2_record_status")
     await load.call("ros2_record_stop", recording_id=recording)
     await load.call("ros2_bag_info", bag=name)
-    await load.call("ros2_bag_read", bag=name, topic_name="/odom", limit=5)
+    await load.call("ros2_bag_read", bag=name, topic_name="/odom", message_limit=5)
     await load.call("ros2_topic_statistics", topic_names=["/odom"], bag=name)
     await load.call("ros2_scene", bag=name)
     played = {"topics": ["/odom"], "remaps": {"/odom": "/endurance/played"}, "wait_sec": 0}
@@ -230,7 +230,7 @@ async def compute(load: Load) -> None:
         "print(sum(i * i for i in range(20000)))",
         "x = {}\nx['y']",
     )
-    await load.call("ros2_program_run", program=load.chance.choice(programs), timeout=10)
+    await load.call("ros2_program_run", program=load.chance.choice(programs), timeout_s=10)
     await asyncio.sleep(2.0)
 
 

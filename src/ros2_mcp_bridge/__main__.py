@@ -274,11 +274,20 @@ class Bridge:
             return
         self._ros_is_up.wait()
         if request.has("type"):
-            request.interface = interfaces.load(request.text("type"))
+            request.interface = self._loader(request)(request.text("type"))
         for type_name in request.texts("hears") if request.has("hears") else ():
             interfaces.load(type_name)  # it stays loaded
         if self._operations is not None:
             self._loop.submit(partial(self._operations.start, request))
+
+    @staticmethod
+    def _loader(request: Request) -> Callable[[str], object]:
+        """What loads its type: of what is only read there may be a stand-in."""
+        if request.op != "subscribe":
+            return interfaces.load
+        from ros2_mcp_bridge.ros import stand_ins  # with rclpy, which is there by now
+
+        return stand_ins.load_to_read
 
     def _ping(self, request: Request) -> PingReply:
         self._stops.is_late = self._is_late(request)

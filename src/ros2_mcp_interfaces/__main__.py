@@ -34,10 +34,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if error.hint:
             _report(error.hint)
         return 1
-    others = [str(file) for file in left_out(options.directories)]
-    for file in others:
-        _report(f"left out: {file}. IDL is not built here: write it as .msg, or build its package with colcon.")
-    answer = {"prefixes": prefixes, "left_out": others}
+    others = left_out(options.directories)
+    for file, why in others:
+        _report(f"left out: {file}: {why}")
+    answer = {"prefixes": prefixes, "left_out": [str(one.file) for one in others]}
     sys.stdout.write((json.dumps(answer) if options.json else "\n".join(prefixes)) + "\n")
     return 2 if others else 0
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import keyword
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 from xml.etree import ElementTree
 
 from ros2_mcp_interfaces.errors import BuildError
@@ -15,6 +17,13 @@ _NUMBERS = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uin
 PRIMITIVES = frozenset(("bool", "byte", "char", *_NUMBERS, "string", "wstring"))
 _PACKAGE_NAME = re.compile(r"[a-z](_?[a-z0-9])*")
 _INTERFACE_NAME = re.compile(r"[A-Z][A-Za-z0-9]*")
+
+
+class LeftOut(NamedTuple):
+    """A definition that is not built, and why, as a sentence with what to do."""
+
+    file: Path
+    why: str
 
 
 @dataclass(frozen=True)
@@ -79,12 +88,47 @@ def find_packages(directories: Sequence[Path]) -> list[Package]:
     return list(ordered.values())
 
 
-def left_out(directories: Sequence[Path]) -> list[Path]:
-    """The definitions in IDL below these directories, which are not built here. One beside a `.msg`, `.srv` or
-    `.action` of its name was made from that, and is not missed.
+def left_out(directories: Sequence[Path]) -> list[LeftOut]:
+    """The definitions below these directories that are not built here though the others of their package are.
+
+    Those in IDL: one beside a `.msg`, `.srv` or `.action` of its name was made from that, and is not missed. And those
+    with a field whose name is a word of Python, with the messages that contain them.
     """
+    advice = "IDL is not built here: write it as .msg, or build its package with colcon."
+    found = [LeftOut(file, advice) for file in _idl_files(directories)]
+    for root in (root for directory in directories for root in _package_roots(Path(directory).absolute())):
+        files = _definition_files(root)
+        spoilt = _spoilt(files, _read_package(root).name)
+        found += [LeftOut(file, why) for file, why in spoilt.items() if len(spoilt) < len(files)]
+    return found
+
+
+def _idl_files(directories: Sequence[Path]) -> list[Path]:
     found = sorted(file for directory in directories for file in Path(directory).absolute().rglob("*.idl"))
     return [file for file in found if not any(file.with_suffix(f".{kind}").is_file() for kind in KINDS)]
+
+
+def _spoilt(files: Sequence[Path], package: str) -> Mapping[Path, str]:
+    """Why rosidl's Python code of some definitions could not be imported; it makes a field `from` of `from`."""
+    found: dict[Path, str] = {}
+    for file in files:
+        for number, line in enumerate(read_text(file).splitlines(), start=1):
+            words = line.split("#", 1)[0].split()
+            name = words[1].partition("=")[0] if len(words) > 1 else ""
+            if keyword.iskeyword(name):
+                found.setdefault(file, f'line {number}: "{name}" is a word of the Python language. Rename the field.')
+    while True:  # until nothing more contains what is left out
+        names = {file.stem for file in found if file.suffix == ".msg"}
+        more = {
+            file: f'line {reference.line}: "{reference.field}" is a {reference.type_name}, which is left out.'
+            for file in files
+            if file not in found
+            for reference in _references(file, package)
+            if reference.package == package and reference.type_name in names
+        }
+        if not more:
+            return found
+        found |= more
 
 
 def _package_roots(directory: Path) -> list[Path]:
@@ -94,7 +138,7 @@ def _package_roots(directory: Path) -> list[Path]:
         return [directory]
     roots = sorted({file.parent.parent for kind in KINDS for file in directory.rglob(f"{kind}/*.{kind}")})
     if not roots:
-        idl = ", and .idl files are not built here" if left_out([directory]) else ""
+        idl = ", and .idl files are not built here" if _idl_files([directory]) else ""
         raise BuildError(
             f"no .msg, .srv or .action files in {directory}{idl}",
             "An interface package keeps them in folders named msg, srv and action.",
@@ -119,7 +163,9 @@ def _read_package(root: Path) -> Package:
             f'"{name}" ({manifest if manifest.is_file() else root}) is not a valid package name',
             "Names begin with a letter and have lower case letters, digits and single underscores only.",
         )
-    files = tuple(_definition_files(root))
+    every = _definition_files(root)
+    spoilt = _spoilt(every, name)
+    files = tuple(file for file in every if file not in spoilt) or tuple(every)
     for file in files:
         if not _INTERFACE_NAME.fullmatch(file.stem):
             raise BuildError(

@@ -204,7 +204,7 @@ drive(0.2)
         (3, "would wait for a person's"),
         (7, "would be refused: Publish"),
     ], dry
-    running = agent.begin("ros2_program_run", program=code, timeout=60)
+    running = agent.begin("ros2_program_run", program=code, timeout_s=60)
     operate(state, "approve", waiting(0.1))
     observer.until_driven(TOPIC, of=4)
     assert not running.done()

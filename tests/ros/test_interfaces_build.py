@@ -276,15 +276,34 @@ def test_where_generators_are_missing_the_way_out_is_named(tmp_path, monkeypatch
     assert hint in caught.value.hint
 
 
-def test_a_definition_in_idl_is_named_as_left_out_with_an_exit_status(tmp_path):
+KEYWORD = {
+    "late_msgs/msg/Leg.msg": "int32 id\nint32 from  # where it begins\n",
+    "late_msgs/msg/Way.msg": "string name\nLeg[] legs\n",
+    "late_msgs/srv/Follow.srv": "int32 speed\n---\nlate_msgs/Way way\n",
+}
+
+
+def test_a_field_that_is_a_word_of_python_leaves_out_its_message_and_those_that_contain_it(tmp_path):
+    write(tmp_path, {**KEYWORD, "late_msgs/msg/Part.msg": "int32 id\n", "late_msgs/srv/Stop.srv": "---\nPart part\n"})
+    (package,) = find_packages([tmp_path])
+    assert [file.name for file in package.files] == ["Part.msg", "Stop.srv"]
+    told = {one.file.name: one.why for one in left_out([tmp_path])}
+    assert sorted(told) == ["Follow.srv", "Leg.msg", "Way.msg"]
+    assert told["Leg.msg"].startswith('line 2: "from" is a word of the Python language')
+    assert "Leg" in told["Way.msg"] and "Way" in told["Follow.srv"]
+
+
+def test_a_definition_that_cannot_be_built_is_named_as_left_out_with_an_exit_status(tmp_path):
+    write(tmp_path, KEYWORD)
     idl = "module late_msgs { module msg { struct Status { double temperature; }; }; };\n"
     write(tmp_path, {"late_msgs/msg/Part.msg": "int32 id\n", "late_msgs/msg/Status.idl": idl})
     write(tmp_path, {"late_msgs/msg/Part.idl": "// made from Part.msg\n"})
-    assert left_out([tmp_path]) == [tmp_path / "late_msgs" / "msg" / "Status.idl"]
+    assert left_out([tmp_path])[0].file == tmp_path / "late_msgs" / "msg" / "Status.idl"
     process = builder(tmp_path / "late_msgs", tmp_path / "cache")
     out, err = process.communicate(timeout=BUILD_S)
     assert process.returncode == 2 and "late_msgs-" in out
     assert "Status.idl" in err and "Part.idl" not in err
+    assert 'Leg.msg: line 2: "from"' in err and "Follow.srv" in err
 
 
 def test_the_command_tells_errors_on_stderr_and_nothing_on_stdout(tmp_path):

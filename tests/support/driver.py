@@ -159,7 +159,7 @@ def feed(server: Driver, observer: Observer, topic: str) -> int:
 
 def playback(server: Driver, observer: Observer, topic: str) -> int:
     """The bag, again and again; it must be where the server reads bags."""
-    return server.tool("ros2_bag_play", bag=BAG, remaps={"/cmd_vel": topic}, loop=True, force=True, wait_sec=0)
+    return server.tool("ros2_bag_play", bag=BAG, remaps={"/cmd_vel": topic}, loop=True, force=True, wait_s=0)
 
 
 def drive(server: Driver, observer: Observer, topic: str) -> int:

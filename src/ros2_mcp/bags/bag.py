@@ -16,15 +16,15 @@ from ros2_mcp.bags.recordings import files_of, of_ros_1, order_of
 from ros2_mcp.bags.rosbag2 import METADATA, NOT_CLOSED, read_metadata
 from ros2_mcp.bags.schema import bare
 from ros2_mcp.bags.sqlite_file import SqliteFile
-from ros2_mcp.bags.stored import FOREVER, Hole, Span, StoredTopic
+from ros2_mcp.bags.stored import FOREVER, Hole, OddTimes, Span, StoredTopic, odd_times_in_words
 from ros2_mcp.model.errors import BadData, Locked
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import named
 
 StoredFile: TypeAlias = McapFile | SqliteFile
 """One file of a bag. A new kind has what these two have: `topics`, `times`, `count`, `counts`, `messages`, `check`,
-`close`, and `problems` with their `holes`, which grow while damage is found; damage never makes what is read wrong.
-`unfinished` are the problems that a file has while it is being written."""
+`odd_times`, `close`, and `problems` with their `holes`, which grow while damage is found; damage never makes what is
+read wrong. `unfinished` are the problems that a file has while it is being written."""
 _SQLITE_START = b"SQLite format 3"
 
 
@@ -46,6 +46,7 @@ class Bag:
         self._problems: list[str] = []
         self._unfinished: list[str] = []
         self._holes: list[Hole] = []
+        self._odd_times: Mapping[str, OddTimes] = {}
         self._files = self._open(former)
         self.topics = self._merged_topics()
         self._left_out = self._misfits()
@@ -53,7 +54,8 @@ class Bag:
     @property
     def problems(self) -> list[str]:
         """What is damaged or missing, as far as it is known yet."""
-        return [*self._unfinished, *self._problems, *(problem for file in self._files for problem in file.problems)]
+        of_files = [problem for file in self._files for problem in file.problems]
+        return [*self._unfinished, *self._problems, *of_files, *odd_times_in_words(self._odd_times)]
 
     @property
     def unfinished(self) -> list[str]:
@@ -115,7 +117,19 @@ class Bag:
     def check(self, for_s: float) -> bool:
         """Reads on, to find damage, for so long; whether all has been read. What was read once is not read again."""
         until_s = monotonic() + for_s
-        return all(file.check(until_s) for file in self._files)
+        is_read = all(file.check(until_s) for file in self._files)
+        self.odd_times(for_s)
+        return is_read
+
+    def odd_times(self, for_s: float = 0.2) -> Mapping[str, OddTimes]:
+        """What is odd about the times of its messages, by topic, as far as that is known after so long."""
+        until_s = monotonic() + for_s
+        found: dict[str, OddTimes] = {}
+        for file in self._files:
+            for name, odd in file.odd_times(until_s).items():
+                found[name] = found[name].joined(odd) if name in found else odd
+        self._odd_times = found
+        return found
 
     def known_files(self) -> dict[Path, McapFile]:
         """The MCAP files that were looked through. What SQLite files say may change while they stay the same."""

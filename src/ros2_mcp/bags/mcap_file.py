@@ -7,7 +7,7 @@ import weakref
 from bisect import bisect_left
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
-from operator import itemgetter
+from operator import attrgetter, itemgetter
 from pathlib import Path
 from time import monotonic
 from typing import TypeAlias
@@ -19,13 +19,18 @@ from ros2_mcp.bags import chunks
 from ros2_mcp.bags.chunks import HEAD, UNKNOWN, ChunkPlace, Damaged
 from ros2_mcp.bags.contents import stored_topic
 from ros2_mcp.bags.mcap_index import learn_channels, read_index
-from ros2_mcp.bags.stored import MOST_PROBLEMS, Hole, Span, StoredTopic
+from ros2_mcp.bags.order import Written, odd_times, written
+from ros2_mcp.bags.stored import MOST_PROBLEMS, Hole, OddTimes, Span, StoredTopic
 from ros2_mcp.model.errors import BadData
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import named
 
 _Item: TypeAlias = "tuple[int, int, int, int, Sample]"
 """A message that was read: its time, where its chunk is and its number in it (all for sorting), its channel, itself."""
+
+
+_LOOKED_INTO = 64
+"""Chunks with messages at time 0 that are read to open a file. Mostly it is the first: the clock had not begun."""
 
 
 class McapFile:
@@ -51,13 +56,12 @@ class McapFile:
             self._note(problem)
         self.unfinished = [f"{path.name}: {problem}" for problem in self._index.unfinished]
         self._holes: dict[int, Hole] = {}  # by the place of the chunk
-        self._read: set[int] = set()  # the places of chunks that have been read once, and what is wrong with them noted
+        # By the place of the chunk, of those that have been read once: what is wrong with them is noted.
+        self._read: dict[int, Mapping[int, Written]] = {}
         self._places = [*self._index.chunks, *self._index.loose]
         self._sorted: dict[bool, Sequence[ChunkPlace]] = {}  # by whether the newest come first
-        first_ns = min((place.start_ns for place in self._places), default=0)
-        last_ns = max((place.end_ns for place in self._places), default=0)
-        self.times: tuple[int, int] | None = (first_ns, last_ns) if self._places else None
         self.topics: Mapping[str, StoredTopic] = self._read_topics()
+        self.times: tuple[int, int] | None = self._read_times()
 
     @property
     def is_current(self) -> bool:
@@ -112,9 +116,24 @@ class McapFile:
                 self._messages_at(place, Span(()), {})
         return True
 
+    def odd_times(self, until_s: float) -> dict[str, OddTimes]:  # noqa: ARG002 - nothing is read for it
+        """What is odd about the times of its messages, as far as they have been read, by topic."""
+        order = [self._read.get(place.offset) for place in sorted(self._places, key=attrgetter("offset"))]
+        return odd_times(order, {number: channel.topic for number, channel in self._index.channels.items()})
+
     def close(self) -> None:
         """Closes the file."""
         self._file.close()
+
+    def _read_times(self) -> tuple[int, int] | None:
+        """The times of the first and last message, without those at time 0: chunks that begin so are looked into."""
+        first = [place.start_ns for place in self._places if place.start_ns]
+        unknown = [place for place in self._places if place.end_ns and not place.start_ns]
+        for place in unknown[:_LOOKED_INTO]:
+            self._messages_at(place, Span(()), {})
+            first += [one.least_ns for one in self._read[place.offset].values() if one.least_ns]
+        first += [place.end_ns for place in unknown[_LOOKED_INTO:]]
+        return (min(first), max(place.end_ns for place in self._places)) if first else None
 
     def _read_topics(self) -> dict[str, StoredTopic]:
         found: dict[str, StoredTopic] = {}
@@ -160,7 +179,7 @@ class McapFile:
 
     def _messages_at(self, place: ChunkPlace, span: Span, wanted: dict[int, str]) -> list[tuple[int, Sample]]:
         """Channel and message of those of a chunk that are wanted, in the order they were written; none if damaged."""
-        self._read.add(place.offset)
+        self._read.setdefault(place.offset, {})
         try:
             return self._records_at(place, span, wanted)
         except Damaged as damage:
@@ -186,6 +205,8 @@ class McapFile:
             inside = chunks.unpacked(inside[HEAD:])
             places = [(start, end) for kind, start, end in chunks.records_in(inside) if kind == message_kind]
         keys = [chunks.message_key(inside, start, end) for start, end in places]
+        if not self._read.get(place.offset):
+            self._read[place.offset] = written(keys)
         known = self._index.channels
         if unknown := {channel for channel, _ in keys} - known.keys():
             if kind != message_kind:

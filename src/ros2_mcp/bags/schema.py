@@ -10,7 +10,8 @@ from ros2_mcp.model.names import defining_type, is_derived
 
 _LINE = "=" * 80
 _NO_FIELDS = "# It has no fields."  # an empty text would mean that the definition is not known
-_PART = re.compile(r"^={80}\r?\n(MSG|IDL): (\S+)\r?$", re.MULTILINE)
+_PART = re.compile(r"^={80}\r?\n(MSG|IDL|SRV): (\S+)\r?$", re.MULTILINE)
+_SIDES = re.compile(r"^---\s*$", re.MULTILINE)
 _ENDINGS = {"srv": ("_Request", "_Response"), "action": ("_Goal", "_Result", "_Feedback")}
 
 
@@ -34,7 +35,9 @@ def definitions_in(type_name: str, encoding: str, text: str) -> dict[str, Defini
     found: dict[str, DefinitionText] = {}
     flat: dict[str, str] = {}
     for name, kind, part in _parts(type_name, encoding, text):
-        if kind == "msg" and is_derived(name):
+        if kind == "msg" and is_derived(name) and _SIDES.search(part):  # rosbag2 has the service for its events
+            found[defining_type(name)] = DefinitionText("srv", part)
+        elif kind == "msg" and is_derived(name):
             flat[name] = part
         elif name.count("/") == 2:
             found[name] = DefinitionText(kind, part)
@@ -52,7 +55,7 @@ def _parts(type_name: str, encoding: str, text: str) -> Iterator[tuple[str, str,
     pieces = _PART.split(text)
     if pieces[0].strip() or len(pieces) == 1:
         yield type_name, encoding.removeprefix("ros2"), pieces[0]
-    elif pieces[1] == "MSG" or _full(pieces[2]) != type_name:
+    elif pieces[1] == "MSG" or (pieces[1] == "IDL" and _full(pieces[2]) != type_name):
         yield type_name, "msg", ""
     for kind, name, part in zip(pieces[1::3], pieces[2::3], pieces[3::3], strict=True):
         yield _full(name), kind.lower(), part
@@ -68,8 +71,9 @@ def _owners(flat: Mapping[str, str]) -> dict[str, DefinitionText]:
     owners: dict[str, DefinitionText] = {}
     for owner in {defining_type(name) for name in flat}:
         kind = owner.split("/")[1]
-        sides = [flat.get(owner + ending, "") for ending in _ENDINGS[kind]]
-        owners[owner] = DefinitionText(kind, "\n---\n".join(sides))
+        sides = [flat.get(owner + ending) for ending in _ENDINGS[kind]]
+        if any(side is not None for side in sides):
+            owners[owner] = DefinitionText(kind, "\n---\n".join(side or "" for side in sides))
     return owners
 
 

@@ -16,7 +16,8 @@ import zstandard
 
 from ros2_mcp.bags.chunks import Damaged, unzstd
 from ros2_mcp.bags.contents import stored_topic
-from ros2_mcp.bags.stored import FOREVER, MOST_PROBLEMS, Hole, Span, StoredTopic
+from ros2_mcp.bags.order import Written, odd_times, written
+from ros2_mcp.bags.stored import FOREVER, MOST_PROBLEMS, Hole, OddTimes, Span, StoredTopic
 from ros2_mcp.model.errors import BadData, Locked
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import named
@@ -31,6 +32,8 @@ _PAGE_BYTES = 8_000_000
 """Messages that one query holds in memory."""
 _UNINDEXED_BYTES = 64_000_000
 """The same where there is no index of the times (`ros2 bag` makes one): each query reads and sorts the whole file."""
+_ORDERED_ROWS = 20_000
+"""Rows whose times are read at once: 10 ms, without their data."""
 _Row: TypeAlias = "tuple[tuple[int, int], tuple[str, Sample] | None]"
 """The place of a row (its time and number), and its message; None if it is not asked for or cannot be unpacked."""
 _NOWHERE = (-1, 0)
@@ -56,6 +59,10 @@ class SqliteFile:
         self._holes: dict[Hole, None] = {}  # in the order they were found, each once however often it is read
         self._compressed = compression == "message"
         self._checked_ns = 0
+        self._order: list[
+            dict[int, Written]
+        ] = []  # of the rows up to a number, in the order in which they were written
+        self._ordered_to = -1
         self._opened = ExitStack()
         with ExitStack() as opened:  # closed again if the rest fails
             whole = opened.enter_context(_decompressed(path)) if compression == "file" else path
@@ -64,7 +71,7 @@ class SqliteFile:
                 self._database = opened.enter_context(closing(database))
                 self._names, self.topics = self._read_topics()
                 ends = "ASC", "DESC"  # one after the other: each is found by the index, without reading what is between
-                order = "SELECT timestamp FROM messages ORDER BY timestamp {} LIMIT 1"
+                order = "SELECT timestamp FROM messages WHERE timestamp > 0 ORDER BY timestamp {} LIMIT 1"
                 rows = [self._database.execute(order.format(end)).fetchone() for end in ends]
                 self._has_index = self._database.execute("PRAGMA index_list(messages)").fetchone() is not None
             except sqlite3.Error as error:
@@ -264,6 +271,20 @@ class SqliteFile:
                 if monotonic() >= until_s:
                     return False  # and the query is ended: as long as it is open nobody else can write to the file
         return True
+
+    def odd_times(self, until_s: float) -> dict[str, OddTimes]:
+        """What is odd about the times of its messages, by topic, as far as they are read by that steady time."""
+        query = "SELECT id, topic_id, timestamp FROM messages WHERE id > ? ORDER BY id LIMIT ?"
+        try:
+            while monotonic() < until_s:
+                rows = self._database.execute(query, (self._ordered_to, _ORDERED_ROWS)).fetchall()
+                if not rows:
+                    break
+                self._order.append(written([(number, int(at_ns)) for _, number, at_ns in rows]))
+                self._ordered_to = int(rows[-1][0])
+        except (sqlite3.Error, TypeError, ValueError):
+            pass  # damage, which is told where messages are read
+        return odd_times(self._order, self._names)
 
     def close(self) -> None:
         """Closes the file."""

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
-from ros2_mcp.model.text import named
+from ros2_mcp.model.text import counted, listed, named
 from ros2_mcp.model.times import iso_time
 
 FOREVER = 2**63 - 1
@@ -82,6 +82,64 @@ class Hole:
         if not self.start_ns:
             return f"messages{of} before {iso_time(self.end_ns)} are lost"
         return f"messages{of} from {iso_time(self.start_ns)} to {iso_time(self.end_ns)} are lost"
+
+
+@dataclass(frozen=True, slots=True)
+class OddTimes:
+    """What is odd about the times of a topic's messages in the order in which they were written.
+
+    `untimed` messages are at time 0, which is none: they were recorded with a simulated time that had not begun, or
+    with a clock that was not set. `backs` counts those that are older than the one before; the first of them is `by_ns`
+    older, at `at_ns`, and the topic's `number`-th message (from 1; 0 where that is not known).
+    """
+
+    untimed: int = 0
+    backs: int = 0
+    number: int = 0
+    at_ns: int = 0
+    by_ns: int = 0
+
+    def joined(self, later: OddTimes) -> OddTimes:
+        """With those of a later file, whose messages have other numbers there."""
+        untimed, backs = self.untimed + later.untimed, self.backs + later.backs
+        if self.backs:
+            return replace(self, untimed=untimed, backs=backs)
+        return replace(later, untimed=untimed, number=0)
+
+    @property
+    def back_words(self) -> str:
+        """Where they go back: `at message 57 by 12.3 s, to 2026-…`; empty where they do not."""
+        if not self.backs:
+            return ""
+        first = f"at message {self.number} " if self.number else ""
+        more = f", and {counted(self.backs - 1, 'time')} more" if self.backs > 1 else ""
+        return f"{first}by {self.by_ns / 1e9:.4g} s, to {iso_time(self.at_ns)}{more}"
+
+    @property
+    def words(self) -> str:
+        """All of it in sentences; empty where nothing is odd."""
+        untimed = f"{self.untimed} of its messages have no time (0) and are left out." if self.untimed else ""
+        back = f"Its times go back {self.back_words}; it is read in the order of the times." if self.backs else ""
+        return f"{untimed} {back}".strip()
+
+
+LEAST_BACK_NS = 1_000_000
+"""Threads of a recorder that write one after the other's message turn microseconds around, which means nothing."""
+
+
+def odd_times_in_words(odd: Mapping[str, OddTimes]) -> list[str]:
+    """What is odd about the times of several topics, a line for each kind."""
+    lines: list[str] = []
+    if untimed := [f"{named(name)} {one.untimed}" for name, one in sorted(odd.items()) if one.untimed]:
+        lines.append(
+            f"Messages without a time (0): {listed(untimed, _MOST_NAMED)}. Span, rates and plots leave them out."
+        )
+    if backs := [f"{named(name)} {one.back_words}" for name, one in sorted(odd.items()) if one.backs]:
+        lines.append(
+            f"Times go back: {listed(backs, _MOST_NAMED)}. The clock was set while this was recorded, or parts were "
+            "put together; messages are read in the order of their times."
+        )
+    return lines
 
 
 def joined(holes: Iterable[Hole]) -> list[tuple[int, int]]:

@@ -81,7 +81,7 @@ async def look_around(tour: Tour) -> None:
     ranges = scan["message"]["ranges"]
     tour.show(f"the laser scanner sees {ranges['length']} ranges, the nearest at {ranges['min']:.2f} m")
     await tour.call("ros2_topic_subscribe", topic_name="/camera/image_raw")
-    stats = await tour.call("ros2_topic_stats", topic_names=["/odom", "/scan", "/imu"], duration=2.0)
+    stats = await tour.call("ros2_topic_stats", topic_names=["/odom", "/scan", "/imu"], duration_s=2.0)
     for topic in stats["topics"]:
         tour.show(f"{topic['topic_name']:8} {topic['rate_hz']:6.2f} Hz, jitter {topic['jitter_s'] * 1000:.1f} ms")
 
@@ -155,7 +155,7 @@ async def remember(tour: Tour) -> None:
     """Record, break something, and ask the recording what happened."""
     tour.say("6. Record, break the laser scanner, and ask what happened.")
     topics = ["/scan", "/odom", "/diagnostics", "/rosout"]
-    recording = await tour.call("ros2_record_start", topics=topics, name="incident")
+    recording = await tour.call("ros2_record_start", topic_names=topics, name="incident")
     await asyncio.sleep(1.0)
     await tour.call("ros2_parameter_set", node_name="/lidar", values={"enabled": False})
     await asyncio.sleep(2.5)
@@ -166,13 +166,13 @@ async def remember(tour: Tour) -> None:
         tour.show(f"{finding['subject']}: {finding['problem']}")
     silent = [row["topic_name"] for row in health["topics"] if row["state"] == "SILENT"]
     tour.verify(f"the recording tells what is silent: {', '.join(silent)}", silent == ["/scan"])
-    last = await tour.call("ros2_bag_read", bag="incident", topic_name="/scan", limit=1, fields=["range_max"])
+    last = await tour.call("ros2_bag_read", bag="incident", topic_name="/scan", message_limit=1, fields=["range_max"])
     tour.show(f"the last scan came {last['times_s'][-1]:.3f} s after {last['start']}")
     await tour.call("ros2_plot", series=["/scan:ranges[180]", "/odom:twist.twist.linear.x"], bag="incident")
     for line in (await tour.call("ros2_log_read", bag="incident", level="warn"))["lines"]:
         tour.show(f"{line['time']} {line['level']} {line['node']}: {line['text']}")
     await tour.call("ros2_parameter_set", node_name="/lidar", values={"enabled": True})
-    back = await tour.call("ros2_wait_until", topic_name="/scan", condition="range_max > 0", timeout=5)
+    back = await tour.call("ros2_wait_until", topic_name="/scan", condition="range_max > 0", timeout_s=5)
     tour.verify("the scanner is repaired", back["met"])
 
 

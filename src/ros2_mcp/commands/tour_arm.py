@@ -41,7 +41,7 @@ async def stop_in_the_middle(tour: Tour) -> None:
     move: dict[str, Any] = {"joints": {_PAN: -1.5}, "duration_s": 6.0, "controller": _TOPIC}
     moving = asyncio.create_task(tour.call("ros2_joint_move", **move))
     away = "position[0] < 0.1"
-    await tour.call("ros2_wait_until", topic_name="/joint_states", condition=away, timeout=10.0)
+    await tour.call("ros2_wait_until", topic_name="/joint_states", condition=away, timeout_s=10.0)
     tour.show((await tour.call("ros2_stop"))["note"])
     moved = await moving
     tour.show(moved["note"])

@@ -76,7 +76,7 @@ async def stop_in_the_air(tour: Tour) -> None:
     take_off = {"min_pitch": 0.0, "yaw": 0.0, "latitude": 0.0, "longitude": 0.0, "altitude": 10.0}
     await _order(tour, "cmd/takeoff", take_off)
     high = "data > 2"
-    await tour.call("ros2_wait_until", topic_name="/mavros/global_position/rel_alt", condition=high, timeout=20.0)
+    await tour.call("ros2_wait_until", topic_name="/mavros/global_position/rel_alt", condition=high, timeout_s=20.0)
     stopped = await tour.call("ros2_stop")
     tour.show(stopped["note"])
     flights = stopped["flights"]

@@ -102,7 +102,7 @@ def is_type(requested: str, full: str, kind: str = "msg") -> bool:
 
 _DERIVED = re.compile(
     r"(?<=/)(?P<base>\w+?)_(SendGoal|GetResult|SendGoal_Request|SendGoal_Response|GetResult_Request|GetResult_Response"
-    r"|FeedbackMessage|Feedback|Goal|Result|Request|Response|Event)$"
+    r"|SendGoal_Event|GetResult_Event|FeedbackMessage|Feedback|Goal|Result|Request|Response|Event)$"
 )
 
 

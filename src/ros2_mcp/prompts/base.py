@@ -97,7 +97,7 @@ def _analyze(topic: str, duration_s: float, analysis: str) -> Sequence[Message]:
     tools = {"all": ("ros2_topic_statistics", "ros2_topic_stats"), "statistics": ("ros2_topic_statistics",)}
     chosen = tools.get(analysis, ("ros2_topic_stats",))
     steps = [
-        step(number, tool, topic_names=[topic], duration=duration_s) for number, tool in enumerate(chosen, start=1)
+        step(number, tool, topic_names=[topic], duration_s=duration_s) for number, tool in enumerate(chosen, start=1)
     ]
     return _ask(
         f"Analyze the topic {named(topic)} ({analysis}).",
@@ -114,7 +114,7 @@ def _choose_topic(topics: Sequence[str], duration_s: float) -> Sequence[Message]
     more = f" (and {len(topics) - len(shown_topics)} more)" if len(topics) > len(shown_topics) else ""
     return _ask(
         f"Analyze a topic. None was named; there are {len(topics)}: {', '.join(map(named, shown_topics))}{more}.",
-        step(1, "ros2_topic_stats", topic_names=shown_topics, duration=duration_s),
+        step(1, "ros2_topic_stats", topic_names=shown_topics, duration_s=duration_s),
         *_patience(duration_s),
         "Then report a table of their rates, say which look unhealthy, and ask which one to analyze with "
         "ros2_topic_statistics.",
@@ -151,7 +151,7 @@ async def _write_relay(values: Mapping[str, Any]) -> Sequence[Message]:
     return _ask(
         f"Relay {source} to {destination}: {passed}.",
         start,
-        step(2, "ros2_topic_stats", topic_names=[source, destination], duration=_check_s(duration_s)),
+        step(2, "ros2_topic_stats", topic_names=[source, destination], duration_s=_check_s(duration_s)),
         step(3, "ros2_relay_list"),
         "Then report: both rates, how many messages were passed and dropped, and any error. "
         f"{sooner} with ros2_relay_stop; stop it only if asked to. If it is refused, say why: ros2_policy shows what "

@@ -80,6 +80,8 @@ class Types:
             return names.interface_type(text, text.split("/")[1])
         used = [name for name in in_use if names.is_type(text, name)]
         installed = used or await self._graph.interfaces()
+        if not (used or any(names.is_type(text, name) for name in installed)):  # a node may describe what it uses
+            installed = [*installed, *{name for row in await self._graph.topics() for name in row.types}]
         if names.is_short(text):
             found = [name for name in installed if names.is_type(text, name) and f"/{kind}" in name]
         else:  # std_srvs/SetBool

@@ -17,6 +17,7 @@ from ros2_mcp.model.aside import aside, extent, load
 from ros2_mcp.model.errors import BadValue, UnknownInterface
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import listed
+from ros2_mcp.robot.described import described
 from ros2_mcp_common.policy.velocity import MOTION_TYPES
 from ros2_mcp_common.wire.protocol import DefinitionsReply
 
@@ -57,8 +58,10 @@ class Values:
     async def learn(self, *types: str) -> None:
         """Fetches the definitions of these types, with all they refer to, from the robot.
 
+        What is not installed where the bridge runs, a node that uses it may describe (`described.py`).
+
         Raises:
-            UnknownInterface: if the robot's installation has no definition of one.
+            UnknownInterface: if neither the robot's installation nor a node has a definition of one.
         """
         await load(*_CODEC)
         if all(self.definitions.knows(name) for name in types):
@@ -68,15 +71,19 @@ class Values:
             if not unknown:
                 return
             answer = await self._graph.query(DefinitionsReply, "definitions", types=unknown)
-            if answer["missing"]:
-                raise UnknownInterface(
-                    f"No definition of {', '.join(answer['missing'])} is installed where the bridge runs.",
-                    await self._suggest_type(answer["missing"][0]),
-                )
             from ros2_mcp.values.definitions import DefinitionText
 
             self.definitions.add(
                 {name: DefinitionText(text["format"], text["text"]) for name, text in answer["definitions"].items()}
+            )
+        for name in answer["missing"]:  # without the lock: the nodes' answers are of a type to be learnt
+            told = await described(self._graph, self, name)
+            self.definitions.add({each: text for each, text in told.items() if not self.definitions.knows(each)})
+        missing = [name for name in answer["missing"] if not self.definitions.knows(name)]
+        if missing:
+            raise UnknownInterface(
+                f"No definition of {', '.join(missing)} is installed where the bridge runs, and no node tells it.",
+                await self._suggest_type(missing[0]),
             )
 
     async def _suggest_type(self, name: str) -> str:

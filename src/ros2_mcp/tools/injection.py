@@ -46,7 +46,8 @@ from ros2_mcp.view.viewing import Viewing
 _FOR_VALUES = 5 / 6
 """Of a text's bytes; the others are for what stands above and below the values."""
 _TIMES_TO_WAIT = frozenset(
-    {"duration", "duration_sec", "timeout", "timeout_sec", "wait_timeout_sec", "wait_for_service_sec"}
+    {"duration", "duration_s", "duration_sec", "timeout", "timeout_s", "timeout_sec", "wait_timeout_sec"}
+    | {"wait_for_service_sec"}
 )
 """Arguments of tools that say how long to wait."""
 

@@ -20,13 +20,14 @@ PLACE = 50
     title="Read the log",
     risk="read",
     recorded=True,
+    aliases={"node": "node_name"},
     program="log",
     finds="log, rosout, errors, warnings, what happened, what did nodes say",
 )
 async def ros2_log_read(
     robot: Robot,
     since: Since = "",
-    node: Annotated[
+    node_name: Annotated[
         str, Field(description="Only lines of this node, such as /planner; or a part of its name, or a glob.")
     ] = "",
     level: Annotated[str, Field(description="Minimum level: debug, info, warn, error or fatal.")] = "",
@@ -42,7 +43,7 @@ async def ros2_log_read(
     The server keeps the newest 5000 lines since it started, and those of a few seconds before. In a recording, seconds
     ago are counted from its end.
     """
-    request = log.LogRequest(since=since, until=end, node=node, level=level, pattern=pattern, limit=limit)
+    request = log.LogRequest(since=since, until=end, node=node_name, level=level, pattern=pattern, limit=limit)
     if source.is_live:
         return await log.read(robot, request, selection.max_bytes)
     return await log.read_recorded(source, request, selection.max_bytes)

@@ -47,7 +47,7 @@ async def ros2_wait_until(
             'any(status, name == "imu" and level > 1), all().'
         ),
     ],
-    timeout: Annotated[Number, Field(gt=0, le=MAX_DURATION_S, description="Maximum wait in seconds.")] = 30.0,
+    timeout_s: Annotated[Number, Field(gt=0, le=MAX_DURATION_S, description="Maximum wait in seconds.")] = 30.0,
     *,
     selection: Selection,
     source: Source,
@@ -56,7 +56,7 @@ async def ros2_wait_until(
 
     Hidden topics work too, such as /navigate_to_pose/_action/status. In a recording, returns the first that met it.
     """
-    lasting = source.lasting(timeout)
+    lasting = source.lasting(timeout_s)
     return await waiting.wait_until(lasting, topic_name, condition, report, max_bytes=selection.max_bytes)
 
 
@@ -96,6 +96,7 @@ async def ros2_health_check(
     risk="read",
     group="measure",
     recorded=True,
+    aliases={"duration": "duration_s"},
     program="statistics",
     beside={"ros2_topic_stats": "For sizes and ages of messages use ros2_topic_stats."},
     finds="average, minimum, maximum, noise, drift, stuck values, analyse numbers",
@@ -103,7 +104,7 @@ async def ros2_health_check(
 async def ros2_topic_statistics(
     report: Report,
     topic_names: Annotated[list[str], Field(min_length=1, max_length=20, description="Names of the topics.")],
-    duration: MeasuredFor = 5.0,
+    duration_s: MeasuredFor = 5.0,
     *,
     selection: Numbers,
     source: Source,
@@ -112,7 +113,7 @@ async def ros2_topic_statistics(
 
     Also trends, and when extremes were reached.
     """
-    return await statistics.measure(source.lasting(duration), topic_names, selection, report)
+    return await statistics.measure(source.lasting(duration_s), topic_names, selection, report)
 
 
 @tool(

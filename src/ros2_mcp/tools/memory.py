@@ -48,20 +48,23 @@ PlaybackId = Annotated[str, Field(description="ID from ros2_bag_play. Default: t
     does={"record": ()},
     group="memory",
     by_default=False,
+    aliases={"topics": "topic_names", "max_duration_sec": "max_duration_s"},
     finds="record a bag, rosbag, save topics to a file",
 )
 async def ros2_record_start(
     robot: Robot,
     session: Session,
     store: BagStore,
-    topics: Annotated[
+    topic_names: Annotated[
         list[str] | None, Field(min_length=1, description="Topics to record, also if they appear later.")
     ] = None,
     patterns: Annotated[
         list[str] | None,
-        Field(min_length=1, description="Globs such as /camera/*, or parts of names. Default without topics: all."),
+        Field(
+            min_length=1, description="Globs such as /camera/*, or parts of names. Default without topic_names: all."
+        ),
     ] = None,
-    max_duration_sec: Annotated[
+    max_duration_s: Annotated[
         Number, Field(ge=0, le=604_800, description="Maximum duration in seconds; 0: no limit.")
     ] = 0.0,
     max_bytes: Annotated[Bytes, Field(description="Maximum size in bytes; 0: no limit.")] = 0,
@@ -73,9 +76,9 @@ async def ros2_record_start(
     Latched messages are included; topics that appear later join within a second. Your calls are on /agent/calls.
     """
     request = record.RecordRequest(
-        topics=topics or (),
+        topics=topic_names or (),
         patterns=patterns or (),
-        max_duration_s=max_duration_sec,
+        max_duration_s=max_duration_s,
         max_bytes=max_bytes,
         split_bytes=split_bytes,
         name=name,
@@ -129,6 +132,7 @@ async def ros2_bag_info(store: BagStore, bag: BagName) -> bags.BagInfo:
     group="memory",
     by_default=False,
     recorded=True,
+    aliases={"limit": "message_limit"},
     finds="read messages of a bag, recording, what happened",
 )
 async def ros2_bag_read(
@@ -138,12 +142,12 @@ async def ros2_bag_read(
     topic_name: TopicName,
     start: BagStart = "",
     end: BagEnd = "",
-    limit: Annotated[Whole, Field(ge=1, le=10_000, description="Maximum number of messages.")] = 20,
+    message_limit: Annotated[Whole, Field(ge=1, le=10_000, description="Maximum number of messages.")] = 20,
     *,
     selection: Messages,
 ) -> bags.BagMessages:
     """Read messages of one topic in a bag: the first ones from start on, or without start the last ones."""
-    chosen = replace(selection, message_limit=limit)
+    chosen = replace(selection, message_limit=message_limit)
     return await bags.read(robot, store, bag, topic_name, chosen, start=start, end=end)
 
 
@@ -153,6 +157,7 @@ async def ros2_bag_read(
     does={"play": ()},
     group="memory",
     by_default=False,
+    aliases={"topics": "topic_names", "wait_sec": "wait_s"},
     finds="replay, play back a bag",
 )
 async def ros2_bag_play(
@@ -164,14 +169,14 @@ async def ros2_bag_play(
     rate: Annotated[Number, Field(ge=0.01, le=100, description="Speed factor; 2: twice as fast.")] = 1.0,
     start: BagStart = "",
     end: BagEnd = "",
-    topics: Topics = None,
+    topic_names: Topics = None,
     remaps: Annotated[dict[str, str] | None, Field(description='New names, such as {"/scan": "/old/scan"}.')] = None,
     loop: Annotated[Flag, Field(description="Start again at the end, until stopped.")] = False,
     force: Annotated[
         Flag,
         Field(description="Also publish on topics with a live publisher, and velocity commands that move the robot."),
     ] = False,
-    wait_sec: Annotated[
+    wait_s: Annotated[
         Number,
         Field(
             ge=0,
@@ -182,9 +187,9 @@ async def ros2_bag_play(
 ) -> play.PlaybackState:
     """Publish a bag's messages again with their timing. Can move the robot if the bag holds commands: choose topics."""
     request = play.PlayRequest(
-        bag=bag, rate=rate, start=start, end=end, topics=topics or (), remaps=remaps or {}, loop=loop, force=force
+        bag=bag, rate=rate, start=start, end=end, topics=topic_names or (), remaps=remaps or {}, loop=loop, force=force
     )
-    return await play.play(robot, session, store, request, wait_sec, report)
+    return await play.play(robot, session, store, request, wait_s, report)
 
 
 @tool(title="Playbacks", risk="read", group="memory", by_default=False, finds="how far is the playback")

@@ -9,7 +9,8 @@ from collections.abc import Collection, Mapping, Sequence
 
 from ros2_mcp.model.names import did_you_mean
 
-_DURATIONS = ("duration", "duration_sec", "rate_check_duration_sec", "max_duration_sec", "timeout", "timeout_sec")
+_TIMES_OUT = ("timeout_s", "timeout_sec", "timeout", "wait_s")
+_DURATIONS = ("duration_s", "duration", "duration_sec", "rate_check_duration_sec", "max_duration_s", *_TIMES_OUT)
 _LIMITS = ("message_limit", "max_messages", "number_of_messages", "limit")
 _RATES = ("frequency", "target_rate_hz", "rate", "min_expected_rate_hz")
 _TYPES = ("message_type", "msg_type", "service_type", "action_type")
@@ -30,7 +31,7 @@ MEANT: Mapping[str, Sequence[str]] = {
     **dict.fromkeys(("request", "args", "arguments", "params", "message", "msg", "payload", "value"), _VALUES),
     **dict.fromkeys(("parameters", "parameter"), ("values", "names")),
     **dict.fromkeys(("rate", "rate_hz", "hz", "freq", "frequency_hz"), _RATES),
-    **dict.fromkeys(("timeout", "timeout_s", "timeout_sec", "wait"), ("timeout_sec", "timeout", "wait_sec")),
+    **dict.fromkeys(("timeout", "timeout_s", "timeout_sec", "wait"), _TIMES_OUT),
     **dict.fromkeys(("duration", "duration_s", "duration_sec", "seconds", "time"), _DURATIONS),
     **dict.fromkeys(("count", "n", "num_messages", "max_messages", "limit", "message_count"), _LIMITS),
     **dict.fromkeys(("filter", "search", "query"), ("pattern", "condition")),
@@ -44,6 +45,8 @@ MEANT: Mapping[str, Sequence[str]] = {
 _SAME: Sequence[Sequence[str]] = (
     ("duration", "duration_s", "duration_sec"),
     ("timeout", "timeout_s", "timeout_sec", "wait_timeout_sec"),
+    ("wait", "wait_s", "wait_sec"),
+    ("message_limit", "max_messages", "number_of_messages"),
     ("node", "nodes", "node_name", "node_names"),
     ("topic", "topic_name", "topics", "topic_names"),
     ("service", "service_name"),

@@ -74,6 +74,7 @@ async def ros2_drive(
     does={"publish": tuple(VELOCITY_TYPES)},
     group="motion",
     by_default=False,
+    aliases={"timeout": "timeout_s"},
     program="move_until",
     finds="until an obstacle, wall, contact, condition; approach",
 )
@@ -87,7 +88,7 @@ async def ros2_move_until(
     linear_y: MetresPerSecond = 0.0,
     linear_z: MetresPerSecond = 0.0,
     angular_z: Annotated[Number, Field(ge=-10, le=10, description="In rad/s; positive: left.")] = 0.0,
-    timeout: Annotated[Number, Field(gt=0, le=MAX_DURATION_S, description="Maximum duration in seconds.")] = 10.0,
+    timeout_s: Annotated[Number, Field(gt=0, le=MAX_DURATION_S, description="Maximum duration in seconds.")] = 10.0,
     max_distance_m: Annotated[
         Number | None, Field(gt=0, le=1000, description="Maximum distance in metres, by odometry.")
     ] = None,
@@ -106,7 +107,7 @@ async def ros2_move_until(
         topic_name=topic_name,
         condition=condition,
         velocity={"linear.x": linear_x, "linear.y": linear_y, "linear.z": linear_z, "angular.z": angular_z},
-        timeout_s=timeout,
+        timeout_s=timeout_s,
         max_distance_m=max_distance_m,
         is_event=is_event,
         command_topic=command_topic,

@@ -60,6 +60,7 @@ Metres = Annotated[Number | None, Field(description="Metres. Without x and y: th
     risk="actuate",
     does={"goal": (NAVIGATE,)},
     group="motion",
+    aliases={"timeout_sec": "timeout_s"},
     program="navigate",
     finds="go to the kitchen, drive to a place or room, navigation, waypoints, Nav2",
 )
@@ -73,7 +74,7 @@ async def ros2_navigate(
         Field(description='In order, each {"place": name} or {"x", "y", "yaw_deg", "frame"} (m, degrees; frame: map).'),
     ] = None,
     job_id: Annotated[str, Field(description="Wait for this running job instead.")] = "",
-    timeout_sec: Annotated[Number, Field(ge=0, le=MAX_DURATION_S, description="Maximum wait in seconds.")] = 45.0,
+    timeout_s: Annotated[Number, Field(ge=0, le=MAX_DURATION_S, description="Maximum wait in seconds.")] = 45.0,
     action_name: Action = "",
 ) -> Navigated:
     """Drive to places with Nav2, around obstacles. Can move the robot.
@@ -81,7 +82,7 @@ async def ros2_navigate(
     Reports the time taken and how near the robot came; for a failed goal, the cause and what would help. After a
     time-out, call again with the job_id; ros2_stop ends the job.
     """
-    return await navigate(robot, session, to, action=action_name, job_id=job_id, timeout_s=timeout_sec, report=report)
+    return await navigate(robot, session, to, action=action_name, job_id=job_id, timeout_s=timeout_s, report=report)
 
 
 @tool(

@@ -32,7 +32,7 @@ Height = Annotated[Number | None, Field(description="Only points within these he
     group="pictures",
     recorded=True,
     by_default=False,
-    aliases={"topic_names": "series"},
+    aliases={"topic_names": "series", "duration": "duration_s"},
     finds="plot, curve, chart, graph over time, trajectory picture",
 )
 async def ros2_plot(
@@ -45,7 +45,7 @@ async def ros2_plot(
             description='Topic:field, such as ["/odom:twist.twist.linear.x"]. A topic or message alone: all numbers.',
         ),
     ],
-    duration: Annotated[Number, Field(ge=0.1, le=600, description="Live: listening time in seconds.")] = 5.0,
+    duration_s: Annotated[Number, Field(ge=0.1, le=600, description="Live: listening time in seconds.")] = 5.0,
     kind: Annotated[
         Literal["time", "xy"],
         Field(description='"time", or "xy": pairs of series against each other; a position alone is a trajectory.'),
@@ -56,7 +56,7 @@ async def ros2_plot(
     source: Source,
 ) -> Plot:
     """Draw numeric fields over time, or trajectories, as a picture; with minimum, maximum and mean of each."""
-    return await plot(source.lasting(duration), PlotRequest(series, kind, width, height), report)
+    return await plot(source.lasting(duration_s), PlotRequest(series, kind, width, height), report)
 
 
 @tool(
@@ -64,19 +64,20 @@ async def ros2_plot(
     risk="read",
     group="pictures",
     recorded=True,
+    aliases={"timeout": "timeout_s"},
     finds="map picture, occupancy grid, costmap, walls, rooms",
 )
 async def ros2_get_map_as_image(
     robot: Robot,
     report: Report,
     topic_name: Annotated[str, Field(description="A topic of nav_msgs/OccupancyGrid. Default: the only one.")] = "",
-    timeout: Timeout = 5.0,
+    timeout_s: Timeout = 5.0,
     *,
     source: Source,
 ) -> MapPicture:
     """Show an occupancy grid as a picture: axes in metres, origin and robot; resolution, size, shares of free, occupied
     and unknown."""
-    return await map_picture(robot, source.lasting(timeout), topic_name, report)
+    return await map_picture(robot, source.lasting(timeout_s), topic_name, report)
 
 
 @tool(

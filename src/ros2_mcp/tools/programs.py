@@ -41,6 +41,7 @@ Inputs = Annotated[
     recorded=True,
     runs_programs=True,
     also_named="ros2_run",
+    aliases={"timeout": "timeout_s"},
     finds="program, script, Python, loop, calculate, sequence of steps",
 )
 async def ros2_program_run(
@@ -50,7 +51,7 @@ async def ros2_program_run(
     programs: ProgramsHere,
     program: Annotated[str, Field(description="Python code (import robot), or the name of a kept program.")],
     inputs: Annotated[dict[str, Any] | None, Field(description="Variables for the program: name → value.")] = None,
-    timeout: Annotated[Number, Field(gt=0, le=MAX_RUN_S, description="Maximum duration in seconds.")] = 60.0,
+    timeout_s: Annotated[Number, Field(gt=0, le=MAX_RUN_S, description="Maximum duration in seconds.")] = 60.0,
     dry_run: Annotated[Flag, Field(description="Only read, and report what would be done.")] = False,
 ) -> Ran:
     """Run a Python program in a sandbox, with the robot as the module `robot`. Can move the robot.
@@ -58,11 +59,11 @@ async def ros2_program_run(
     For work on every message: loops, sums, reactions. For one reading or action, call its tool. The printed text is
     the answer. It can import robot, math, time, json, re and datetime; it has no files, network, NumPy, await or yield.
     Messages are dicts: m["pose"]["pose"]["position"]["x"]; with fields, m["ranges[0]"]; also _topic, _time, _age_s,
-    _dropped. Limits: timeout, 5 s of computing between two calls, 60 s in all, 64 MB of values. Whatever ends it stops
-    what it moves. help() prints all functions, help(robot.drive) one of them.
+    _dropped. Limits: timeout_s, 5 s of computing between two calls, 60 s in all, 64 MB of values. Whatever ends it
+    stops what it moves. help() prints all functions, help(robot.drive) one of them.
     """
     code, given = await programs_of(robot).resolve(program, inputs or {})
-    return await run(robot, session, programs, code, given, timeout, report, dry_run=dry_run)
+    return await run(robot, session, programs, code, given, timeout_s, report, dry_run=dry_run)
 
 
 @tool(

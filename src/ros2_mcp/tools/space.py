@@ -46,7 +46,7 @@ async def ros2_robot(
     risk="read",
     group="space",
     recorded=True,
-    aliases={"target_frame": "target", "source_frame": "source", "frame": "source"},
+    aliases={"target_frame": "target", "source_frame": "source", "frame": "source", "duration": "duration_s"},
     program="tf",
     finds="where is it, position, pose, transform between frames, distance",
 )
@@ -55,7 +55,7 @@ async def ros2_tf_lookup(
     target: Annotated[str, Field(description="Such as map.")],
     source: Annotated[str, Field(description="Such as base_link.")] = "",
     time: AtTime = "",
-    duration: Annotated[Number | None, Field(description="Average over this many seconds.")] = None,
+    duration_s: Annotated[Number | None, Field(description="Average over this many seconds.")] = None,
     points: Annotated[
         list[list[Number]] | None, Field(description="Points in source to transform: [x,y,z] or [x,y,z,qx,qy,qz,qw].")
     ] = None,
@@ -65,7 +65,7 @@ async def ros2_tf_lookup(
 ) -> Lookup:
     """Look up where the frame source is in target, how old that is and through which frames; or why it is unknown."""
     request = LookupRequest(
-        target=target, frame=source, time=time, duration_s=duration, points=points or (), field=field
+        target=target, frame=source, time=time, duration_s=duration_s, points=points or (), field=field
     )
     return await tf_lookup(reading, request, report)
 
@@ -99,12 +99,13 @@ async def ros2_scene(
     group="space",
     recorded=True,
     by_default=False,
+    aliases={"duration": "duration_s"},
     finds="frames, transform tree, TF problems",
 )
 async def ros2_tf_tree(
     report: Report,
     frame: Annotated[str, Field(description="Only the frames below this one. Default: all.")] = "",
-    duration: Annotated[Number, Field(ge=0, le=60, description="Live: listening time in seconds.")] = 3.0,
+    duration_s: Annotated[Number, Field(ge=0, le=60, description="Live: listening time in seconds.")] = 3.0,
     picture: Annotated[Flag, Field(description="Also return a picture.")] = True,
     *,
     source: Source,
@@ -112,4 +113,4 @@ async def ros2_tf_tree(
     """Show all coordinate frames (TF) as a tree, as text and as a picture: who publishes each edge, its rate and
     age, and what is wrong: several trees, stale edges, two parents, several publishers of one edge, stamps that jump or
     are missing."""
-    return await tf_tree(source, frame, duration, picture=picture, report=report)
+    return await tf_tree(source, frame, duration_s, picture=picture, report=report)

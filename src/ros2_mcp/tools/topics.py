@@ -180,6 +180,7 @@ async def ros2_topic_echo_wait(
     title="Rate and age of topics",
     risk="read",
     recorded=True,
+    aliases={"duration": "duration_s"},
     program="rates",
     beside={"ros2_topic_statistics": "For the values of fields use ros2_topic_statistics."},
     finds="rate, Hz, frequency, bandwidth, delay, latency, lost messages",
@@ -190,7 +191,7 @@ async def ros2_topic_stats(
         list[str] | None,
         Field(min_length=1, max_length=stats.MAX_TOPICS, description="Default: all published topics."),
     ] = None,
-    duration: Annotated[
+    duration_s: Annotated[
         Number | None,
         Field(gt=0, le=MAX_MEASURE_S, description="Measuring time in seconds. Default: 3; of a bag, all."),
     ] = None,
@@ -201,7 +202,7 @@ async def ros2_topic_stats(
 
     The largest come first.
     """
-    lasting = source.lasting(duration or MEASURE_S, recorded_s=duration, whole=True)
+    lasting = source.lasting(duration_s or MEASURE_S, recorded_s=duration_s, whole=True)
     return await stats.measure(lasting, topic_names, report)
 
 

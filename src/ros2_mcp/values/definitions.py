@@ -60,6 +60,11 @@ _IMPLIED: Mapping[str, Mapping[str, str]] = {
         "_SendGoal_Response": "bool accepted\nbuiltin_interfaces/msg/Time stamp\n",
         "_GetResult_Request": "unique_identifier_msgs/msg/UUID goal_id\n",
         "_GetResult_Response": "int8 status\n{name}_Result result\n",
+        **{
+            f"_{part}_Event": "service_msgs/msg/ServiceEventInfo info\n"
+            f"{{name}}_{part}_Request[<=1] request\n{{name}}_{part}_Response[<=1] response\n"
+            for part in ("SendGoal", "GetResult")
+        },
         "_FeedbackMessage": "unique_identifier_msgs/msg/UUID goal_id\n{name}_Feedback feedback\n",
     },
 }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 from ros2_mcp_bridge.request import Request
@@ -12,6 +13,7 @@ from ros2_mcp_common.wire.protocol import Definition, DefinitionsReply, Interfac
 
 _PRIMITIVES = re.compile(r"bool|byte|char|float(32|64)|u?int(8|16|32|64)|w?string")
 _FIELD_TYPE = re.compile(r"\s*([A-Za-z][A-Za-z0-9_/]*)")
+_FIELD_NAME = re.compile(r"\s*[A-Za-z][^\s#]*\s+([a-z]\w*)(?!\w|\s*=)", re.ASCII)
 _INCLUDE = re.compile(r'^\s*#include\s+[<"]([^/>"]+/[^/>"]+/[^/>"]+)\.idl[>"]', re.MULTILINE)
 _INTERFACE_FILE = re.compile(r"(msg|srv|action)/([A-Za-z0-9]+)\.(msg|srv|action|idl)$")
 _PART = re.compile(r"_[^/]*$")
@@ -56,6 +58,23 @@ def find(request: Request) -> DefinitionsReply:
         found[whole] = definition
         open_types += _references(whole, definition)
     return {"definitions": found, "missing": missing}
+
+
+def fields_below(type_name: str) -> Iterator[tuple[str, str]]:
+    """The fields of a type and of all that it contains, each with the type that has it; of definitions in IDL none."""
+    seen: set[str] = set()
+    waiting = [_PART.sub("", type_name)]
+    while waiting:
+        name = waiting.pop(0)
+        definition = None if name in seen else _read(name)
+        seen.add(name)
+        if definition is None:
+            continue
+        if definition["format"] != "idl":
+            for line in definition["text"].splitlines():
+                if found := _FIELD_NAME.match(line):
+                    yield name, found[1]
+        waiting += _references(name, definition)
 
 
 def _prefixes() -> list[Path]:

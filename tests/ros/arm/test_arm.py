@@ -102,7 +102,7 @@ def test_the_tool_is_looked_up_and_the_scene_has_the_base_in_the_world(agent) ->
     scene = agent.call("ros2_scene")
     assert (scene["frame_id"], scene["robot_x_m"], scene["robot_y_m"]) == ("world", 0.0, 0.0)
     assert "footprint" in {layer["kind"] for layer in scene["layers"]}
-    tree = agent.call("ros2_tf_tree", duration=1.0, picture=False)
+    tree = agent.call("ros2_tf_tree", duration_s=1.0, picture=False)
     assert (tree["roots"], tree["problems"]) == (["world"], [])
 
 

@@ -102,7 +102,7 @@ class Drone:
         assert self.order("cmd/takeoff", "CommandTOL", **NOWHERE, altitude=height)["result"]["success"]
 
     def wait(self, topic: str, condition: str, timeout: float = 30.0) -> None:
-        assert self.call("ros2_wait_until", topic_name=topic, condition=condition, timeout=timeout)["met"]
+        assert self.call("ros2_wait_until", topic_name=topic, condition=condition, timeout_s=timeout)["met"]
 
     def speed_up(self, times: int) -> None:
         self.call("ros2_parameter_set", node_name="/quadcopter", values={"speedup": times})
@@ -135,11 +135,11 @@ def test_it_flies_up_by_velocity_commands_and_hovers_when_they_end(drone: Drone)
     assert scene["frame_id"] == "map" and scene["robot_age_s"] is not None
     assert (scene["robot_x_m"], scene["robot_y_m"]) == pytest.approx((0.0, 0.0), abs=2.0)
     assert scene["robot_z_m"] > 0.3
-    tree = drone.call("ros2_tf_tree", duration=1.0, picture=False)
+    tree = drone.call("ros2_tf_tree", duration_s=1.0, picture=False)
     assert (tree["roots"], tree["problems"]) == (["map"], [])
     condition = "pose.pose.position.z > 1.5"
     where = {"topic_name": "/odom", "condition": condition, "command_topic": "/X3/cmd_vel"}
-    moved = drone.call("ros2_move_until", **where, linear_z=0.5, timeout=20.0)
+    moved = drone.call("ros2_move_until", **where, linear_z=0.5, timeout_s=20.0)
     assert (moved["outcome"], moved["stopped_with_zero"]) == ("met", True)
     assert "footprint" in {layer["kind"] for layer in scene["layers"]}
 

@@ -65,7 +65,7 @@ async def test_all_calls_under_way_hear_of_a_lost_bridge_and_none_hangs(agent: A
     await agent.knows("/busy")
     calls = [
         agent.call("ros2_topic_echo_wait", topic_name="/never", message_type="std_msgs/msg/String", timeout=30),
-        agent.call("ros2_topic_stats", topic_names=["/busy"], duration=30),
+        agent.call("ros2_topic_stats", topic_names=["/busy"], duration_s=30),
         agent.call("ros2_topic_subscribe", topic_name="/busy", duration=30),
     ]
     before = await agent.call("ros2_status")

@@ -51,7 +51,7 @@ async def test_a_type_that_only_the_publisher_has_is_named_with_what_to_do(
 
     await refused_after_s(agent)
     with pytest.raises(Refusal, match=r"No definition of nobody_msgs/msg/Thing.*--workspace"):
-        await agent.call("ros2_topic_stats", topic_names=["/thing"], duration=0.5)
+        await agent.call("ros2_topic_stats", topic_names=["/thing"], duration_s=0.5)
     with pytest.raises(Refusal, match=r"ros2-mcp interfaces build DIR"):
         await agent.call("ros2_topic_subscribe", topic_name="/thing", duration=10)
     await agent.call("ros2_status")

@@ -197,7 +197,7 @@ def test_the_box_is_asked_like_a_bag_by_its_name(agent: Agent) -> None:
 @pytest.mark.promise("ros2_get_messages", "names the source")
 def test_what_the_box_does_not_have_comes_from_the_own_recording(agent: Agent) -> None:
     said = {"topic_name": "/aside", "message_type": "std_msgs/msg/Int32"}
-    recording_id = agent.call("ros2_record_start", topics=["/aside"], name="aside")["recording_id"]
+    recording_id = agent.call("ros2_record_start", topic_names=["/aside"], name="aside")["recording_id"]
     publishing = agent.begin("ros2_topic_publish", data={"data": 1}, frequency=20.0, duration=60.0, **said)
     while agent.call("ros2_record_status", recording_id=recording_id)["recordings"][0]["messages"] <= 5:
         assert not publishing.done()

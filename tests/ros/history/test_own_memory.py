@@ -27,7 +27,7 @@ def test_a_recording_answers_while_it_runs_and_a_bag_once_it_is_opened(
     assert "No messages of /said are stored" in agent.refusal(TOOL, topic_name="/said")
     agent.call("ros2_topic_publish", topic_name="/said", message_type="std_msgs/msg/Int32", data={"data": 0})
     before = agent.call("ros2_status")["subscriptions"]
-    begun = agent.call("ros2_record_start", topics=["/said"], name="mine")
+    begun = agent.call("ros2_record_start", topic_names=["/said"], name="mine")
     until(lambda: agent.call("ros2_status")["subscriptions"] == before + 1)
     publish(agent, 1, 2, 3)
     answer = until(lambda: kept(agent, 3))

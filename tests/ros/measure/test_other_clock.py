@@ -52,7 +52,7 @@ def test_the_status_tells_how_far_the_clocks_are_apart(abroad: tuple[Agent, floa
 def measured(agent: Agent) -> tuple[dict[str, Any], dict[str, Any]]:
     """A health check, and the statistics of topics by their names."""
     checking = agent.begin("ros2_health_check", rate_check_duration_sec=2)
-    stats = agent.begin("ros2_topic_stats", topic_names=["/scan", "/map"], duration=2)
+    stats = agent.begin("ros2_topic_stats", topic_names=["/scan", "/map"], duration_s=2)
     return checking.result(CALL_S), {topic["topic_name"]: topic for topic in stats.result(CALL_S)["topics"]}
 
 
@@ -95,7 +95,7 @@ def test_the_log_is_read_by_seconds_ago(abroad: tuple[Agent, float], ros_environ
 
 def test_the_end_of_a_recording_that_goes_on_is_the_robots_now(abroad: tuple[Agent, float]) -> None:
     agent, _ = abroad
-    begun = agent.call("ros2_record_start", topics=["/odom"])
+    begun = agent.call("ros2_record_start", topic_names=["/odom"])
     try:
         started = datetime.fromisoformat(begun["started_at"].replace("Z", "+00:00"))
         assert BEGUN_S - HOUR_S / 2 < started.timestamp() < time.time() + HOUR_S / 2

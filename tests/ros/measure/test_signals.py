@@ -28,7 +28,7 @@ def published(signals: subprocess.Popen[str]) -> dict[str, Any]:
 @pytest.mark.promise("ros2_topic_statistics", "min, max, mean, std")
 @pytest.mark.full
 def test_the_numbers_are_those_of_the_published_messages(agent: Agent, signals: subprocess.Popen[str]) -> None:
-    (topic,) = agent.call("ros2_topic_statistics", topic_names=["/signal_steady"], duration=3)["topics"]
+    (topic,) = agent.call("ros2_topic_statistics", topic_names=["/signal_steady"], duration_s=3)["topics"]
     fields = {field["field"]: field for field in topic["fields"]}
     first, last = int(fields["point.z"]["first"]), int(fields["point.z"]["last"])
     assert topic["count"] == last - first + 1 == pytest.approx(150, abs=5)
@@ -165,13 +165,13 @@ def test_a_copy_is_identical(results: dict[str, dict[str, Any]]) -> None:
 def test_a_short_pulse_is_not_missed(agent: Agent, signals: subprocess.Popen[str]) -> None:
     """One message in 100 is one."""
     for _ in range(3):
-        found = agent.call("ros2_wait_until", topic_name="/pulse", condition="data > 5", timeout=50)
+        found = agent.call("ros2_wait_until", topic_name="/pulse", condition="data > 5", timeout_s=50)
         assert found["met"] and found["message"] == {"data": 7.0}
         assert found["looked_at"] <= 100 and not found["dropped"]
 
 
 def test_what_never_comes_ends_with_the_last_seen(agent: Agent, signals: subprocess.Popen[str]) -> None:
-    found = agent.call("ros2_wait_until", topic_name="/pulse", condition="data < 0", timeout=1)
+    found = agent.call("ros2_wait_until", topic_name="/pulse", condition="data < 0", timeout_s=1)
     assert not found["met"] and found["message"] is not None
     assert found["looked_at"] > 0 and found["waited"] >= 1.0
 
@@ -191,5 +191,5 @@ def test_a_pulse_is_told_at_once_and_what_never_comes_when_its_time_is_over(
 
 
 def test_a_bad_field_is_refused_at_once(agent: Agent, signals: subprocess.Popen[str]) -> None:
-    refusal = agent.refusal("ros2_wait_until", topic_name="/signal", condition="piont.x > 1", timeout=50)
+    refusal = agent.refusal("ros2_wait_until", topic_name="/signal", condition="piont.x > 1", timeout_s=50)
     assert "Did you mean point?" in refusal

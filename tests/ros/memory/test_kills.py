@@ -133,7 +133,7 @@ def recording(environment: dict[str, str], folder: Path) -> Iterator[Agent]:
     """A server that records, and has written of each topic."""
     with agent_for(environment, "--tools", "all", "--record-dir", str(folder)) as agent:
         for name in NAMES:
-            agent.call("ros2_record_start", topics=[f"/{name}"], name=name)
+            agent.call("ros2_record_start", topic_names=[f"/{name}"], name=name)
         wait_written(agent, dict.fromkeys(NAMES, 0))
         yield agent
 

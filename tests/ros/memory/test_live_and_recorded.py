@@ -87,12 +87,12 @@ def recorded(
 def measured_and_recorded(agent: Agent, folder: Path) -> Recorded:
     others = ["/rosout", "/diagnostics", PICTURES, "/map"]
     agent.knows(*TOPICS, *others)
-    begun = agent.call("ros2_record_start", topics=[*TOPICS, *others], name="run")
+    begun = agent.call("ros2_record_start", topic_names=[*TOPICS, *others], name="run")
     until(lambda: has_begun(agent, "run", TOPICS))
     durations = iter((2.0, 3.0, 5.0, 10.0, 20.0))
     live = until(lambda: measured_whole(agent, begun["recording_id"], next(durations)), 120.0)
     agent.call("ros2_parameter_set", node_name="/lidar", values={"enabled": False})
-    until(lambda: agent.call("ros2_log_read", node="/lidar", level="warn")["lines"])  # that it is dead
+    until(lambda: agent.call("ros2_log_read", node_name="/lidar", level="warn")["lines"])  # that it is dead
     silent = received_at(agent)
     until(lambda: received_at(agent) > silent + timedelta(seconds=2))
     for topic in (PICTURES, "/odom"):  # which others do not keep: the recording has them of its last moments
@@ -107,7 +107,7 @@ def measured_whole(agent: Agent, recording_id: str, duration_s: float) -> dict[s
     machine that is held up a best-effort message may reach one of two subscriptions alone.
     """
     before = lost(agent, recording_id)
-    live = agent.call("ros2_topic_statistics", topic_names=TOPICS, duration=duration_s)
+    live = agent.call("ros2_topic_statistics", topic_names=TOPICS, duration_s=duration_s)
     if sum(topic["count"] for topic in live["topics"]) <= MANY:
         return None
     is_whole = not any(topic["lost"] or topic["dropped"] for topic in live["topics"])
@@ -146,7 +146,7 @@ def test_the_servers_own_black_box_is_asked_in_the_same_words(start_agent: Start
     agent = start_agent("--black-box", "/odom,/scan")
     until(lambda: agent.call("ros2_record_status")["recordings"])
     until(lambda: has_begun(agent, "black-box", ["/odom", "/scan"]))
-    live = agent.call("ros2_topic_statistics", topic_names=["/odom", "/scan"], duration=2.0)
+    live = agent.call("ros2_topic_statistics", topic_names=["/odom", "/scan"], duration_s=2.0)
     end = moment(window_of(live, later=EDGE)["end"])
     for topic in ("/odom", "/scan"):
         until(lambda topic=topic: kept_until(agent, topic) > end)
@@ -161,7 +161,7 @@ def test_the_servers_own_black_box_is_asked_in_the_same_words(start_agent: Start
 
 def kept_until(agent: Agent, topic: str) -> datetime:
     """When the black box received the last message of a topic that is on the disk."""
-    last = agent.call("ros2_bag_read", bag="black box", topic_name=topic, limit=1, fields=["header.stamp"])
+    last = agent.call("ros2_bag_read", bag="black box", topic_name=topic, message_limit=1, fields=["header.stamp"])
     return times_of(last)[-1]
 
 

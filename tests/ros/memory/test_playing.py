@@ -126,7 +126,7 @@ def test_only_the_chosen_topics_of_the_chosen_time_are_played_under_other_names(
     agent: Agent, listener: Listener
 ) -> None:
     played = agent.call(
-        "ros2_bag_play", bag="run", topics=["/a"], start="first 0.3 s", end="first 0.6 s", remaps={"/a": "/c"}
+        "ros2_bag_play", bag="run", topic_names=["/a"], start="first 0.3 s", end="first 0.6 s", remaps={"/a": "/c"}
     )
     assert played["published"] == {"/c": 3} and played["elapsed_s"] < 10  # and not the days until that time
     heard = listener.heard_so_many({"/c": 3})
@@ -137,18 +137,18 @@ def test_only_the_chosen_topics_of_the_chosen_time_are_played_under_other_names(
 @pytest.mark.promise("ros2_bag_play_status", "Show the progress of bag playbacks")
 @pytest.mark.promise("ros2_bag_play_stop", "Stop playing a bag")
 def test_a_loop_goes_on_until_it_is_stopped(agent: Agent, listener: Listener) -> None:
-    begun = agent.call("ros2_bag_play", bag="run", topics=["/a"], rate=5, loop=True, wait_sec=0)
+    begun = agent.call("ros2_bag_play", bag="run", topic_names=["/a"], rate=5, loop=True, wait_s=0)
     assert begun["state"] == "playing"
     numbers = listener.numbers("/a", 25)
     assert numbers == [index % 10 for index in range(len(numbers))]
     running = agent.call("ros2_bag_play_status", playback_id=begun["playback_id"])["playbacks"][0]
     assert running["state"] == "playing" and running["loops"] >= 2 and 0 <= running["progress"] <= 1
-    refusal = agent.refusal("ros2_bag_play", bag="run", topics=["/a"])
+    refusal = agent.refusal("ros2_bag_play", bag="run", topic_names=["/a"])
     assert f"/a ({begun['playback_id']})" in refusal  # two rhythms on one topic make no sense
     stopped = agent.call("ros2_bag_play_stop", playback_id=begun["playback_id"])
     assert stopped["state"] == "stopped"
     rest = listener.heard_so_many({"/a": stopped["published"]["/a"] - len(numbers)})["/a"]
-    agent.call("ros2_bag_play", bag="run", topics=["/b"], rate=5)
+    agent.call("ros2_bag_play", bag="run", topic_names=["/b"], rate=5)
     heard = listener.heard_so_many({"/b": 5})  # several turns of the loop later
     assert len(numbers) + len(rest) == stopped["published"]["/a"] and not heard["/a"]
     assert agent.call("ros2_bag_play_stop", playback_id=begun["playback_id"])["state"] == "stopped"
@@ -164,17 +164,17 @@ def test_a_live_publisher_is_not_disturbed_unless_it_is_forced(agent: Agent, lis
 
 def test_a_relay_of_this_server_is_not_disturbed_either(agent: Agent, listener: Listener) -> None:
     relay = agent.call("ros2_relay_start", source_topic="/live", destination_topic="/c")["relay_id"]
-    refusal = agent.refusal("ros2_bag_play", bag="run", topics=["/a"], remaps={"/a": "/c"})
+    refusal = agent.refusal("ros2_bag_play", bag="run", topic_names=["/a"], remaps={"/a": "/c"})
     assert f"/c ({relay})" in refusal
     agent.call("ros2_relay_stop", relay_id=relay)
-    played = agent.call("ros2_bag_play", bag="run", topics=["/a"], remaps={"/a": "/c"}, rate=10)
+    played = agent.call("ros2_bag_play", bag="run", topic_names=["/a"], remaps={"/a": "/c"}, rate=10)
     assert played["published"] == {"/c": 10} and listener.numbers("/c", 10) == list(NUMBERS["/a"])
 
 
 def test_what_cannot_be_played_is_said_before_anything_is(agent: Agent, listener: Listener) -> None:
-    assert "no topic /nowhere" in agent.refusal("ros2_bag_play", bag="run", topics=["/a", "/nowhere"])
-    assert "not played" in agent.refusal("ros2_bag_play", bag="run", topics=["/a"], remaps={"/b": "/c"})
-    refusal = agent.refusal("ros2_bag_play", bag="run", topics=["/a"], remaps={"/a": "/rosout"}, force=True)
+    assert "no topic /nowhere" in agent.refusal("ros2_bag_play", bag="run", topic_names=["/a", "/nowhere"])
+    assert "not played" in agent.refusal("ros2_bag_play", bag="run", topic_names=["/a"], remaps={"/b": "/c"})
+    refusal = agent.refusal("ros2_bag_play", bag="run", topic_names=["/a"], remaps={"/a": "/rosout"}, force=True)
     assert "rcl_interfaces/msg/Log" in refusal
     assert not any(listener.heard().values())
 
@@ -192,7 +192,7 @@ def test_velocity_commands_that_somebody_listens_to_are_played_by_force_only(age
 
 @pytest.mark.promise("README", "repeats, relays and playbacks ended")
 def test_a_playback_that_ros2_stop_ends_is_stopped_and_not_failed(agent: Agent, listener: Listener) -> None:
-    begun = agent.call("ros2_bag_play", bag="run", topics=["/a"], loop=True, wait_sec=0)
+    begun = agent.call("ros2_bag_play", bag="run", topic_names=["/a"], loop=True, wait_s=0)
     assert listener.numbers("/a", 2)
     agent.call("ros2_stop")
     deadline = time.monotonic() + PATIENCE_S

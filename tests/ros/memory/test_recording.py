@@ -82,7 +82,7 @@ def test_record_read_play_and_record_again_give_the_same_bytes(
     once, count = bodies(tmp_path / "first"), stopped["messages"]
     check_that_independent_readers_agree(tmp_path / "first", count)
     for name in types:
-        read = agent.call("ros2_bag_read", bag="first", topic_name=f"/t/{name}", limit=1, max_array=0)
+        read = agent.call("ros2_bag_read", bag="first", topic_name=f"/t/{name}", message_limit=1, max_array=0)
         assert read["topic_type"] == name.replace("/", "/msg/") and read["count"] == 1, name
 
     before = agent.call("ros2_status")["subscriptions"]
@@ -133,7 +133,7 @@ def test_a_recording_goes_on_with_the_next_bridge(
 ) -> None:
     start_peer("stream", "/some:50:100")
     agent = start_agent()
-    agent.call("ros2_record_start", topics=["/some"], name="run")
+    agent.call("ros2_record_start", topic_names=["/some"], name="run")
     until(lambda: written(agent, "run") > 20)
     server = server_of(agent)
     bridges = Path(f"/proc/{server}/task/{server}/children").read_text().split()
@@ -182,7 +182,7 @@ def test_a_topic_that_appears_later_joins_and_limits_end_the_recording(
 def test_a_second_type_that_joins_a_topic_is_told(start_agent: StartAgent, start_peer: StartPeer) -> None:
     agent = start_agent()
     start_peer("stream", "/live:100:10")
-    agent.call("ros2_record_start", topics=["/live"], name="run")
+    agent.call("ros2_record_start", topic_names=["/live"], name="run")
     until(lambda: written(agent, "run") > 10)
     start_peer("listen", "/other")  # it publishes on /live, too
     assert until(lambda: topic_of(agent, "run", "/live")["other_types"]) == ["std_msgs/msg/Int32"]

@@ -105,6 +105,25 @@ def test_a_goal_that_is_rejected_carries_the_words_of_its_controller(agent: Agen
     assert "Can't accept new action goals" in sent["note"] and "/arm_controller is not active" in sent["note"]
 
 
+def test_a_drive_that_is_stuck_quotes_what_the_robot_logged_meanwhile(agent: Agent, robot: CommandedProcess) -> None:
+    robot.put(motors_off=True)
+    driven = agent.whole("ros2_drive", {"distance_m": 0.3})
+    said = driven.content[0].text
+    assert driven.is_error and said.startswith("stuck")
+    assert "/motor_driver WARN: «motors are disabled: release the emergency stop»" in said
+
+
+def test_joints_that_do_not_move_quote_what_the_robot_logged_meanwhile(agent: Agent, robot: CommandedProcess) -> None:
+    robot.put(motors_off=True)
+    moved = agent.whole("ros2_joint_move", {"joints": {"shoulder": 0.3}, "speed": 1})
+    said = moved.content[0].text
+    assert moved.is_error and said.startswith("failed")
+    assert said.count("motors are disabled") == 1 and "/motor_driver WARN" in said
+    robot.put()
+    moved = agent.call("ros2_joint_move", joints={"shoulder": 0.1}, speed=1)
+    assert (moved["outcome"], moved["note"]) == ("reached", "")  # what was logged before is not its affair
+
+
 def test_a_move_above_hardware_that_is_not_active_names_it_through_a_chain(
     agent: Agent, robot: CommandedProcess
 ) -> None:

@@ -85,7 +85,7 @@ def test_it_ends_after_its_way_and_after_its_time(agent: Agent, robot: Commanded
     assert result["distance_m"] > 0.19
     if FULL:
         assert result["distance_m"] < 0.35
-    result = agent.call("ros2_move_until", **asked(base, timeout=0.3))
+    result = agent.call("ros2_move_until", **asked(base, timeout_s=0.3))
     assert result["outcome"] == "time_out"
     assert result["stopped_with_zero"]
 

@@ -18,12 +18,12 @@ def test_what_was_true_long_ago_is_neither_echoed_nor_meets_a_condition(agent: A
     assert agent.call("ros2_topic_echo_wait", topic_name=TOPIC, timeout=20)["message"] == {"data": 0.0}
 
     def waited() -> dict[str, Any] | None:
-        found = agent.call("ros2_wait_until", topic_name=TOPIC, condition="data > 5", timeout=0.6)
+        found = agent.call("ros2_wait_until", topic_name=TOPIC, condition="data > 5", timeout_s=0.6)
         return found if found["looked_at"] else None
 
     found = until(waited)
     assert (found["met"], found["looked_at"], found["values"]) == (False, 1, {"data": 0.0})
-    met = agent.call("ros2_wait_until", topic_name=TOPIC, condition="data < 5", timeout=20)
+    met = agent.call("ros2_wait_until", topic_name=TOPIC, condition="data < 5", timeout_s=20)
     assert met["looked_at"] == 1
     assert "That message is latched" in met["note"]
     moved = agent.call(

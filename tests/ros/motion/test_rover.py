@@ -29,7 +29,7 @@ def rover(demo_environment: dict[str, str], demo_robot: subprocess.Popen[str]) -
 @contextmanager
 def untouched(rover: Agent) -> Iterator[None]:
     """What is driven in here comes nowhere near anything: by the scanner, and not by what drove."""
-    recording = rover.call("ros2_record_start", topics=["/scan"])
+    recording = rover.call("ros2_record_start", topic_names=["/scan"])
     yield
     bag = rover.call("ros2_record_stop", recording_id=recording["recording_id"])["bag"]
     near = {"topic_name": "/scan", "condition": f"min(ranges) < {RADIUS_M + NOISE_M}", "bag": bag}

@@ -101,7 +101,7 @@ PLANTED = {
 
 def try_to_go(agent, to):
     """The answer to a goal, or to the refusal of one."""
-    return agent.begin("ros2_navigate", to=[to], timeout_sec=120).result(150)
+    return agent.begin("ros2_navigate", to=[to], timeout_s=120).result(150)
 
 
 @pytest.mark.parametrize("name", list(PLANTED))
@@ -122,7 +122,7 @@ def test_a_planted_failure_is_told_with_its_cause(agent, name):
 def test_something_that_falls_silent_on_the_way_is_told(agent):
     for node, cause in (("/lidar", "/scan is silent"), ("/localization", "robot's place is unknown")):
         try_to_go(agent, {"x": 0.0, "y": 0.0})
-        driving = agent.begin("ros2_navigate", to=[{"x": -1.5, "y": -2.0}], timeout_sec=60)
+        driving = agent.begin("ros2_navigate", to=[{"x": -1.5, "y": -2.0}], timeout_s=60)
         until(lambda: is_driving(agent))
         agent.call("ros2_parameter_set", node_name=node, values={"enabled": False})
         done = driving.result(60)
@@ -132,9 +132,9 @@ def test_something_that_falls_silent_on_the_way_is_told(agent):
 
 def test_a_goal_that_another_one_replaces_says_so(agent):
     until(lambda: try_to_go(agent, {"x": 0.0, "y": 0.0})["outcome"] == "reached")  # it is localised again
-    first = agent.begin("ros2_navigate", to=[{"x": -1.5, "y": -2.0}], timeout_sec=60)
+    first = agent.begin("ros2_navigate", to=[{"x": -1.5, "y": -2.0}], timeout_s=60)
     until(lambda: is_driving(agent))
-    second = agent.begin("ros2_navigate", to=[{"x": 0.0, "y": 0.0}], timeout_sec=60)
+    second = agent.begin("ros2_navigate", to=[{"x": 0.0, "y": 0.0}], timeout_s=60)
     done = first.result(60)
     assert (done["outcome"], done["explanation"]) == ("failed", None)
     assert "replaced it" in done["legs"][0]["note"]
@@ -142,7 +142,7 @@ def test_a_goal_that_another_one_replaces_says_so(agent):
 
 
 def test_a_person_who_takes_over_is_told(agent):
-    driving = agent.begin("ros2_navigate", to=[{"x": -1.5, "y": -2.0}], timeout_sec=60)
+    driving = agent.begin("ros2_navigate", to=[{"x": -1.5, "y": -2.0}], timeout_s=60)
     until(lambda: is_driving(agent))
     with suppress(Refusal):
         agent.call("ros2_topic_publish", topic_name="/cmd_vel", data={"linear": {"x": 0.0}}, frequency=20, duration=9)
@@ -158,7 +158,7 @@ def test_of_a_hundred_goals_each_has_the_right_outcome(agent):
         agent.call("ros2_parameter_set", node_name=node, values={"max_linear_speed": 0.6})
     for number in range(100):
         to = {"x": round(rng.uniform(-2.6, 6.6), 2), "y": round(rng.uniform(-3.4, 3.4), 2)}
-        done = agent.begin("ros2_navigate", to=[to], timeout_sec=180).result(200)
+        done = agent.begin("ros2_navigate", to=[to], timeout_s=180).result(200)
         outcomes[done["outcome"]] = outcomes.get(done["outcome"], 0) + 1
         pose = agent.call("ros2_topic_echo_wait", topic_name="/pose", timeout=10.0)["message"]["pose"]["pose"][
             "position"

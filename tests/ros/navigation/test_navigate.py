@@ -63,7 +63,7 @@ def test_the_patrol_of_the_how_to_visits_its_places_with_nav2(agent):
         r"```python\n(.*?)```", (ROOT / "docs/how-to/programs/patrol.md").read_text("utf-8"), re.DOTALL
     )
     ran = agent.call(
-        "ros2_program_run", program=code, inputs={"places": [[0.4, 0.1], [0.7, 0.2]], "action": ""}, timeout=90
+        "ros2_program_run", program=code, inputs={"places": [[0.4, 0.1], [0.7, 0.2]], "action": ""}, timeout_s=90
     )
     assert ran["returned"] == {"value": ["reached", "reached"]}, ran
     assert math.dist(position(agent), (0.7, 0.2)) < 0.3
@@ -87,13 +87,13 @@ def test_a_goal_that_fails_is_explained_in_the_same_answer(agent):
 @pytest.mark.promise("ros2_navigate", "After a time-out, call again with the job_id")
 @pytest.mark.promise("ros2_navigate", "ros2_stop ends the job")
 def test_what_is_not_waited_for_goes_on_and_a_stop_in_the_middle_ends_it(agent):
-    begun = agent.call("ros2_navigate", to=[{"x": -1.5, "y": -1.5}, {"x": 0.0, "y": 0.0}], timeout_sec=0)
+    begun = agent.call("ros2_navigate", to=[{"x": -1.5, "y": -1.5}, {"x": 0.0, "y": 0.0}], timeout_s=0)
     assert begun["outcome"] == "under way"
     told = " ".join(begun["health"])
     assert "Localised: base_link is at (" in told and "s old." in told
     assert "The costmap /global_costmap/costmap is" in told
     assert "/navigator may send velocities on /cmd_vel_nav, as Nav2 does." in told, "the rover has a second navigator"
-    waiting = agent.begin("ros2_navigate", job_id=begun["job_id"], timeout_sec=60)
+    waiting = agent.begin("ros2_navigate", job_id=begun["job_id"], timeout_s=60)
     before = position(agent)
     until(lambda: math.dist(position(agent), before) > 0.05 or waiting.done())
     stopped = agent.call("ros2_stop")

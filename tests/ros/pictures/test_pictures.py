@@ -57,7 +57,7 @@ def test_the_speed_is_seen_to_rise_while_the_robot_drives(agent: Agent) -> None:
     series = ["/odom:twist.twist.linear.x", "/odom:twist.twist.angular.z"]
 
     before = agent.call("ros2_status")["subscriptions"]
-    plotting = ThreadPoolExecutor(1).submit(seen, agent, "ros2_plot", series=series, duration=4)
+    plotting = ThreadPoolExecutor(1).submit(seen, agent, "ros2_plot", series=series, duration_s=4)
     until(lambda: agent.call("ros2_status")["subscriptions"] > before)
     driving = drive(agent, 30.0)
     found, pixels = plotting.result(60)
@@ -74,7 +74,7 @@ def test_the_speed_is_seen_to_rise_while_the_robot_drives(agent: Agent) -> None:
 @pytest.mark.promise("ros2_plot", "or trajectories, as a picture")
 def test_a_trajectory_is_as_large_as_the_way_driven(agent: Agent) -> None:
     driving = drive(agent, 4.0)
-    found, pixels = seen(agent, "ros2_plot", series=["/odom:pose.pose.position"], duration=4, kind="xy")
+    found, pixels = seen(agent, "ros2_plot", series=["/odom:pose.pose.position"], duration_s=4, kind="xy")
     driving.result(30)
     x, y = found["series"]
     assert (x["name"], y["name"]) == ("/odom:pose.pose.position.x", "/odom:pose.pose.position.y")
@@ -84,8 +84,8 @@ def test_a_trajectory_is_as_large_as_the_way_driven(agent: Agent) -> None:
 
 @pytest.mark.promise("README", "The past answers in the same words as the present")
 def test_a_recording_shows_what_was_seen_live(agent: Agent) -> None:
-    begun = agent.call("ros2_record_start", topics=["/odom", "/map", "/cloud"], name="run")
-    live, _ = seen(agent, "ros2_plot", series=["/odom:pose.pose.position.x"], duration=1.5)
+    begun = agent.call("ros2_record_start", topic_names=["/odom", "/map", "/cloud"], name="run")
+    live, _ = seen(agent, "ros2_plot", series=["/odom:pose.pose.position.x"], duration_s=1.5)
     while not {"/odom", "/map", "/cloud"} <= recorded_topics(agent, begun["recording_id"]):
         pass
     agent.call("ros2_record_stop", recording_id=begun["recording_id"])

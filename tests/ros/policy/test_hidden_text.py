@@ -56,7 +56,7 @@ def calls(what: str) -> Iterator[tuple[str, dict[str, Any]]]:
     yield "ros2_send_action_goal", {"action_name": text, "action_type": text, "goal_fields": {}}
     yield "ros2_parameter_set", {"node_name": f"/{text}", "values": {text: text}}
     yield "ros2_lifecycle_change", {"node_name": f"/{text}", "transition": text}
-    yield "ros2_record_start", {"name": text, "topics": [text]}
+    yield "ros2_record_start", {"name": text, "topic_names": [text]}
     yield "ros2_relay_start", {"source_topic": text, "destination_topic": text}
 
 

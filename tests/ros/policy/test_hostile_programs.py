@@ -125,7 +125,7 @@ def run_all(
             quiet_s.append(listing_s(server))
             time.sleep(0.02)
         program = host.set_for(PROGRAMS[name], server.process.pid, topic)
-        request = server.tool("ros2_program_run", program=program, timeout=timeout_s)
+        request = server.tool("ros2_program_run", program=program, timeout_s=timeout_s)
         took_s = beside(server, request)
         line = server.answer(request)
         found = [
@@ -163,7 +163,7 @@ def test_a_hostile_text_of_the_robot_stays_data_whatever_a_program_does_with_it(
     for does in ("print(text)", "{text: [text]}", "raise ValueError(line)", "robot.latest(line)", "{}[line]"):
         read = f"import robot\ntext = robot.latest({topic!r}, timeout=60)['data']"
         program = f"{read}\nline = text.replace(chr(10), ' ')\n{does}"
-        request = server.tool("ros2_program_run", program=program, timeout=60)
+        request = server.tool("ros2_program_run", program=program, timeout_s=60)
         while not server.answered(request):
             observer.say(topic=topic, kind=STRING, bodies=[body])
         line = server.answer(request)

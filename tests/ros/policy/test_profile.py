@@ -75,7 +75,7 @@ def orders(names: dict[str, str]) -> Iterator[tuple[str, dict[str, Any]]]:
             ("ros2_topic_publish", {**sent, "frequency": rng.choice((5, 50, 500)), "duration": rng.choice((1, 9, 60))}),
             ("ros2_publish_multiple_topics", {"messages": [sent, {**sent, "topic_name": names["raw"]}]}),
             ("ros2_relay_start", {"source_topic": names["source"], "destination_topic": names["cmd_vel"]}),
-            ("ros2_bag_play", {"bag": BAG, "remaps": {"/cmd_vel": names["cmd_vel"]}, "force": True, "wait_sec": 0}),
+            ("ros2_bag_play", {"bag": BAG, "remaps": {"/cmd_vel": names["cmd_vel"]}, "force": True, "wait_s": 0}),
             ("ros2_bag_play", {"bag": BAG, "remaps": {"/cmd_vel": names["raw"]}, "loop": True, "force": True}),
             (
                 "ros2_service_call",

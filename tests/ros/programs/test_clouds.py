@@ -21,7 +21,7 @@ LARGE = 400**2
 
 
 def ran(agent: Agent, text: str) -> dict[str, Any]:
-    found = agent.call("ros2_program_run", program=f"import robot\n{text}", timeout=60)
+    found = agent.call("ros2_program_run", program=f"import robot\n{text}", timeout_s=60)
     assert found["outcome"] == "ended", found
     return found
 

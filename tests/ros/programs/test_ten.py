@@ -26,7 +26,7 @@ def agent(demo_robot: object, demo_environment: dict[str, str]) -> Iterator[Agen
 
 
 def run(agent: Agent, name: str, **inputs: Any) -> dict[str, Any]:
-    ran = agent.call("ros2_program_run", program=name, inputs=inputs, timeout=60)
+    ran = agent.call("ros2_program_run", program=name, inputs=inputs, timeout_s=60)
     assert ran["outcome"] == "ended", ran
     return ran
 
@@ -88,7 +88,7 @@ def test_average_transform_is_where_the_robot_stands(agent: Agent) -> None:
 
 
 def test_call_on_error_calls_when_an_error_appears(agent: Agent) -> None:
-    waiting = agent.begin("ros2_program_run", program="call-on-error", inputs={"service": "/self_test"}, timeout=60)
+    waiting = agent.begin("ros2_program_run", program="call-on-error", inputs={"service": "/self_test"}, timeout_s=60)
     error = {"level": 40, "name": "arm", "msg": "motor is hot"}
     until(lambda: agent.call("ros2_topic_publish", topic_name="/rosout", data=error) and waiting.done())
     [line] = waiting.result()["printed"]
@@ -124,6 +124,6 @@ async for m in robot.feedback(goal):
 print(robot.result('/navigate_to', goal['goal_id'])['status'])
 seen
 """
-    ran = agent.call("ros2_program_run", program=code, timeout=60)
+    ran = agent.call("ros2_program_run", program=code, timeout_s=60)
     assert ran["printed"] == ["CANCELED"] and len(ran["returned"]["value"]) >= 2, ran
     until(lambda: stands(agent))

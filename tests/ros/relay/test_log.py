@@ -45,13 +45,13 @@ def test_lines_are_found_by_node_level_text_and_time(agent, peer) -> None:
     assert texts(agent, 1, node=node, level="error") == ["the arm is stuck"]
     assert texts(agent, 1, node=node, pattern="ARM") == ["the arm is stuck"]
     assert texts(agent, 2, node="relay_peer_complain_*", pattern="number 1?", limit=2) == ["number 18", "number 19"]
-    found = agent.call("ros2_log_read", node=node, level="warning", limit=5)
+    found = agent.call("ros2_log_read", node_name=node, level="warning", limit=5)
     assert (found["matched"], found["lines"][0]["level"]) == (21, "WARN")
     assert "The newest 5 are shown" in found["note"]
-    assert agent.call("ros2_log_read", node=node, since=found["lines"][-1]["time"])["matched"] == 1
-    first = agent.call("ros2_log_read", node=node)["lines"][0]
+    assert agent.call("ros2_log_read", node_name=node, since=found["lines"][-1]["time"])["matched"] == 1
+    first = agent.call("ros2_log_read", node_name=node)["lines"][0]
     assert texts(agent, 1, node=node, end=first["time"]) == [first["text"]]
-    wait_for(lambda: agent.call("ros2_log_read", node=node, since=1)["matched"] == 0)  # of the last second
+    wait_for(lambda: agent.call("ros2_log_read", node_name=node, since=1)["matched"] == 0)  # of the last second
 
 
 @pytest.mark.promise("ros2_log_read", "and those of a few seconds before")
@@ -68,7 +68,7 @@ def test_the_log_survives_a_lost_bridge_without_lines_twice(start_agent: Callabl
     wait_for(lambda: own.call("ros2_status")["bridge_starts"] == 2)
     speaker.tell("after all")
     assert texts(own, 5, node=speaker.node)[-2:] == ["the arm is stuck", "after all"]
-    found = own.call("ros2_log_read", node=speaker.node)
+    found = own.call("ros2_log_read", node_name=speaker.node)
     assert (found["matched"], "was lost 1 time:" in found["note"]) == (5, True)
 
 

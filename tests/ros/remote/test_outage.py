@@ -103,7 +103,7 @@ def test_a_link_that_comes_back_is_used_at_once_and_what_was_recorded_and_watche
     server, topic = laptop(), fresh("kept")
     observer.talk(topic=topic, kind=TWIST, hz=20.0, value=1.0)
     until(lambda: topic in str(server.do("ros2_topic_list")))
-    recording = server.do("ros2_record_start", topics=[topic])["recording_id"]
+    recording = server.do("ros2_record_start", topic_names=[topic])["recording_id"]
 
     def written() -> int:
         (state,) = server.do("ros2_record_status", recording_id=recording)["recordings"]

@@ -127,13 +127,13 @@ def live_calls() -> Iterator[tuple[str, dict[str, Any]]]:
         yield "ros2_topic_subscribe", {"topic_name": topic, "message_limit": 3}
     yield "ros2_topic_subscribe", {"topic_name": "/hostile/text", "message_limit": 60}
     yield "ros2_subscribe_multiple_topics", {"topics": [{"name": topic, "message_limit": 2} for topic in topics]}
-    yield "ros2_topic_statistics", {"topic_names": topics, "duration": 0.5}
-    yield "ros2_topic_stats", {"topic_names": topics, "duration": 0.5}
+    yield "ros2_topic_statistics", {"topic_names": topics, "duration_s": 0.5}
+    yield "ros2_topic_stats", {"topic_names": topics, "duration_s": 0.5}
     yield "ros2_wait_until", {"topic_name": "/hostile/text", "condition": 'data != ""'}
-    yield "ros2_wait_until", {"topic_name": "/hostile/text", "condition": 'data == ""', "timeout": 1.5}
+    yield "ros2_wait_until", {"topic_name": "/hostile/text", "condition": 'data == ""', "timeout_s": 1.5}
     yield "ros2_topic_compare", {"topic1_name": topics[0], "topic2_name": topics[1], "duration_sec": 1}
-    yield "ros2_plot", {"series": ["/hostile/text:data"], "duration": 0.5}
-    yield "ros2_get_map_as_image", {"topic_name": "/hostile/text", "timeout": 1}
+    yield "ros2_plot", {"series": ["/hostile/text:data"], "duration_s": 0.5}
+    yield "ros2_get_map_as_image", {"topic_name": "/hostile/text", "timeout_s": 1}
     yield "ros2_log_read", {}
     yield "ros2_service_call", {"service_name": "/hostile/say", "fields": []}
     yield "ros2_service_call", {"service_name": "/hostile/basic", "fields": {}, "force_call": True}

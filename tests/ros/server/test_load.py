@@ -110,8 +110,8 @@ def call_of(dice: random.Random, names: dict[str, str], number: int) -> tuple[st
         (
             ("ros2_topic_subscribe", {"topic_name": names["camera"], "duration": seconds}),
             ("ros2_topic_subscribe", {"topic_name": names["camera"], "duration": seconds, "message_limit": 1000}),
-            ("ros2_topic_statistics", {"topic_names": [names["camera"]], "duration": seconds}),
-            ("ros2_record_start", {"topics": [names["camera"]], "max_bytes": RECORDING_BYTES}),
+            ("ros2_topic_statistics", {"topic_names": [names["camera"]], "duration_s": seconds}),
+            ("ros2_record_start", {"topic_names": [names["camera"]], "max_bytes": RECORDING_BYTES}),
             ("ros2_record_start", {"max_bytes": RECORDING_BYTES}),
             ("ros2_record_status", {}),
             ("ros2_topic_publish", {**driving, "frequency": 20, "duration": seconds}),

@@ -128,7 +128,7 @@ def test_bags_are_listed_the_newest_first_and_shown_with_their_topics(start_agen
     own = start_agent("--tools", "all", "--record-dir", str(tmp_path))
     own.knows(*latched)
     for name in ("older", "newer"):
-        begun = own.call("ros2_record_start", topics=[latched[0]], name=name)
+        begun = own.call("ros2_record_start", topic_names=[latched[0]], name=name)
         until(lambda: own.call("ros2_record_status")["recordings"][0]["messages"] == 1)
         own.call("ros2_record_stop", recording_id=begun["recording_id"])
     assert [bag["bag"] for bag in own.call("ros2_bag_list")["bags"]] == ["newer", "older"]

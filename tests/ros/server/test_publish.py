@@ -181,8 +181,8 @@ def test_a_call_on_several_topics_of_which_all_fail_is_an_error(agent, peer) -> 
     assert said.startswith("AllFailed: ") and "no_such" in said and "/nowhere_at_all" in said
     missing = [{"name": "/nowhere_at_all", "duration": 0.1}]
     assert "/nowhere_at_all" in agent.refusal("ros2_subscribe_multiple_topics", topics=missing)
-    assert "/nowhere_at_all" in agent.refusal("ros2_topic_stats", topic_names=["/nowhere_at_all"], duration=0.1)
-    assert agent.call("ros2_topic_stats", topic_names=["/is_there"], duration=0.5)["duration"] == 0.5
+    assert "/nowhere_at_all" in agent.refusal("ros2_topic_stats", topic_names=["/nowhere_at_all"], duration_s=0.1)
+    assert agent.call("ros2_topic_stats", topic_names=["/is_there"], duration_s=0.5)["duration"] == 0.5
     one_of_two = agent.call("ros2_subscribe_multiple_topics", topics=[*missing, {"name": "/is_there"}])["topics"]
     assert [bool(read["error"]) for read in one_of_two] == [True, False]
 

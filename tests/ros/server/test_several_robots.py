@@ -177,7 +177,7 @@ def test_a_stop_of_a_robot_that_there_is_not_stops_all(
 def test_each_robot_records_into_a_folder_of_its_own(agent: Agent, options: list[str]) -> None:
     folder = Path(options[-1])
     for robot in ("lab", "yard"):
-        started = agent.call("ros2_record_start", robot=robot, name="run", topics=["/rosout"])
+        started = agent.call("ros2_record_start", robot=robot, name="run", topic_names=["/rosout"])
         assert Path(started["path"]).is_relative_to(folder / robot)
         agent.call("ros2_record_stop", robot=robot)
     assert sorted(found.parent.name for found in folder.glob("*/run*")) == ["lab", "yard"]

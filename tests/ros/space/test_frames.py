@@ -57,7 +57,7 @@ def test_a_recording_gives_the_same_numbers_as_the_robot_did(agent: Agent, tell:
     tell("odom", "base_link", node="base", speed=0.5)
     tell("base_link", "laser", node="mounts", x=0.5, static=True)
     looked_up(agent, "odom", "laser")
-    path = Path(agent.call("ros2_record_start", topics=["/tf", "/tf_static"])["path"])
+    path = Path(agent.call("ros2_record_start", topic_names=["/tf", "/tf_static"])["path"])
     first = looked_up(agent, "odom", "base_link")["stamp_ns"]
     until(lambda: int(looked_up(agent, "odom", "base_link")["stamp_ns"]) > int(first) + 1_500_000_000)
     asked = str(int(first) + 987_654_321)

@@ -110,7 +110,7 @@ def test_what_is_picked_in_the_browser_is_told_to_the_agent(page: Page, agent: A
 @pytest.mark.promise("README", "Its one button stops every server that acts on the robot from this machine")
 @pytest.mark.usefixtures("operator")
 def test_the_button_stops_the_agent_and_says_who_answered(page: Page, agent: Agent, observer: Observer) -> None:
-    recording = agent.call("ros2_record_start", topics=["/odom"])["recording_id"]
+    recording = agent.call("ros2_record_start", topic_names=["/odom"])["recording_id"]
     call = driving(agent, observer)
     page.until(f"{text('#moves')}.startsWith('agent drives /cmd_vel')")
     page.until(

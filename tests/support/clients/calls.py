@@ -26,7 +26,7 @@ CALLS: Mapping[str, Call] = {
     "drive": Call("ros2_drive", {"distance_m": 0.1}),
     "program": Call("ros2_program_run", {"program": _POSITION}),
     "program that fails": Call("ros2_program_run", {"program": "print('before')\nx = 1 / 0"}),
-    "navigate": Call("ros2_navigate", {"to": [{"x": 0.5, "y": 0.0}], "timeout_sec": 20}),
+    "navigate": Call("ros2_navigate", {"to": [{"x": 0.5, "y": 0.0}], "timeout_s": 20}),
     "parameters": Call("ros2_parameter_list"),
     "transforms × 200": Call("ros2_topic_subscribe", {"topic_name": "/tf", "message_limit": 200, "duration": 10}),
     "hostile text": Call("ros2_topic_subscribe", {"topic_name": "/note"}),

@@ -2,8 +2,9 @@
 
 The manager says which controllers and hardware components are active. An inactive base ignores commands and an inactive
 arm rejects goals, each with the line that the real controllers log; below hardware that is not active goals are
-accepted, and nothing moves. The base's odometry is transient_local, as that of a real diff_drive_controller. It knows
-ROS 2 and nothing of this project.
+accepted, and nothing moves. With its motors off commands and goals are accepted, nothing moves, and the node of the
+motors says why. The base's odometry is transient_local, as that of a real diff_drive_controller. It knows ROS 2 and
+nothing of this project.
 """
 
 from __future__ import annotations
@@ -58,7 +59,8 @@ class Robot:
         self._speed = self._x = self._at = self._target = 0.0
         self._result_late_s = 0.0
         self._cancels = 0
-        self._nodes = {name: Node(name) for name in ("controller_manager", *CONTROLLERS)}
+        self._motors_off = False
+        self._nodes = {name: Node(name) for name in ("controller_manager", "motor_driver", *CONTROLLERS)}
         host, base, arm = (self._nodes[name] for name in ("controller_manager", "base_controller", "arm_controller"))
         host.create_service(ListControllers, "~/list_controllers", self._list_controllers)
         host.create_service(ListHardwareComponents, "~/list_hardware_components", self._list_hardware)
@@ -88,8 +90,9 @@ class Robot:
         threading.Thread(target=executor.spin, daemon=True).start()
         threading.Thread(target=self._live, daemon=True).start()
 
-    def put(self, result_late_s: float = 0.0, **states: str) -> None:
+    def put(self, result_late_s: float = 0.0, *, motors_off: bool = False, **states: str) -> None:
         """All active but these controllers and hardware components; the arm's results come so late."""
+        self._motors_off = motors_off
         for name in CONTROLLERS:
             self._state[name] = states.get(name, "active")
         for name in HARDWARE:
@@ -148,8 +151,13 @@ class Robot:
     def _on_velocity(self, command: Twist) -> None:
         if self._state["base_controller"] != "active":
             self._nodes["base_controller"].get_logger().warning("Can't accept new commands. subscriber is inactive")
-        elif self._hardware["BaseHW"] == "active":
+        elif self._has_power() and self._hardware["BaseHW"] == "active":
             self._speed = command.linear.x
+
+    def _has_power(self) -> bool:
+        if self._motors_off:
+            self._nodes["motor_driver"].get_logger().warning("motors are disabled: release the emergency stop")
+        return not self._motors_off
 
     def _judge(self, _: Any) -> GoalResponse:
         if self._state["arm_controller"] == "active":
@@ -161,7 +169,7 @@ class Robot:
     def _follow(self, handle: Any) -> Any:
         point = handle.request.trajectory.points[-1]
         takes_s = point.time_from_start.sec + point.time_from_start.nanosec * 1e-9
-        end, moves = time.monotonic() + takes_s, self._hardware["ArmHW"] == "active"
+        end, moves = time.monotonic() + takes_s, self._has_power() and self._hardware["ArmHW"] == "active"
         start, target = self._at, point.positions[0]
         while time.monotonic() < end:
             if handle.is_cancel_requested:

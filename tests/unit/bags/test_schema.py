@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from ros2_mcp.bags.schema import definitions_in, schema_text
 from ros2_mcp.values.definitions import Definitions, DefinitionText
 
@@ -70,3 +72,36 @@ def test_a_type_without_fields_is_known_to_have_none() -> None:
 
 def test_what_is_not_known_gives_nothing() -> None:
     assert definitions_in("demo/msg/A", "protobuf", "message A {}") == {}
+
+
+SERVICE = "# Counts\ndemo/Point[] points\n---\nint32 count  # of them\nstring<=4 note\n"
+POINT = f"{'=' * 80}\nMSG: demo/Point\nfloat64 x\nfloat64 y\n"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f"{'=' * 80}\nSRV: demo/srv/Count\n{SERVICE}{POINT}",
+        f"{SERVICE}{POINT}",
+        "service_msgs/ServiceEventInfo info\n"
+        "demo/srv/Count_Request[<=1] request\ndemo/srv/Count_Response[<=1] response\n"
+        f"{POINT}{'=' * 80}\nMSG: demo/srv/Count_Request\ndemo/Point[] points\n"
+        f"{'=' * 80}\nMSG: demo/srv/Count_Response\nint32 count\nstring<=4 note\n",
+    ],
+    ids=["rosbag2", "the file of the service", "the message itself"],
+)
+def test_the_events_of_a_service_are_known_in_each_form_in_which_recordings_have_them(text: str) -> None:
+    fresh = Definitions()
+    fresh.add(definitions_in("demo/srv/Count_Event", "ros2msg", text))
+    assert fields(fresh, "demo/srv/Count_Event") == [
+        ("info", "service_msgs/msg/ServiceEventInfo"),
+        ("request", "demo/srv/Count_Request[<=1]"),
+        ("response", "demo/srv/Count_Response[<=1]"),
+    ]
+    assert fields(fresh, "demo/srv/Count_Request") == [("points", "demo/msg/Point[]")]
+    assert fields(fresh, "demo/srv/Count_Response") == [("count", "int32"), ("note", "string<=4")]
+    assert not fresh.unknown_in("demo/srv/Count_Event")
+
+
+def test_an_event_without_its_sides_defines_no_service() -> None:
+    assert definitions_in("demo/srv/Count_Event", "ros2msg", "service_msgs/ServiceEventInfo info\n") == {}

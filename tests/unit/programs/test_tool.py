@@ -51,14 +51,14 @@ async def test_by_the_former_name_it_is_said_why_it_is_not_offered(tmp_path: Pat
 
 
 @pytest.mark.promise(
-    "ros2_program_run", "Limits: timeout, 5 s of computing between two calls, 60 s in all, 64 MB of values"
+    "ros2_program_run", "Limits: timeout_s, 5 s of computing between two calls, 60 s in all, 64 MB of values"
 )
 async def test_the_description_tells_the_limits_that_end_a_program(tools: Toolset) -> None:
     listed = tools.by_name["ros2_program_run"].listed
     description = " ".join((listed.description or "").split())
     limits = f"{TURN_S:g} s of computing between two calls, {CPU_S:g} s in all, {MEMORY_BYTES / 1e6:g} MB of values"
     assert limits in description
-    assert f"at most {MAX_RUN_S:g}" in listed.input_schema["properties"]["timeout"]["description"]
+    assert f"at most {MAX_RUN_S:g}" in listed.input_schema["properties"]["timeout_s"]["description"]
 
 
 async def test_the_description_names_every_function(tools: Toolset) -> None:

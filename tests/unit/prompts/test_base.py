@@ -152,7 +152,7 @@ async def test_wrong_values_are_refused(robot: Robot, name: str, given: dict[str
 
 async def test_a_prompt_takes_what_its_tools_take_and_says_that_it_is_long(robot: Robot) -> None:
     maximum = {tool: SCHEMAS[tool]["properties"] for tool in ("ros2_topic_statistics", "ros2_topic_stats")}
-    assert {schema["duration"]["maximum"] for schema in maximum.values()} == {600}
+    assert {schema["duration_s"]["maximum"] for schema in maximum.values()} == {600}
     name = "base.ros2-topic-diff-monitor"
     assert "takes 600 s" in await text_of(robot, name, {"duration_sec": "600"})
     assert "times out" not in await text_of(robot, name, {"duration_sec": "45"})

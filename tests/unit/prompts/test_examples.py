@@ -124,7 +124,7 @@ async def test_the_mission_takes_off() -> None:
 async def test_the_take_off_is_waited_for_once_the_mission_has_begun() -> None:
     steps = [arguments for _, arguments in await fetched()]
     began = next(index for index, step in enumerate(steps) if step.get("service_name") == "/mavros/cmd/command")
-    wait = {"topic_name": "/mavros/mission/waypoints", "condition": "current_seq >= 2", "timeout": 120}
+    wait = {"topic_name": "/mavros/mission/waypoints", "condition": "current_seq >= 2", "timeout_s": 120}
     assert wait in steps[began:]
 
 

@@ -47,7 +47,7 @@ READERS: dict[str, dict[str, Any]] = {
     "ros2_view": {"time": IN_THE_HOLE},
     "ros2_log_read": {},
     "ros2_bag_info": {},
-    "ros2_bag_read": {"topic_name": "/odom", "start": "10 s in", "limit": 400},
+    "ros2_bag_read": {"topic_name": "/odom", "start": "10 s in", "message_limit": 400},
 }
 """Every tool with an argument `bag`, and what it is asked."""
 PLAYS = {"ros2_bag_play"}

@@ -107,7 +107,7 @@ async def test_fields_conditions_statistics_and_plots_work_on_json(
     write_mcap(tmp_path / "run.mcap", json_channel("/motor", *messages, schema=schema))
     found = opened()
     fields = ["motor.rpm", "motor.left temp"]
-    read = await found.structured("ros2_bag_read", bag="run.mcap", topic_name="/motor", fields=fields, limit=2)
+    read = await found.structured("ros2_bag_read", bag="run.mcap", topic_name="/motor", fields=fields, message_limit=2)
     assert [message["motor.left temp"] for message in read["messages"]] == [28, 29]
     met = await found.structured(
         "ros2_wait_until", bag="run.mcap", topic_name="/motor", condition="motor.rpm > 450 and on"
@@ -241,7 +241,7 @@ async def test_a_name_that_is_listed_can_be_asked_for_by_every_tool(opened: Open
     info = await found.structured("ros2_bag_info", bag="names.mcap")
     assert {row["topic_name"] for row in info["topics"]} == set(NAMES)
     for at, name in enumerate(NAMES):
-        read = await found.structured("ros2_bag_read", bag="names.mcap", topic_name=name, limit=1)
+        read = await found.structured("ros2_bag_read", bag="names.mcap", topic_name=name, message_limit=1)
         assert read["messages"] == [{"data": 10 * at + 3}]
         for tool, asked in (
             ("ros2_topic_subscribe", {"topic_name": name}),
@@ -265,7 +265,7 @@ async def test_a_slash_more_or_less_is_no_other_name(opened: Open, tmp_path: Pat
     write_mcap(tmp_path / "names.mcap", numbers("speed", 2), numbers("/ok", 2), numbers("/both", 2), numbers("both", 3))
     found = opened()
     counts = {
-        name: (await found.structured("ros2_bag_read", bag="names.mcap", topic_name=name, limit=9))["count"]
+        name: (await found.structured("ros2_bag_read", bag="names.mcap", topic_name=name, message_limit=9))["count"]
         for name in ("speed", "/speed", "ok", "/ok", "both", "/both")
     }
     assert counts == {"speed": 2, "/speed": 2, "ok": 2, "/ok": 2, "both": 3, "/both": 2}

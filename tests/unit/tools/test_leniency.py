@@ -145,8 +145,8 @@ async def test_a_call_with_empty_waits_limits_and_filters_is_one_without_them(to
 
 @pytest.mark.parametrize("name", ["ros2_topic_statistics", "ros2_topic_stats"])  # with a note of its own, and without
 async def test_an_answer_tells_what_was_taken_at_its_bound(tools: Toolset, name: str) -> None:
-    lines, value = await answer(tools, name, topic_names=["/odom"], duration=9000)
-    said = "duration: 9000 is above the maximum; 600 was used."
+    lines, value = await answer(tools, name, topic_names=["/odom"], duration_s=9000)
+    said = "duration_s: 9000 is above the maximum; 600 was used."
     assert said in value["note"] and lines.count(said) == 1
 
 

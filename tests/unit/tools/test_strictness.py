@@ -112,7 +112,7 @@ def test_names_and_forms_that_mean_the_same_are_taken_and_told(
         ("ros2_drive", {"timeout": 3}),
         ("ros2_node_info", {"node_names": ["/a", "/b"]}),
         ("ros2_topic_stats", {"topic_names": 7}),
-        ("ros2_record_start", {"topics": ""}),
+        ("ros2_record_start", {"topic_names": ""}),
     ],
 )
 async def test_what_could_mean_something_else_is_refused(name: str, given: dict[str, Any]) -> None:

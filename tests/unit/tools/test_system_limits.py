@@ -45,7 +45,7 @@ def no_file_left() -> Generator[None]:
 
 
 CALLS: dict[str, dict[str, Any]] = {
-    "ros2_record_start": {"topics": ["/odom"]},
+    "ros2_record_start": {"topic_names": ["/odom"]},
     "ros2_program_run": {"program": "1 + 1"},
 }
 

@@ -55,8 +55,8 @@ async def test_a_number_or_a_text_that_stands_for_such_a_number_is_refused_too(t
 async def test_the_refusal_names_the_bounds() -> None:
     stats = next(tool for tool in TOOLS if tool.name == "ros2_topic_stats")
     for given, shown in ((math.inf, "Infinity"), ("1e400", '"1e400"')):
-        expected = f"BadInput: duration: a finite number above 0 and at most 600 is expected, not {shown}."
-        assert await refusal(stats, duration=given) == expected
+        expected = f"BadInput: duration_s: a finite number above 0 and at most 600 is expected, not {shown}."
+        assert await refusal(stats, duration_s=given) == expected
     nodes = next(tool for tool in TOOLS if tool.name == "ros2_node_list")
     expected = "BadInput: limit: a whole number of at least 1 and at most 2000 is expected, not Infinity."
     assert await refusal(nodes, limit=math.inf) == expected

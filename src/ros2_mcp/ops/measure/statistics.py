@@ -217,7 +217,11 @@ def evaluate(capture: Capture[Columns], most_fields: int = 80) -> TopicStatistic
     periods = periods_s(kept.times_ns, holes)
     constant = [column for column in kept.columns if _is_constant(column, kept.decoded)]
     varying = [column for column in kept.columns if not _is_constant(column, kept.decoded)]
-    notes = [kept.skipped, kept.bounds("Jumps and stuck values are searched in those", capture.began_ns)]
+    notes = [
+        capture.odd_times,
+        kept.skipped,
+        kept.bounds("Jumps and stuck values are searched in those", capture.began_ns),
+    ]
     if not kept.all_kept:
         until = recorded_time(int(kept.times_ns[-1]), capture.began_ns) if len(kept.times_ns) else "its beginning"
         notes.append(f"Periods and gaps cover the time up to {until}; later times did not fit in memory.")

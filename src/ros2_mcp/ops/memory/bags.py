@@ -194,7 +194,7 @@ async def read(
         with store.reading(bag) as found:
             return _problems(store, found)
 
-    bounded("limit", selection.message_limit or 1, 1, MAX_MESSAGES, "messages")
+    bounded("message_limit", selection.message_limit or 1, 1, MAX_MESSAGES, "messages")
     source = await open_bag(store, bag, start, end, robot, may_be_empty=True)
     collected = await collect(source, topic, "", selection, latched=False)
     stream = collected.stream

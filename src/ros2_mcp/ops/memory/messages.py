@@ -155,7 +155,7 @@ def _show(
     of_recording = found.source.began_ns is not None
     start, times_s = message_times(found.source, fitted.samples) if of_recording else ("", [])
     notes = [f"Another source failed: {error.message}" for error in found.failed]
-    notes += [stream.note, end_note(found.source, request.start, request.end)]
+    notes += [stream.note, stream.odd_times, end_note(found.source, request.start, request.end)]
     if len(samples) != selection.message_limit:  # who asks for the last two need not be told that there are others
         notes.append(found.collected.more)
     if type_name not in ("", stream.type):

@@ -512,7 +512,7 @@ async def start(robot: Robot, session: Session, store: BagStore, request: Record
         BadInput: if the folder cannot be written or the disk is nearly full.
         BadValue: if a limit is out of range.
     """
-    bounded("max_duration_sec", request.max_duration_s, 0.0, MAX_DURATION_S, "s")
+    bounded("max_duration_s", request.max_duration_s, 0.0, MAX_DURATION_S, "s")
     bounded("max_bytes", request.max_bytes, 0, MAX_BYTES, "bytes")
     bounded("split_bytes", request.split_bytes, 0, MAX_BYTES, "bytes")
     request = replace(request, topics=[names.absolute(topic) for topic in request.topics])

@@ -31,7 +31,7 @@ from ros2_mcp.ops.acting.idle import why_idle, with_reason
 from ros2_mcp.ops.acting.servers import check_one_server
 from ros2_mcp.ops.actions.result import result_of
 from ros2_mcp.ops.actions.status import SERVER_S, states_now
-from ros2_mcp.ops.log.complaints import complaints_from_now
+from ros2_mcp.ops.log.complaints import Complaints, complaints_from_now
 from ros2_mcp.ops.motion.controllers import FOLLOW, TRAJECTORY, Controller, controller_for
 from ros2_mcp.ops.motion.joint_states import JointStates, joint_states
 from ros2_mcp.ops.results.results import SAID, Report, silent
@@ -72,6 +72,8 @@ _RIVALS_S = 0.2
 """For the goals that the controller has: its status is latched, and comes within milliseconds of matching."""
 _GOING = (1, 2, 3)
 """Accepted, executing and cancelling, in action_msgs/msg/GoalStatus."""
+_NOT_MOVED = ("failed", "time_out", "silent")
+"""Outcomes of which the reason may stand in the robot's log, or in the states of its controllers."""
 _ROUNDED = 1e-6
 _CODES: Mapping[int, str] = {
     -1: "invalid goal",
@@ -322,15 +324,18 @@ class JointMotion(Job):
     async def run(self) -> None:
         """Commands the controller, and watches the joints until they have arrived, or it has to end."""
         self.begun()
+        complaints = complaints_from_now(self._robot)
         try:
             if self._plan.controller.action:
-                await self._by_action()
+                await self._by_action(complaints)
             else:
                 await self._by_topic()
         finally:
             if self.has_left and self.outcome_word != "reached":
                 with anyio.CancelScope(shield=True), anyio.move_on_after(_END_S):
                     await self._hold()
+        if self.outcome_word in _NOT_MOVED:  # not before they are held: it waits for lines that are on their way
+            self.why = f"{self.why} {await complaints.said()}".rstrip()
 
     def line(self) -> str:
         """How far it is, in words."""
@@ -359,7 +364,7 @@ class JointMotion(Job):
             note=" ".join(filter(None, (why, *self.notes))),
         )
 
-    async def _by_action(self) -> None:
+    async def _by_action(self, complaints: Complaints) -> None:
         action, robot = self._plan.controller.action, self._robot
         command = SendGoal(
             principal=self.owner,
@@ -374,7 +379,6 @@ class JointMotion(Job):
         await check_one_server(robot, action, "End all but one, or send it with ros2_send_action_goal and force=true.")
         await self._note_rivals(action)
         self.has_left = True
-        complaints = complaints_from_now(robot)
         try:
             answer = await robot.fields_of(await robot.do(command, self._session))
         except (NotFound, TimedOut) as error:
@@ -393,7 +397,7 @@ class JointMotion(Job):
             group.cancel_scope.cancel()
         if self._failed and self._failed not in self.why:
             self.why = f"{self.why} {self._failed}".lstrip()
-        if self.outcome_word in ("failed", "time_out", "silent"):
+        if self.outcome_word in _NOT_MOVED:
             why_not = await why_idle(robot, feedback=self._states.topics[0], action=action, is_in_doubt=True)
             self.why = f"{self.why} {why_not}".rstrip()
 

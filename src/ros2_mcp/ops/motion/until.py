@@ -104,7 +104,7 @@ async def move_until(robot: Robot, session: Session, request: UntilRequest, repo
         Refused: if the policy forbids it, or another motion drives by the same command input.
         Stopped: if a stop came before anything was sent.
     """
-    bounded("timeout", request.timeout_s, 0.0, MAX_DURATION_S, "s")
+    bounded("timeout_s", request.timeout_s, 0.0, MAX_DURATION_S, "s")
     velocity = {name: speed for name, speed in request.velocity.items() if speed}
     if not velocity or not all(map(math.isfinite, velocity.values())):
         raise BadInput(

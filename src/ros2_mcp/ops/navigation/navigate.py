@@ -290,7 +290,7 @@ async def navigate(
         NotFound: for a place or a job that is not known, or where there is no Nav2.
         RobotError: what sending the first goal raises; nothing was sent then, unless the error says so.
     """
-    bounded("timeout_sec", timeout_s, 0.0, MAX_DURATION_S, "s")
+    bounded("timeout_s", timeout_s, 0.0, MAX_DURATION_S, "s")
     if job_id:
         if to is not None:
             raise BadInput("job_id waits for a navigation under way: it takes no new place.", "Give one of both.")

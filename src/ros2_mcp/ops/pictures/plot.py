@@ -159,7 +159,7 @@ def _drawn(title: str, found: Sequence[tuple[Capture[Columns], str]], request: P
         by_name |= {value.name: value for value in curves.values_of(capture, fields)}
     values = list(by_name.values())
     for topic, capture in captures.items():
-        troubles = capture.kept.skipped, capture.kept.bounds("Drawn are those", capture.began_ns)
+        troubles = capture.odd_times, capture.kept.skipped, capture.kept.bounds("Drawn are those", capture.began_ns)
         notes += [f"{topic}: {trouble}" for trouble in troubles if trouble]
     if not is_xy and len(values) > curves.MAX_CURVES:
         shown = ([value for value in values if not value.is_constant] or values)[: curves.MAX_CURVES]

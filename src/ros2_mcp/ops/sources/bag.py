@@ -73,6 +73,16 @@ class _BagStream(Stream):
     """
 
     bag: Bag | None = None
+    odd: str = ""
+
+    @property
+    def odd_times(self) -> str:
+        return self.odd
+
+    def look_at_times(self, bag: Bag) -> None:
+        """Notes what is odd about its times, as far as it has been read."""
+        odd = bag.odd_times().get(self.topic)
+        self.odd = odd.words if odd else ""
 
     @property
     def holes(self) -> Sequence[tuple[int, int]]:
@@ -238,10 +248,17 @@ class BagSource(Source):
                     part.flush()
             return batch[-1][1].received_ns if batch else None
 
+        def look_at_times() -> None:
+            with self.opened.lock:
+                for part in parts:
+                    if part.stream.bag:
+                        part.stream.look_at_times(part.stream.bag)
+
         messages = await asyncio.to_thread(begin)
         while (reached_ns := await asyncio.to_thread(further)) is not None:
             done_s = (reached_ns - self.span.start_ns) / 1e9
             await report(done_s, self.duration_s, f"read {done_s:.0f} of {self.duration_s:.0f} s")
+        await asyncio.to_thread(look_at_times)
         return [captured(self, one.stream, one.kept, one.received) if isinstance(one, _Part) else one for one in found]
 
     def _stream(self, stored: StoredTopic, *, limited: bool) -> _BagStream:
@@ -311,6 +328,7 @@ class BagSource(Source):
                 before = [(stored.name, one) for one in latched_before(bag, stored, span)] if latched else []
                 messages = bag.messages(span, newest_first=stream.from_end)
                 ordered = chain(messages, before[::-1]) if stream.from_end else chain(before, messages)
+                stream.look_at_times(bag)
                 if limit is None:
                     return ordered
                 # All at once: what is thinned and limited fits into memory, and the newest first cannot be streamed.
@@ -473,7 +491,7 @@ async def definitions_of(topic: StoredTopic, robot: Robot | None) -> dict[str, D
         except LinkError as error:
             hint = f"It is not in the bag, and no robot could be asked: {error.message}"
             unknown = UnknownInterface(unknown.message, hint)
-    if topic.encoding:  # an empty definition is that of a message without fields
+    if topic.encoding and not names.is_derived(topic.type):  # an empty definition is that of a message without fields
         return {topic.type: DefinitionText("msg", "")}
     raise unknown
 

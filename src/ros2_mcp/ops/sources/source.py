@@ -51,9 +51,9 @@ class Capture(Generic[K]):
     `start_ns` and `end_ns` are Unix times by the receiver's clock; only a latched message may be older.
     `received` counts all that came in that time, of which `dropped` were not looked at because of memory
     bounds; `lost` never came, or None where that cannot be known. `publishers` are names of nodes, empty where they
-    are not known. `source` says in words where the messages are from; `began_ns` is that of the source, `mixed` that of
-    the stream. `holes` are the times of which a recording cannot be read: a silence or a step over one is none of the
-    robot's.
+    are not known. `source` says in words where the messages are from; `began_ns` is that of the source, `mixed` and
+    `odd_times` those of the stream. `holes` are the times of which a recording cannot be read: a silence or a step over
+    one is none of the robot's.
     """
 
     topic: str
@@ -70,6 +70,7 @@ class Capture(Generic[K]):
     began_ns: int | None = None
     holes: Sequence[tuple[int, int]] = ()
     mixed: str = ""
+    odd_times: str = ""
 
     @property
     def duration_s(self) -> float:
@@ -130,6 +131,11 @@ class Stream:
     @property
     def mixed(self) -> str:
         """In words, whose messages are mixed in it though one publisher is expected; who published is known live."""
+        return ""
+
+    @property
+    def odd_times(self) -> str:
+        """In words, what is odd about the times of a recording of it: messages without one, and where they go back."""
         return ""
 
     @property
@@ -400,6 +406,7 @@ def captured(source: Source, stream: Stream, kept: K, received: int) -> Capture[
         began_ns=source.began_ns,
         holes=stream.holes,
         mixed=stream.mixed,
+        odd_times=stream.odd_times,
     )
 
 

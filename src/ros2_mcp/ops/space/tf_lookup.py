@@ -166,7 +166,7 @@ async def tf_lookup(source: Source, request: LookupRequest, report: Report = sil
     if len(request.points) > MOST_POINTS:
         raise BadValue("points", f"{len(request.points)} are given.", f"At most {MOST_POINTS} at once.")
     if request.duration_s is not None:
-        bounded("duration", request.duration_s, 0.0, MOST_S, "s")
+        bounded("duration_s", request.duration_s, 0.0, MOST_S, "s")
     given: Sequence[Pose] | None = [_given(number, point) for number, point in enumerate(request.points)] or None
     sizes = [len(point) for point in request.points]
     frame, at_ns, notes = request.frame.strip().lstrip("/"), None, list[str]()

@@ -8,7 +8,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from ros2_mcp.bags.stored import LEAST_BACK_NS
 from ros2_mcp.model.samples import STAMP_END, Sample, header_stamp_ns
+from ros2_mcp.model.text import counted
 from ros2_mcp.ops.measure.columns import Arrivals, Room
 from ros2_mcp.ops.sources.source import Stream
 
@@ -47,6 +49,9 @@ class AgedArrivals(Arrivals):
         super().__init__(room, stream.is_replayed)
         self.publishers = stream.publishers
         self.aged = self.unstamped = self.of_other_clock = 0
+        self.stamp_backs = 0
+        self._first_back = ""
+        self._stamp_ns = 0
         self.age_min_s = float("inf")
         self.age_max_s = -float("inf")
         self._age_sum_s = 0.0
@@ -66,10 +71,31 @@ class AgedArrivals(Arrivals):
 
     def add(self, samples: Sequence[Sample]) -> None:
         """Takes in messages, in the order of time."""
+        number = self.count
         super().add(samples)
         for sample in samples if self._has_header else ():
-            if len(sample.data) >= STAMP_END and not self._is_replayed(sample):
-                self._add_age(sample.received_ns, header_stamp_ns(sample.data))
+            if self._is_replayed(sample):
+                continue
+            number += 1
+            if len(sample.data) >= STAMP_END:
+                stamp_ns = header_stamp_ns(sample.data)
+                self._add_age(sample.received_ns, stamp_ns)
+                self._add_stamp(number, stamp_ns)
+
+    @property
+    def goes_back(self) -> str:
+        """In words, where the stamps of its one publisher go back; empty where they do not, or there are several."""
+        if not self.stamp_backs or len(self.publishers) > 1:
+            return ""
+        more = f", and {counted(self.stamp_backs - 1, 'time')} more" if self.stamp_backs > 1 else ""
+        return f"Its stamps go back at {self._first_back}{more}."
+
+    def _add_stamp(self, number: int, stamp_ns: int) -> None:
+        by_ns = self._stamp_ns - stamp_ns
+        if stamp_ns and by_ns >= LEAST_BACK_NS:
+            self.stamp_backs += 1
+            self._first_back = self._first_back or f"message {number} by {by_ns / 1e9:.4g} s"
+        self._stamp_ns = stamp_ns or self._stamp_ns
 
     def _add_age(self, received_ns: int, stamp_ns: int) -> None:
         age_s = (received_ns - stamp_ns) / 1e9

@@ -256,9 +256,11 @@ def _measured(source: Source, capture: Capture[AgedArrivals], publishers: Sequen
             notes.append(f"{whose} come from another clock (simulated time?), so no ages are given.")
         if kept.unstamped:
             notes.append(f"{kept.unstamped} of {kept.count} stamps are empty (0).")
+    notes += [kept.goes_back] if kept.goes_back else []
     notes += [ages.trouble] if ages and ages.trouble else []
     if kept.replayed:
         notes.append(f"Not counted: {counted(kept.replayed, 'earlier latched message')}.")
+    notes += [capture.odd_times] if capture.odd_times else []
     if not kept.all_kept:
         until = recorded_time(end_ns, capture.began_ns)
         notes.append(f"Periods and gaps cover the time up to {until}; later times did not fit in memory.")

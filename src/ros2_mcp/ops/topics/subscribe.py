@@ -346,7 +346,17 @@ async def _shown(source: Source, collected: Collected, selection: Selection) -> 
         count = len(collected.samples)
         kept = f"Only the newest {count} messages, from {since} on, were kept; earlier ones did not fit in memory."
         cut = f"{kept} {cut}".rstrip()
-    notes = (stream.mixed, stream.note, collected.left_behind, collected.why_no_more, cut, fitted.note, hint, said)
+    notes = (
+        stream.mixed,
+        stream.note,
+        stream.odd_times,
+        collected.left_behind,
+        collected.why_no_more,
+        cut,
+        fitted.note,
+        hint,
+        said,
+    )
     return Reading(
         topic_name=stream.topic,
         topic_type=stream.type,
