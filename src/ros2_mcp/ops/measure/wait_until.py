@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from time import monotonic
@@ -13,9 +14,11 @@ from ros2_mcp.model.errors import BadData, BadValue, NotFound
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import counted, in_quotes
 from ros2_mcp.model.times import recorded_time, seconds_in
+from ros2_mcp.model.values import NOT_FINITE
 from ros2_mcp.ops.results.results import HIDDEN, IF_ANY, SAID, Report, iso_time, reporting, silent
 from ros2_mcp.ops.sources.selection import undecodable
 from ros2_mcp.ops.sources.source import Source, Stream
+from ros2_mcp_common.finite import word_for
 
 if TYPE_CHECKING:
     from ros2_mcp.ops.measure.expression import Condition
@@ -53,13 +56,16 @@ class Wait:
     note: str = field(metadata=IF_ANY)
     is_live: bool = field(default=True, metadata=HIDDEN)
     when: str = field(default="", metadata=HIDDEN)
+    # What values that are not finite are called in the sentence.
+    odd: Mapping[str, str] = field(default_factory=dict[str, str], metadata=HIDDEN)
 
     def summary(self) -> str:
         """One line."""
         outcome = "is met" if self.met else "was not met"
         seen = f", {'at' if self.met else 'last message at'} {self.when}" if self.when else ""
         when = f"after {self.waited:.3f} s" if self.is_live else f"in {self.source}{seen}"
-        values = ", ".join(f"{path} = {in_quotes(value)}" for path, value in self.values.items())
+        said = {path: self.odd.get(path) or in_quotes(value) for path, value in self.values.items()}
+        values = ", ".join(f"{path} = {value}" for path, value in said.items())
         line = f"{self.topic_name}: {self.condition} {outcome} {when} ({values or 'no message'})."
         return f"{line} {self.note}".rstrip()
 
@@ -159,9 +165,10 @@ class _Search:
     def result(self, source: Source, waited_s: float, max_bytes: int) -> Wait:
         """The message in half of the result's size: the other half is for its text."""
         from ros2_mcp.values.render import RenderOptions, render
+        from ros2_mcp.values.select import parse_field
 
         definitions, type_name = self.stream.codec.definitions, self.stream.type
-        message, values = None, dict[str, Any]()
+        message, values, odd = None, dict[str, Any](), dict[str, str]()
         whole = self._decoded(self.last) if self.last else None
         if whole is not None:
             options = RenderOptions(max_bytes=max_bytes // 2)
@@ -169,10 +176,17 @@ class _Search:
             for path in self.condition.fields:
                 options = RenderOptions(max_array=8, max_string=200, max_bytes=_VALUE_BYTES, fields=[path])
                 try:
+                    value = parse_field(definitions, type_name, path).value_in(whole)
                     values |= render(definitions, type_name, whole, options=options).value
                 except BadValue:  # a list is too short
-                    values[path] = None
-            values |= self.condition.values(whole)
+                    values[path] = value = None
+                if isinstance(value, float) and not math.isfinite(value):
+                    odd[path] = word_for(value)
+            computed = self.condition.values(whole)
+            odd |= {
+                name: word_for(NOT_FINITE[str(value)]) for name, value in computed.items() if str(value) in NOT_FINITE
+            }
+            values |= computed
         dropped, at_ns = self.stream.counts.dropped, self.last.received_ns if self.last else 0
         notes: list[str] = []
         if self.undecodable:
@@ -206,4 +220,5 @@ class _Search:
             note=" ".join(notes),
             is_live=source.is_live,
             when=recorded_time(at_ns, source.began_ns) if self.last else "",
+            odd=odd,
         )

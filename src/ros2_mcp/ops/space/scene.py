@@ -33,6 +33,7 @@ from ros2_mcp.ops.space.silhouette import silhouette_of
 from ros2_mcp.robot import Robot
 from ros2_mcp.world.limbs import Limb, LimbSeen, limbs_seen
 from ros2_mcp.world.transforms import FrameTree, Located, pose_of
+from ros2_mcp_common.finite import not_finite
 
 if TYPE_CHECKING:
     from ros2_mcp.pictures.scene import GridLayer, Mark, Scene, SceneDrawing
@@ -330,6 +331,9 @@ class Gathered:
         poses = [*message.poses[:: max(1, len(message.poses) // _MOST_POINTS)], *message.poses[-1:]]
         points = [(one.pose.position.x, one.pose.position.y, one.pose.position.z) for one in poses]
         ends = [pose.applied(point)[:2] for point in points if all(map(math.isfinite, point))]
+        if why := not_finite(message, "poses") if len(ends) < len(points) else "":
+            left_out = "some of its places are" if ends else "it is"
+            self.missing.append(f"The path {named(name)}: {left_out} not shown, because {why}.")
         if not ends:  # an empty path is how planners take one back
             return
         self.paths.append(np.array(ends))
@@ -340,6 +344,9 @@ class Gathered:
         """Its corners."""
         import numpy as np  # not at the start of the server
 
+        if why := not_finite(message, "polygon"):
+            self.missing.append(f"The footprint {named(name)} is not shown: {why}.")
+            return
         corners = [pose.applied((corner.x, corner.y, corner.z))[:2] for corner in message.polygon.points[:_MOST_POINTS]]
         if len(corners) > 2:
             self.footprint = np.array(corners)
@@ -376,8 +383,8 @@ class Gathered:
         """Where it is."""
         try:
             at = _place(pose @ pose_of(message.pose))
-        except ValueError:  # numbers that are not finite
-            self.missing.append(f"The goal {named(name)} is not shown: its numbers are not finite.")
+        except ValueError as error:
+            self.missing.append(f"The goal {named(name)} is not shown: {error}.")
             return
         self._mark("goal", name, at.x_m, at.y_m, at.yaw_rad, age_s)
 

@@ -14,6 +14,7 @@ from ros2_mcp.model.text import named, quoted
 from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.values.definitions import Definitions
 from ros2_mcp.values.store import attribute
+from ros2_mcp_common.finite import in_words
 
 _HEADER = "std_msgs/msg/Header"
 _MOST_TEXT = 30
@@ -50,7 +51,7 @@ async def _state(source: Source, topic: str, kind: str) -> str:
             async for batch in stream.batches:
                 for sample in batch:
                     value: Any = getattr(stream.codec.decode(kind, sample.data), attribute(field.name))
-                    said = _in_words(value, stream.codec.definitions, kind)
+                    said = _said(value, stream.codec.definitions, kind)
     return said
 
 
@@ -61,12 +62,12 @@ def _only_field(definitions: Definitions, kind: str) -> Field | None:
     return fields[0] if is_value else None
 
 
-def _in_words(value: Any, definitions: Definitions, kind: str) -> str:
+def _said(value: Any, definitions: Definitions, kind: str) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):
         return quoted(value if len(value) <= _MOST_TEXT else f"{value[: _MOST_TEXT - 1]}…")
     if isinstance(value, float):
-        return f"{value:.3g}"
+        return in_words(value, ".3g")
     names = [constant.name for constant in definitions.structure(kind).constants if constant.value == value]
     return named(names[0]) if len(names) == 1 else str(value)
