@@ -29,7 +29,7 @@ async def latest(
     """The newest message of a topic; waits only for the first one."""
     source = await use.sources.open(bag, waits=False, report=use.report)
     if source.is_live:
-        return await use.streams.latest(source.lasting(LONGEST_S).prompt(), topic_name, fields or (), timeout)
+        return await use.streams.latest(source.judging().lasting(LONGEST_S).prompt(), topic_name, fields or (), timeout)
     number = await use.streams.follow(source, FollowRequest(topics=[topic_name], fields=fields or (), count=1))
     message = await use.streams.next(number)
     if message is None:

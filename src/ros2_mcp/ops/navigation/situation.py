@@ -26,6 +26,7 @@ from ros2_mcp.ops.navigation.base import Base, base_of
 from ros2_mcp.ops.navigation.costmaps import chosen_costmaps, costmap_now, updates_of
 from ros2_mcp.ops.navigation.whereabouts import Whereabouts, whereabouts
 from ros2_mcp.ops.nodes.lifecycle import states
+from ros2_mcp.ops.sources.from_before import FromBefore
 from ros2_mcp.ops.sources.live import Live
 from ros2_mcp.robot import Robot
 from ros2_mcp_common.finite import not_finite
@@ -270,14 +271,16 @@ async def _uncertainty(robot: Robot, topic: str) -> str:
             if not samples:
                 return ""
             message = cast("Any", robot.values.decode(listening.type, samples[-1]))
+            is_old = listening.is_from_before(samples[-1])
     except RobotError:
         return ""
     if why := not_finite(message, "pose"):
         return f"localisation is unknown: of {named(topic)}, {why}"
+    age = f" ({FromBefore.of(1, samples[-1].source_ns, robot.now_ns()).age})" if is_old else ""
     variance = max(float(message.pose.covariance[0]), float(message.pose.covariance[7]))
     if not variance > _UNCERTAIN_M**2:
         return ""
-    return f"localisation is uncertain: {named(topic)} gives a standard deviation of {variance**0.5:.2f} m"
+    return f"localisation is uncertain: {named(topic)} gives a standard deviation of {variance**0.5:.2f} m{age}"
 
 
 async def _log(robot: Robot, since_s: float) -> Log:

@@ -87,6 +87,7 @@ async def given_in(source: Source, text: str, most: int, report: Report) -> Give
         if frame
         else f"{named(topic)} has no header: source gives its frame."
     )
+    note += f" {found.age[0].upper()}{found.age[1:]}." if found.age else ""
     note += f" Only the first {most} are transformed." if len(flat) > most else ""
     stamp_ns = stamp.sec * 1_000_000_000 + stamp.nanosec if stamp else 0
     return Given(frame.lstrip("/"), stamp_ns, poses, [_PLACES[kind] for _, kind in flat[:most]], note)

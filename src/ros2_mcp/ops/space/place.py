@@ -22,10 +22,13 @@ _OLD_S = 2.0
 
 @dataclass(frozen=True, slots=True)
 class Odometer:
-    """A topic of odometry, and its message; empty where there is no such topic, None where nothing came."""
+    """A topic of odometry, and its message; empty where there is no such topic, None where nothing came. `age` says
+    that it was sent before anybody listened here.
+    """
 
     topic: str = ""
     message: Any = None
+    age: str = ""
 
 
 def place_in_words(
@@ -55,7 +58,7 @@ def place_in_words(
             return f"The robot's place is unknown: of {told_by}, {why}.", [f"{told_by}: {why}."]
         with suppress(ValueError):  # numbers so large that they have no squares
             pose = pose_of(odometer.message.pose.pose)
-            how = f"odometry, {told_by}"
+            how = ", ".join(filter(None, (f"odometry, {told_by}", odometer.age)))
             return _pose_in_words(odometer.message.header.frame_id, pose.translation, pose.yaw_rad, how, None), []
     if urdf and (fixed := _fixed_in_world(urdf, base)):
         pose = Pose(fixed.xyz, from_roll_pitch_yaw(*fixed.rpy))

@@ -20,6 +20,7 @@ from ros2_mcp.model.text import named, quoted
 from ros2_mcp.ops.measure.diagnostics import LEVELS
 from ros2_mcp.ops.pictures.next_message import next_message
 from ros2_mcp.ops.results.results import silent
+from ros2_mcp.ops.sources.from_before import from_before
 from ros2_mcp.ops.sources.source import GraphSnapshot, Source
 from ros2_mcp.ops.space.body import NO_MOUNT, MountInWords, footprint_in_words, mounted
 from ros2_mcp.ops.space.brief import MOST_BYTES, Part, RobotInBrief, one_part, within
@@ -93,7 +94,9 @@ _logger = logging.getLogger(__name__)
 
 @dataclass(slots=True)
 class _Seen:
-    """What has been gathered; what did not come is None or empty. `senseless` says whose numbers mean nothing."""
+    """What has been gathered; what did not come is None or empty. `senseless` says whose numbers mean nothing,
+    `ages` by topic that what came was sent before anybody listened here.
+    """
 
     graph: GraphSnapshot
     most_sensors: int
@@ -103,6 +106,7 @@ class _Seen:
     ranges: dict[str, str] = field(default_factory=dict[str, str])
     views: dict[str, str] = field(default_factory=dict[str, str])
     positions: dict[str, float] = field(default_factory=dict[str, float])
+    ages: dict[str, str] = field(default_factory=dict[str, str])
     batteries: dict[str, float | None] = field(default_factory=dict[str, "float | None"])
     footprint: Sequence[tuple[float, float, float]] = ()
     footprint_frame: str = ""
@@ -232,7 +236,9 @@ async def _message(source: Source, seen: _Seen, topic: str, type_name: str, list
     """The next message of a topic; None if none comes."""
     with suppress(RobotError):
         lasting = source.lasting(seen.listen_s if listen_s is None else listen_s)
-        return (await next_message(lasting, topic, type_name, silent)).message
+        found = await next_message(lasting, topic, type_name, silent)
+        seen.ages[topic] = found.age
+        return found.message
     return None
 
 
@@ -356,11 +362,13 @@ async def _reports(source: Source, seen: _Seen) -> None:
                         for status in message.status:
                             level = LEVELS[int(status.level)] if int(status.level) < len(LEVELS) else str(status.level)
                             worst[status.name] = level, " ".join(status.message.split())
+                            seen.ages[status.name] = from_before(source, stream, [sample]).age
     told = {name: (level, said) for name, (level, said) in worst.items() if level != "OK"}
     summed_up = {name for name, (level, said) in told.items() if said == level}
     if len(summed_up) < len(told):  # a state that only sums up the others says nothing more
         told = {name: said for name, said in told.items() if name not in summed_up}
-    seen.reports = [f"{level} {quoted(name)}: {quoted(said)}" for name, (level, said) in told.items()]
+    ages = {name: f" ({seen.ages[name]})" if seen.ages[name] else "" for name in told}
+    seen.reports = [f"{level} {quoted(name)}: {quoted(said)}{ages[name]}" for name, (level, said) in told.items()]
 
 
 async def _states(source: Source, seen: _Seen) -> None:
@@ -418,7 +426,7 @@ def _everything(source: Source, seen: _Seen) -> RobotInBrief:
     stacks = stacks_of(seen.graph)
     is_silent = source.is_live and bool(seen.odometry_topic)
     is_unread = _misses_frames(seen) or is_silent or "odometry" in seen.not_read
-    odometer = Odometer(seen.odometry_topic, seen.odometry)
+    odometer = Odometer(seen.odometry_topic, seen.odometry, seen.ages.get(seen.odometry_topic, ""))
     place, trouble = place_in_words(source, seen.tree, base, odometer, seen.urdf, is_unread=is_unread)
     return RobotInBrief(
         name=(seen.urdf.name if seen.urdf else "") or "robot",
@@ -466,7 +474,9 @@ def _sensors(seen: _Seen, base: str) -> list[str]:
     frames = {head.frame for head in seen.heads.values() if head.frame}
     mounts = {frame: _mounted(seen, base, frame) for frame in frames}
     batteries = {
-        topic: ", ".join(filter(None, ("" if share is None else f"{share:.0%}", seen.rates.get(topic))))
+        topic: ", ".join(
+            filter(None, ("" if share is None else f"{share:.0%}", seen.ages.get(topic), seen.rates.get(topic)))
+        )
         for topic, share in seen.batteries.items()
     }
     return [one.line for one in sensors_of(seen.graph, seen.heads, mounts, seen.ranges, batteries, seen.views)]
@@ -527,9 +537,11 @@ def _of_the_robot(seen: _Seen) -> list[str]:
             found.append(f"{_NOTHING_REPORTS} {', '.join(map(named, unknown[:3]))}{more}.")
     elif not seen.problems and "description" not in seen.not_read:
         found.append(_NO_DESCRIPTION)
-    low = [share for share in seen.batteries.values() if share is not None and share < 0.2]
+    low = [(share, topic) for topic, share in seen.batteries.items() if share is not None and share < 0.2]
     if low:
-        found.append(f"The battery is at {min(low):.0%}.")
+        share, topic = min(low)
+        age = f" ({seen.ages[topic]})" if seen.ages.get(topic) else ""
+        found.append(f"The battery is at {share:.0%}{age}.")
     base = _base_of(seen)
     frames = dict.fromkeys(head.frame for head in seen.heads.values() if head.frame and seen.tree.frames)
     found += [f"Not in TF: {named(frame)}." for frame in frames if _mounted(seen, base, frame) == NO_MOUNT]

@@ -6,7 +6,7 @@ import asyncio
 import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.model import names
@@ -283,6 +283,8 @@ class Gathered:
                 continue
             age_s = age_of(found.message.header, found.sample, now_ns)
             _PLACERS[kind](self, name, found.message, pose, age_s)
+            if found.age and self.layers and self.layers[-1].name == name:
+                self.layers[-1] = replace(self.layers[-1], from_before=found.age)
         self._place_named(robot)
 
     def tell_age(self, name: str, scan: Next) -> None:
@@ -305,7 +307,7 @@ class Gathered:
             return
         self.grid_layer = GridLayer(grid, _place(pose @ grid.origin), costs)
         age_s = since_s(found.newest_ns, now_ns) if found.newest_ns else age_of(grid.header, found.sample, now_ns)
-        self.layers.append(SceneLayer(kind, self.grid_topic, age_s=age_s))
+        self.layers.append(SceneLayer(kind, self.grid_topic, age_s=age_s, from_before=found.age))
 
     def _unplaced(self, kind: str, name: str, header: Any) -> None:
         self.missing.append(
