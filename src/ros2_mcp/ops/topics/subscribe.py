@@ -212,7 +212,7 @@ async def collect(
                     batch = passed  # noqa: PLW2901
                 if is_full := collector.add(kept.let_through(batch)):
                     break
-            is_full = is_full or collector.add(kept.rest())
+            is_full = is_full or collector.add(kept.remaining())
         samples = list(collector.samples)
         counts, further = stream.counts, stream.further
         if kept.left_out:
@@ -263,12 +263,12 @@ class _Kept:
             return batch
         for number, sample in enumerate(batch):
             if not self._stream.is_replayed(sample):
-                return [*self.rest(), *batch[number:]]
+                return [*self.remaining(), *batch[number:]]
             self.left_out += len(self._held) == self._held.maxlen
             self._held.append(sample)
-        return self.rest() if self._held and not batch else ()
+        return self.remaining() if self._held and not batch else ()
 
-    def rest(self) -> Sequence[Sample]:
+    def remaining(self) -> Sequence[Sample]:
         """What is still held back; from now on nothing is."""
         held, self._held = self._held or (), None
         return list(held)
