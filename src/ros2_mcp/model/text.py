@@ -14,6 +14,9 @@ from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Any, cast
 
+from ros2_mcp.model.finite import finite
+from ros2_mcp.model.values import not_finite_text
+
 _HIDDEN_CLASSES = frozenset({"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp", "Zs"})
 """The classes of Unicode whose characters cannot be seen, cannot be told from a space, or change how others are seen:
 control, format (among them direction, joiners and tags), surrogates, private use, unassigned, separators."""
@@ -208,4 +211,7 @@ def _visible_value(value: Any) -> Any:
 
 
 def _json(value: Any) -> str:
-    return json.dumps(value, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
+    try:
+        return json.dumps(value, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
+    except ValueError:  # a number that is not finite, which JSON does not have: as it is shown, and accepted, elsewhere
+        return json.dumps(finite(value, not_finite_text), ensure_ascii=False, separators=(",", ":"))

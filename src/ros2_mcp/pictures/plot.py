@@ -221,7 +221,7 @@ def labels(values: Sequence[float]) -> list[str]:
     step = values[1] - values[0]
     largest = max(map(abs, values))
     decimals = max(0, -math.floor(math.log10(step) + 1e-9))
-    whole = len(f"{largest:.0f}") if largest < 1e15 else _LONGEST_LABEL
+    whole = len(f"{largest:.0f}") if largest < 1e15 else _LONGEST_LABEL + 1
     if whole + decimals <= _LONGEST_LABEL:
         return [f"{value if abs(value) > step / 2 else 0:.{decimals}f}" for value in values]  # never -0.0
     digits = max(0, math.floor(math.log10(largest) + 1e-9) - math.floor(math.log10(step) + 1e-9))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any, cast
 
 from ros2_mcp.model.errors import BadData, BadInput
@@ -18,6 +19,7 @@ from ros2_mcp.programs.sandbox import LONGEST_S
 from ros2_mcp.programs.streams import FollowRequest
 from ros2_mcp.programs.stub import Stream
 from ros2_mcp.robot.goals import Goal
+from ros2_mcp_common.language.scans import limits_of, no_bearings
 
 
 @function()
@@ -27,7 +29,7 @@ async def latest(
     """The newest message of a topic; waits only for the first one."""
     source = await use.sources.open(bag, waits=False, report=use.report)
     if source.is_live:
-        return await use.streams.latest(source.lasting(LONGEST_S).prompt(), topic_name, fields or (), timeout)
+        return await use.streams.latest(source.judging().lasting(LONGEST_S).prompt(), topic_name, fields or (), timeout)
     number = await use.streams.follow(source, FollowRequest(topics=[topic_name], fields=fields or (), count=1))
     message = await use.streams.next(number)
     if message is None:
@@ -98,13 +100,14 @@ async def scan(use: Use, topic_name: str = "", timeout: float = 5.0, bag: str = 
     message = await latest(use=use, topic_name=topic_name, timeout=timeout, bag=bag)
     if "angle_increment" not in message:
         raise BadInput(f"{named(topic_name)} is not a laser scan.", "robot.topics() shows the types.")
-    if not message["angle_increment"] and len(message["ranges"]) > 1:
-        raise BadData(f"The scan of {named(topic_name)} has no bearings: angle_increment is 0.")
-    least, most = message["range_min"], message["range_max"]
+    told = SimpleNamespace(**message)
+    if why := no_bearings(told):
+        raise BadData(f"The scan of {named(topic_name)} has no bearings: {why}.")
+    least, most = limits_of(told)
     beams: list[list[float]] = []
     for index, metres in enumerate(message["ranges"]):
         degrees = math.degrees(message["angle_min"] + index * message["angle_increment"])
-        if metres >= least and not math.isnan(metres):
+        if metres >= least:  # which NaN is not
             beams.append([round(degrees, 2), metres if metres <= most else math.inf])
     hit = min((beam for beam in beams if beam[1] < math.inf), key=lambda beam: beam[1], default=None)
     return Scan(

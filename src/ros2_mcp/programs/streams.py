@@ -169,6 +169,8 @@ class Followed:
         value["_time"] = sample.received_ns / 1e9
         if self._source.is_live:
             value["_age_s"] = round(max(0.0, (stream.end_ns - (sample.source_ns or sample.received_ns)) / 1e9), 6)
+            if stream.is_replayed(sample):
+                value["_from_before"] = True
         value["_dropped"] = topic.dropped + stream.counts.dropped
         return value
 

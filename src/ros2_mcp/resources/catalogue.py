@@ -25,6 +25,7 @@ from ros2_mcp.ops.nodes.info import node_info
 from ros2_mcp.ops.nodes.list import list_nodes
 from ros2_mcp.ops.results.results import answer_bytes, as_json, iso_time
 from ros2_mcp.ops.services.list import list_services
+from ros2_mcp.ops.sources.from_before import FromBefore
 from ros2_mcp.ops.sources.live import Live
 from ros2_mcp.ops.space.robot import in_brief
 from ros2_mcp.ops.topics.info import topic_info
@@ -233,9 +234,11 @@ async def topic(robot: Robot, watcher: Watcher, name: str) -> Content:
     seen: Seen | None = watcher.newest(TopicSamples(info.topic_name))
     note = "" if info.publishers else "Nobody publishes on it."
     if seen is None and info.publishers:
-        async with robot.listen(info.topic_name, info.publishers[0].type, keep="latest") as listening:
+        async with robot.listen(
+            info.topic_name, info.publishers[0].type, keep="latest", newest_of_old=True
+        ) as listening:
             samples = await listening.take(SAMPLE_S)
-        seen = Seen(listening.type, samples[-1]) if samples else None
+        seen = Seen(listening.type, samples[-1], listening.is_from_before(samples[-1])) if samples else None
         publishers = ", ".join(sorted({publisher.node for publisher in info.publishers}))
         note = f"No message came within {SAMPLE_S:g} s from {publishers}."
     return {**as_json(info), "sample": await _shown(robot, seen), "note": note if seen is None else ""}
@@ -253,6 +256,7 @@ async def _shown(robot: Robot, seen: Seen | None) -> Content | None:
     return {
         "type": seen.type,
         "received_at": iso_time(seen.sample.received_ns),
+        "from_before": FromBefore.of(1, seen.sample.source_ns, robot.now_ns()).age if seen.is_old else "",
         "message": rendered.value,
         "truncated": list(rendered.truncated),
     }

@@ -22,13 +22,20 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class Listening:
-    """A subscription: its topic and type, the QoS it was made with, and the publishers of that time."""
+    """A subscription: its topic and type, the QoS it was made with, and the publishers of that time. `opened_ns` is
+    when it was asked for, by the robot's clock.
+    """
 
     topic: str
     type: str
     choice: Choice
     publishers: Sequence[Endpoint]
     _subscription: Subscription
+    opened_ns: int = 0
+
+    def is_from_before(self, sample: Sample) -> bool:
+        """Whether it was sent before, by its publisher's clock, and came only because it is latched."""
+        return self.choice.qos.durability == "transient_local" and 0 < sample.source_ns < self.opened_ns
 
     async def take(self, timeout_s: float) -> list[Sample]:
         """The samples that wait; waits for the first one, returns an empty list when none came in time."""

@@ -7,6 +7,7 @@ import logging
 from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine, Iterable, Mapping, Sequence
 from contextlib import asynccontextmanager
 from functools import partial
+from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.guard.guard import Guard
@@ -323,7 +324,7 @@ class Robot(Core):
             NotFound: if the topic is not there and no type is given.
             TypeConflict: if it has several types and none is given, or not the given one.
         """
-        topic = names.absolute(topic)
+        topic, asked_at = names.absolute(topic), monotonic()
         key, depth = (topic, type_name, keep, is_volatile), 1 if keep == "latest" else _DEPTH
 
         def subscribed(full_type: str, choice: Choice) -> Coroutine[Any, Any, Subscription]:
@@ -360,7 +361,8 @@ class Robot(Core):
                     await subscription.close()
                 subscription, _ = await subscribed_while(subscribed(full_type, choice), self.values.learn(full_type))
             self._remember(key, (full_type, choice))
-            yield Listening(topic, full_type, choice, publishers, subscription)
+            opened_ns = self.now_ns() - round((monotonic() - asked_at) * 1e9)  # only now is its clock known
+            yield Listening(topic, full_type, choice, publishers, subscription, opened_ns)
         finally:
             if subscription:
                 await subscription.close()

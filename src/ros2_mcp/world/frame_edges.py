@@ -321,7 +321,8 @@ class Edge:
             self.stamps.clear()
             self._steps.clear()
             self._pauses.clear()
-            self.jumps = [*self.jumps, jump][-_MOST_JUMPS:]
+            first, later = self.jumps[:1], self.jumps[1:]  # the first is told, too
+            self.jumps = [*first, *[*later, jump][-(_MOST_JUMPS - len(first)) :]]
         self.received += 1
         self._told_by.append((told.writer, told.received_ns))
         self.last_received_ns = max(self.last_received_ns, told.received_ns)

@@ -15,6 +15,7 @@ from ros2_mcp.model.errors import BadData
 from ros2_mcp.model.occupancy import OCCUPIED_FROM, MapFacts
 from ros2_mcp.model.pictures import Place
 from ros2_mcp.world.transforms import pose_of
+from ros2_mcp_common.finite import not_finite
 
 
 class OccupancyGrid:
@@ -38,9 +39,12 @@ class OccupancyGrid:
             raise BadData(
                 f"The grid's data has {count} cells, but width × height is {width} × {height} = {width * height}."
             )
+        for what in ("resolution", "origin"):
+            if why := not_finite(info, what, within="info"):
+                raise BadData(f"The grid's {what} is not finite ({why}): nothing can be placed on it.")
         resolution_m = float(info.resolution)
-        if not (math.isfinite(resolution_m) and resolution_m > 0):
-            raise BadData(f"A cell of the grid is {resolution_m} m wide.")
+        if resolution_m <= 0:
+            raise BadData(f"The grid's resolution is {resolution_m:g} m for a cell: nothing can be placed on it.")
         try:
             self.origin = pose_of(info.origin)
         except ValueError as error:

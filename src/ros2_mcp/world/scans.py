@@ -15,13 +15,12 @@ from ros2_mcp.model.meanings import SECTOR_RAD, SECTORS, ScanMeaning
 from ros2_mcp.model.poses import Pose, rotated
 from ros2_mcp.model.text import counted
 from ros2_mcp.world.footprint import Point, beyond
+from ros2_mcp_common.language.scans import limits_of, no_bearings
 
 _COVERED = 0.5
 """A sector is told as free only where the valid beams cover this share of it: of less, too little is known."""
 _TILTED_DEG = 10.0
 """A scan plane that is tilted more than that meets the floor: at a height of 0.3 m in less than 2 m."""
-_MOST_TURN_RAD = 2 * math.tau
-"""No scanner tells more than two turns in one message; one whose steps are in degrees would tell 57."""
 _MOST_BEAMS = 1_000_000
 """More than any scanner has in a turn; so large a message is broken."""
 
@@ -57,25 +56,17 @@ def scan_points(message: Any) -> ScanPoints:
             many beams.
     """
     ranges = np.asarray(message.ranges, np.float64)
+    if len(ranges) > _MOST_BEAMS:
+        raise BadData(f"The scan has {len(ranges)} ranges: no scanner has more than {_MOST_BEAMS}.")
+    if why := no_bearings(message):
+        hint = "The ranges themselves can be read."
+        if "turns" in why:
+            hint = "Is angle_increment in degrees? It is in radians."
+        raise BadData(f"The scan has no bearings: {why}.", hint)
     angle, step = float(message.angle_min), float(message.angle_increment)
-    if len(ranges) > _MOST_BEAMS or not (math.isfinite(angle) and math.isfinite(step)):
-        told = f"angle_min is {angle:g} rad, angle_increment {step:g} rad".replace("nan", "NaN")
-        raise BadData(f"The angles of the scan's {len(ranges)} beams are not known: {told}.")
-    if step == 0 and len(ranges) > 1:
-        raise BadData(
-            f"The scan has no bearings: angle_increment is 0 for {len(ranges)} ranges.",
-            "Its driver has not filled it in; the ranges themselves can be read.",
-        )
-    if abs(step) * (len(ranges) - 1) > _MOST_TURN_RAD:
-        raise BadData(
-            f"The scan has no bearings: {len(ranges)} ranges in steps of {step:.4g} rad are "
-            f"{abs(step) * len(ranges) / math.tau:.3g} turns.",
-            "Is angle_increment in degrees? It is in radians.",
-        )
-    least, most = float(message.range_min), float(message.range_max)
-    least = least if math.isfinite(least) and least > 0 else 0.0
+    least, most = limits_of(message)
     echoed = np.isfinite(ranges) & (ranges > 0) & (ranges >= least)
-    if not (math.isfinite(most) and most > 0):  # not filled in: as far as it saw
+    if math.isinf(most):  # not filled in: as far as it saw
         most = float(ranges[echoed].max(initial=0.0))
     too_close = np.isneginf(ranges)
     nothing = np.isposinf(ranges) | (np.isfinite(ranges) & (ranges > most))

@@ -17,6 +17,7 @@ from ros2_mcp.model.errors import BadData
 from ros2_mcp.model.poses import Pose, normalised
 from ros2_mcp.values.writers import Writers
 from ros2_mcp.world.frame_edges import KEPT_NS, Edge, Told
+from ros2_mcp_common.finite import not_finite, word_for
 
 if TYPE_CHECKING:
     from ros2_mcp.model.samples import Sample
@@ -39,6 +40,9 @@ _STANDS_NS, _STANDS_PERIODS = 1_000_000_000, 5
 """All stamps stand still after a second, and five periods of the edge that is told most often."""
 _UNIT = 0.01
 """How far the squared length of a quaternion may be from 1; tf2 refuses what is further off."""
+
+
+_PARTS = (*(f"translation.{axis}" for axis in "xyz"), *(f"rotation.{axis}" for axis in "xyzw"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -356,7 +360,8 @@ def _pose_of(
     if parent == child:
         return None, "it is published as its own parent"
     if not all(map(math.isfinite, (*at, *turned))):
-        return None, "it has values that are not finite (NaN)"
+        parts = zip(_PARTS, (*at, *turned), strict=True)
+        return None, next(f"its {name} is {word_for(number)}" for name, number in parts if not math.isfinite(number))
     squared = sum(part * part for part in turned)
     if abs(squared - 1) > _UNIT:
         return None, f"its rotation is not a unit quaternion: {', '.join(f'{part:.4g}' for part in turned)}"
@@ -367,10 +372,10 @@ def pose_of(pose: Any) -> Pose:
     """A geometry_msgs/msg/Pose; a rotation of all zeros, which nobody has filled in, is none.
 
     Raises:
-        ValueError: if it has numbers that are not finite.
+        ValueError: if it has numbers that are not finite, with the first of them.
     """
+    if why := not_finite(pose, "position", "orientation"):
+        raise ValueError(why)
     at, q = pose.position, pose.orientation
     turned = (q.x, q.y, q.z, q.w)
-    if not all(map(math.isfinite, (at.x, at.y, at.z))):
-        raise ValueError("no place")
     return Pose((at.x, at.y, at.z), normalised(turned) if any(turned) else (0.0, 0.0, 0.0, 1.0))

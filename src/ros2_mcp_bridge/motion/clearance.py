@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from ros2_mcp_bridge.motion.points import places
+from ros2_mcp_common.language.scans import limits_of, no_bearings
 
 # From a scan to a command at the driver: the scanner's turn, the way, our looks. Chosen, with room.
 REACTION_S = 0.15
@@ -129,24 +130,31 @@ class Clearance:
         )
 
     def hear(self, message: Any, now: float, along: float = 0.0) -> None:
-        """A sensor_msgs/msg/LaserScan or PointCloud2, heard when the robot was so far `along` its course."""
+        """A sensor_msgs/msg/LaserScan or PointCloud2, heard when the robot was so far `along` its course.
+
+        Raises:
+            ValueError: if it tells no places, with the reason in words: it must not count as heard.
+        """
         points, seen = self._of_scan(message) if hasattr(message, "ranges") else self._of_cloud(message)
         self._points, self._seen, self.heard_at, self.heard_along = points, seen, now, along
         self._near.clear()
 
     def _of_scan(self, scan: Any) -> tuple[list[tuple[float, float]], set[int]]:
+        if why := no_bearings(scan):
+            raise ValueError(why)
         points: list[tuple[float, float]] = []
         seen: set[int] = set()
         mount, body = self.mount, self.body
+        least, most = limits_of(scan)
         for (cosine, sine), distance in zip(self._directions(scan), scan.ranges, strict=True):
             along_x, along_y = mount.xx * cosine + mount.xy * sine, mount.yx * cosine + mount.yy * sine
             is_too_near = distance == -math.inf
-            if not (is_too_near or distance >= scan.range_min > 0.0 or distance > 0.0 == scan.range_min):
+            if not (is_too_near or distance >= least > 0.0 or distance > 0.0 == least):
                 continue  # NaN, or less than it can tell: nothing is known of that direction
             seen.add(_sector(math.atan2(along_y, along_x)))
-            if distance > scan.range_max:
+            if distance > most or distance == math.inf:
                 continue
-            reach = scan.range_min if is_too_near else distance
+            reach = least if is_too_near else distance
             x, y = mount.x0 + reach * along_x, mount.y0 + reach * along_y
             if not body.has_inside(x, y):
                 points.append((x, y))

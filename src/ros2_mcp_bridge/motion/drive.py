@@ -16,6 +16,7 @@ from ros2_mcp_bridge.motion.clearance import LEAST_MPS, LEAST_RADPS, NOTHING_NEA
 from ros2_mcp_bridge.motion.controller import Feed, Velocity
 from ros2_mcp_bridge.motion.course import Circle, Line, Place, Pose, Turn, wrapped
 from ros2_mcp_bridge.motion.nudges import Nudge, Nudges
+from ros2_mcp_common.finite import not_finite
 from ros2_mcp_common.geometry import yaw_rad
 from ros2_mcp_common.wire.limits import STEER_MOST
 
@@ -62,17 +63,19 @@ JUMP_M, JUMP_RAD = 0.3, math.radians(40)
 
 
 class Beat:
-    """How often a topic comes, and whether it is late."""
+    """How often a topic comes, and whether it is late; `problem` says why its last message could not be used."""
 
     def __init__(self, topic: str) -> None:
         self.topic = topic
         self.count = 0
+        self.problem = ""
         self._at = -math.inf
         self._periods: deque[float] = deque(maxlen=PERIODS)
         self._due_s = LONGEST_PERIOD_S + LATE_S
 
     def heard(self, now: float) -> None:
-        """A message has come."""
+        """A message has come that can be used."""
+        self.problem = ""
         self.count += 1
         if self.count > 1:
             self._periods.append(min(now - self._at, LONGEST_PERIOD_S))
@@ -85,6 +88,11 @@ class Beat:
     def period_s(self) -> float:
         """The longest of the last intervals."""
         return max(self._periods, default=LONGEST_PERIOD_S)
+
+    @property
+    def unusable(self) -> str:
+        """In words, behind "nothing", that what came could not be used; empty where nothing came."""
+        return f" that can be used ({self.problem})" if self.problem else ""
 
     def late_s(self, now: float) -> float:
         """For how long it has been late; negative while it is not."""
@@ -183,7 +191,8 @@ class Drive:
 
     def awaits(self) -> str:
         """Topics of which too little has come to know how often they do."""
-        return " and ".join(beat.topic for beat in self._beats.values() if beat.count < FIRST_MESSAGES)
+        awaited = [beat for beat in self._beats.values() if beat.count < FIRST_MESSAGES]
+        return " and ".join(f"{beat.topic}{beat.unusable}" for beat in awaited)
 
     def late_in_s(self, now: float) -> float:
         """See `controller.Controller`."""
@@ -191,16 +200,18 @@ class Drive:
 
     def hear(self, role: str, message: Any, now: float) -> None:
         """Odometry (whatever has a pose), or a message of a sensor."""
-        if role == "odometry":
-            self._hear_pose(_pose_of(message), now)
-        elif self._guard:
-            self._guard.hear(role, message, now, self._along())
-            self._allowed_at = -math.inf
+        try:
+            if role == "odometry":
+                self._hear_pose(_pose_of(message), now)
+            elif self._guard:
+                self._guard.hear(role, message, now, self._along())
+                self._allowed_at = -math.inf
+        except ValueError as error:
+            self._beats[role].problem = str(error)
+            raise
         self._beats[role].heard(now)
 
     def _hear_pose(self, pose: Pose, now: float) -> None:
-        if not all(map(math.isfinite, pose)):
-            raise ValueError("a pose has to be finite")
         if self._pose is not None:
             before = self._pose
             pose = Pose(pose.x, pose.y, before.yaw + wrapped(pose.yaw - before.yaw))
@@ -454,7 +465,8 @@ class Drive:
         for role, beat in self._beats.items():
             late_s = beat.late_s(now)
             if late_s > SILENT_S:
-                self._end_at_once("silent", f"{beat.topic} has sent nothing for {beat.age_s(now):.2f} s.")
+                said = f"{beat.topic} has sent nothing{beat.unusable} for {beat.age_s(now):.2f} s."
+                self._end_at_once("silent", said)
             if late_s > 0 and (role == "odometry" or not self._standing):
                 self._paused_s += seconds
                 return True
@@ -478,9 +490,16 @@ def _stuck(topic: str) -> str:
 
 
 def _pose_of(message: Any) -> Pose:
-    """Of nav_msgs/msg/Odometry, and of what else has a pose."""
+    """Of nav_msgs/msg/Odometry, and of what else has a pose. Raises `ValueError`, in words, where it tells no place or
+    no heading.
+    """
+    within = "pose.pose" if hasattr(message.pose, "pose") else "pose"
     pose = getattr(message.pose, "pose", message.pose)
     at, q = pose.position, pose.orientation
+    if why := not_finite(pose, "position", "orientation", within=within):
+        raise ValueError(why)
+    if not (q.x or q.y or q.z or q.w):
+        raise ValueError(f"{within}.orientation is not set: 0, 0, 0, 0")
     return Pose(at.x, at.y, yaw_rad(q.x, q.y, q.z, q.w))
 
 

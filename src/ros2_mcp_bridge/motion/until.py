@@ -14,6 +14,7 @@ from ros2_mcp_bridge.motion.controller import Feed, Velocity
 from ros2_mcp_bridge.motion.drive import SILENT_S, Beat, late_in_s
 from ros2_mcp_bridge.ros import interfaces
 from ros2_mcp_bridge.ros.message_types import MessageTypes
+from ros2_mcp_common.finite import not_finite
 
 # The way is measured from one place to the next that is as far as this from it, m: what odometry trembles is no way.
 STRIDE_M = 0.02
@@ -32,9 +33,10 @@ class Way:
     def hear(self, message: Any) -> None:
         """Of nav_msgs/msg/Odometry, or of what else has a pose; raises `ValueError` for a place that is no number."""
         place = getattr(message.pose, "pose", message.pose).position
+        within = "pose.pose.position" if hasattr(message.pose, "pose") else "pose.position"
+        if why := not_finite(place, "x", "y", "z", within=within):
+            raise ValueError(why)
         now = (float(place.x), float(place.y), float(place.z))
-        if not all(map(math.isfinite, now)):
-            raise ValueError("a place has to be finite")
         self._now = now
         if self._at is None:
             self._at = now
@@ -105,7 +107,7 @@ class Until:
         if self._asking.is_met:
             return ""
         return " and ".join(
-            beat.topic
+            f"{beat.topic}{beat.unusable}"
             for role, beat in self._beats.items()
             if beat.count < FIRST_MESSAGES and not (role == "condition" and self._may_be_silent)
         )
@@ -117,7 +119,11 @@ class Until:
     def hear(self, role: str, message: Any, now: float) -> None:
         """A message that the condition is asked of, or odometry."""
         if role == "odometry":
-            self._way.hear(message)
+            try:
+                self._way.hear(message)
+            except ValueError as error:
+                self._beats[role].problem = str(error)
+                raise
         elif self._asking.ask(message) and self._met_at is None:
             self._met_at = now
         self._beats[role].heard(now)
@@ -137,7 +143,7 @@ class Until:
         late = [beat for role, beat in self._beats.items() if self._counts(role) and beat.late_s(now) > 0]
         for beat in late:
             if beat.late_s(now) > SILENT_S:
-                return self._end("silent", f"{beat.topic} has sent nothing for {beat.age_s(now):.2f} s.")
+                return self._end("silent", f"{beat.topic} has sent nothing{beat.unusable} for {beat.age_s(now):.2f} s.")
         if late:
             self._paused_s += seconds
             return dict.fromkeys(self._velocity, 0.0)

@@ -95,7 +95,7 @@ FACTS: dict[str, dict[str, str | list[str]]] = {
             rf"/odom Odometry{RATE}",
             rf"/gripper/joint_states JointState{RATE}",
             r"/heartbeat String «.*»",
-            r"/mode String «manual»",
+            r"/mode String «manual»( \(\d+(\.\d+)? s old, from before\))?",
         ],
         "joints": [
             *(rf"{side}_wheel_joint continuous -?[\d.]+ rad" for side in ("left", "right")),
@@ -175,7 +175,7 @@ FACTS: dict[str, dict[str, str | list[str]]] = {
             rf"/mavros/extended_state ExtendedState{RATE}",
             rf"/mavros/state State{RATE}",
             r"/mavros/global_position/compass_hdg Float64 [\d.]+",
-            r"/mavros/global_position/rel_alt Float64 [\d.]+",
+            r"/mavros/global_position/rel_alt Float64 -?[\d.e-]+",
             r"/mavros/home_position/home HomePosition.*",
             r"/mavros/mission/waypoints WaypointList.*",
             r"/mavros/statustext/recv StatusText",

@@ -203,3 +203,26 @@ def test_of_two_scanners_each_sees_its_side_and_the_one_that_allows_less_counts(
     assert guard.sees(0.0) and guard.sees(math.pi)
     assert guard.allowed(FAST, 0.0, 1, 0.0, 0.0).speed == FAST
     assert guard.allowed(FAST, 0.0, -1, 0.0, 0.0).speed < FAST
+
+
+@pytest.mark.parametrize(
+    ("fields", "why"),
+    [
+        ({"angle_increment": 0.0}, "angle_increment is 0 for 360 ranges"),
+        ({"angle_increment": math.nan}, "angle_increment is NaN"),
+        ({"angle_min": math.inf}, "angle_min is infinite"),
+        ({"angle_increment": 1.0}, "turns"),
+    ],
+)
+def test_a_scan_without_bearings_is_not_heard(fields: dict[str, float], why: str) -> None:
+    clearance = Clearance(0.3, ROUND, CENTRE)
+    with pytest.raises(ValueError, match=why):
+        clearance.hear(SimpleNamespace(**{**vars(scan({0: 0.4})), **fields}), 1.0)
+    assert clearance.heard_at == -math.inf
+
+
+@pytest.mark.parametrize("limits", [{"range_max": 0.0}, {"range_max": math.nan}, {"range_min": math.nan}])
+def test_an_obstacle_counts_where_a_driver_has_not_filled_in_what_its_scanner_can(limits: dict[str, float]) -> None:
+    message = SimpleNamespace(**{**vars(scan({0: 0.4})), **limits})
+    assert ahead(heard(message)) == 0.0
+    assert ahead(heard(message), -1) == FAST

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import random
 from collections.abc import Mapping
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -229,3 +231,46 @@ def test_a_robot_that_its_time_limit_stops_at_its_end_has_reached_it() -> None:
 def test_what_makes_no_drive_is_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match="needed"):
         Drive(asked(**wrong))
+
+
+@pytest.mark.parametrize(
+    ("broken", "why"),
+    [
+        ({"x": math.nan}, "pose.pose.position.x is NaN"),
+        ({"yaw": math.inf}, "pose.pose.orientation.z is NaN"),
+        ({"is_turned": False}, "pose.pose.orientation is not set"),
+    ],
+)
+def test_odometry_that_tells_no_pose_stops_it_and_is_told(broken: dict[str, Any], why: str) -> None:
+    drive, commanded = Drive(asked(distance_m=1.0)), list[float]()
+    for number in range(300):
+        now = number * STEP_S
+        is_broken = now > 0.5
+        message = odometry_of(**{"x": 0.0, **(broken if is_broken else {})})
+        with contextlib.suppress(ValueError):
+            drive.hear("odometry", message, now)
+        velocity = None if drive.awaits() else drive.step(now)
+        if velocity:
+            commanded.append(velocity["linear.x"])
+        elif drive.outcome:
+            break
+    assert (drive.outcome, why in drive.why, "that can be used" in drive.why) == ("silent", True, True)
+    assert max(commanded) > 0 and commanded[-1] == 0
+
+
+def test_a_drive_without_a_pose_that_is_finite_does_not_begin_and_names_the_number() -> None:
+    drive = Drive(asked(distance_m=1.0))
+    for number in range(10):
+        with pytest.raises(ValueError, match="NaN"):
+            drive.hear("odometry", odometry_of(math.nan), number * STEP_S)
+    assert drive.awaits() == "/odom that can be used (pose.pose.position.x is NaN)"
+
+
+def odometry_of(x: float, yaw: float = 0.0, *, is_turned: bool = True) -> Any:
+    """A message of odometry, with numbers that nobody should tell."""
+    turned = math.nan if math.isinf(yaw) else math.sin(yaw / 2)
+    orientation = SimpleNamespace(x=0.0, y=0.0, z=turned, w=math.cos(yaw / 2) if math.isfinite(yaw) else 1.0)
+    if not is_turned:
+        orientation = SimpleNamespace(x=0.0, y=0.0, z=0.0, w=0.0)
+    pose = SimpleNamespace(position=SimpleNamespace(x=x, y=0.0, z=0.0), orientation=orientation)
+    return SimpleNamespace(pose=SimpleNamespace(pose=pose))

@@ -77,8 +77,8 @@ def test_what_is_free_is_infinitely_far() -> None:
     ("scan", "says"),
     [
         (Scan(ranges=[]), "sees nothing"),
-        (Scan(angle_increment=0.0), "no numbers"),
-        (Scan(angle_min=math.nan), "no numbers"),
+        (Scan(angle_increment=0.0), "no bearings: angle_increment is 0"),
+        (Scan(angle_min=math.nan), "no bearings: angle_min is NaN"),
         (Scan(ranges=[0.0] * 181), "has measured"),
     ],
 )

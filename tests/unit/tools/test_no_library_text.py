@@ -12,7 +12,6 @@ from typing import Any
 
 import pytest
 from mcp.types import TextContent
-from rosbags.typesys import Stores, get_typestore
 
 from ros2_mcp.bags.qos import qos_text
 from ros2_mcp.bags.stored import StoredTopic
@@ -26,6 +25,7 @@ from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.sources.recorded_robot import recorded_robot
 from support.made_bridge import MadeBridge, robot_of
 from support.made_windows import START_NS, encoded
+from support.msg_texts import text_of
 
 LIBRARY = re.compile(
     r"<[\w.]+ object|object at 0x|\bBytesIO|unpack_from|Traceback|\[?Errno|\bnumpy|np\.|pydantic|\bPIL\b"
@@ -159,11 +159,6 @@ async def tools(folder: Path, name: str) -> AsyncGenerator[Toolset, None]:
         robot = robot_of(MadeBridge())
     yield Toolset(robot, store, ["all"], SOURCE_KINDS)
     await store.close()
-
-
-def text_of(kind: str) -> str:
-    """The definition of a type, as a recording has it."""
-    return get_typestore(Stores.ROS2_JAZZY).generate_msgdef(kind, ros_version=2)[0]
 
 
 async def told(tools: Toolset, name: str, arguments: dict[str, Any]) -> str:

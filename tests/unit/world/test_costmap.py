@@ -80,7 +80,7 @@ def test_what_is_reached_is_what_a_search_cell_by_cell_reaches():
 def test_what_is_no_grid_is_refused():
     with pytest.raises(BadData, match="cells"):
         grid(np.zeros((0, 3)))
-    with pytest.raises(BadData, match="m wide"):
+    with pytest.raises(BadData, match="resolution is 0"):
         grid([[0]], resolution=0.0)
 
 

@@ -29,11 +29,11 @@ def message(
     [
         ({"cells": (), "width": 0}, "empty: 0 × 2 cells"),
         ({"width": 4}, "data has 6 cells, but width × height is 4 × 2 = 8"),
-        ({"resolution": math.nan}, "A cell of the grid is nan m wide"),
-        ({"resolution": 0.0}, "A cell of the grid is 0.0 m wide"),
-        ({"resolution": -0.05}, "A cell of the grid is -0.05 m wide"),
-        ({"x": math.inf}, "origin is not a pose"),
-        ({"w": math.nan}, "origin is not a pose"),
+        ({"resolution": math.nan}, "info.resolution is NaN"),
+        ({"resolution": 0.0}, "resolution is 0 m"),
+        ({"resolution": -0.05}, "resolution is -0.05 m"),
+        ({"x": math.inf}, "origin is not finite .info.origin.position.x is infinite"),
+        ({"w": math.nan}, "info.origin.orientation.w is NaN"),
     ],
 )
 def test_a_broken_grid_is_refused_with_what_does_not_fit(broken: dict[str, Any], said: str) -> None:

@@ -135,5 +135,5 @@ def test_an_empty_scan_and_one_without_valid_beams_say_so(scan: Any) -> None:
 
 
 def test_angles_that_are_no_numbers_are_refused(scan: Any) -> None:
-    with pytest.raises(BadData, match="NaN rad"):
+    with pytest.raises(BadData, match="angle_min is NaN"):
         scan_meaning(scan(angle_min="nan"))

@@ -14,6 +14,7 @@ from ros2_mcp.ops.measure.diagnostics import DiagnosticTable
 from ros2_mcp.ops.measure.flow import Silence
 from ros2_mcp.ops.nodes.lifecycle import LifecycleState
 from ros2_mcp.ops.nodes.parameters import Parameter
+from ros2_mcp.ops.sources.from_before import FromBefore
 from ros2_mcp.ops.sources.source import GraphSnapshot, Missing
 from ros2_mcp.ops.space.tf_tree import FrameProblem
 from ros2_mcp.robot import TopicEndpoints
@@ -114,10 +115,7 @@ class Flow:
     @property
     def from_before(self) -> str:
         """In words, that there is nothing but what was sent before; empty where there is more, or nothing at all."""
-        if self.count or not self.replayed:
-            return ""
-        age = "" if self.replayed_s is None else f", {self.replayed_s:.3g} s old"
-        return f"{self.replayed} message{'s' if self.replayed > 1 else ''}{age}, from before"
+        return "" if self.count else str(FromBefore(self.replayed, self.replayed, self.replayed_s))
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,7 @@ from ros2_mcp.model.text import counted, named
 from ros2_mcp.model.times import both_times, recorded_time, seconds_in
 from ros2_mcp.ops.measure.flow import burst_in_words, gaps, is_burst, periods_s
 from ros2_mcp.ops.results.results import Report, four_digits, iso_time, microseconds, silent
+from ros2_mcp.ops.sources.from_before import FromBefore
 from ros2_mcp.ops.sources.selection import Selection
 from ros2_mcp.ops.sources.source import Capture, Missing, Source, Stream
 
@@ -232,7 +233,10 @@ def evaluate(capture: Capture[Columns], most_fields: int = 80) -> TopicStatistic
         first = varying[most_fields].path.path
         notes.insert(0, f"{left_out} more fields, from {first} on, are not shown; name them in fields.")
     if kept.replayed:
-        notes.insert(0, f"{counted(kept.replayed, 'earlier latched message')} measured, but not counted in the rate.")
+        notes.insert(
+            0,
+            f"{FromBefore.of(kept.replayed, kept.replayed_ns, capture.end_ns)}: measured, but not counted in the rate.",
+        )
     if not kept.seen:
         notes.insert(0, "No message in this time." if capture.publishers else "Nobody published on this topic.")
     elif capture.dropped:

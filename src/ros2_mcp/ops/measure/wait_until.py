@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from time import monotonic
@@ -13,9 +14,12 @@ from ros2_mcp.model.errors import BadData, BadValue, NotFound
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import counted, in_quotes
 from ros2_mcp.model.times import recorded_time, seconds_in
+from ros2_mcp.model.values import NOT_FINITE
 from ros2_mcp.ops.results.results import HIDDEN, IF_ANY, SAID, Report, iso_time, reporting, silent
+from ros2_mcp.ops.sources.from_before import from_before
 from ros2_mcp.ops.sources.selection import undecodable
 from ros2_mcp.ops.sources.source import Source, Stream
+from ros2_mcp_common.finite import word_for
 
 if TYPE_CHECKING:
     from ros2_mcp.ops.measure.expression import Condition
@@ -34,7 +38,8 @@ class Wait:
 
     `looked_at` messages were examined; `undecided` of them had no answer (a list too short, a division by zero).
     `values` are the fields that the condition names, and what it computes. `dropped` messages came too fast to be
-    looked at. `seconds_in` is `at` counted from a recording's beginning.
+    looked at. `seconds_in` is `at` counted from a recording's beginning. `from_before` says that the message was sent
+    before this was asked for, and how old it is; then nothing newer came.
     """
 
     topic_name: str = field(metadata=SAID)
@@ -51,15 +56,21 @@ class Wait:
     message: dict[str, Any] | None
     source: str = field(metadata=SAID)
     note: str = field(metadata=IF_ANY)
+    from_before: str = field(default="", metadata=SAID)
     is_live: bool = field(default=True, metadata=HIDDEN)
     when: str = field(default="", metadata=HIDDEN)
+    # What values that are not finite are called in the sentence.
+    odd: Mapping[str, str] = field(default_factory=dict[str, str], metadata=HIDDEN)
 
     def summary(self) -> str:
         """One line."""
         outcome = "is met" if self.met else "was not met"
         seen = f", {'at' if self.met else 'last message at'} {self.when}" if self.when else ""
         when = f"after {self.waited:.3f} s" if self.is_live else f"in {self.source}{seen}"
-        values = ", ".join(f"{path} = {in_quotes(value)}" for path, value in self.values.items())
+        said = {path: self.odd.get(path) or in_quotes(value) for path, value in self.values.items()}
+        values = ", ".join(f"{path} = {value}" for path, value in said.items())
+        if self.from_before:
+            when += f" by {self.from_before}; nothing newer came" if self.met else f"; the last: {self.from_before}"
         line = f"{self.topic_name}: {self.condition} {outcome} {when} ({values or 'no message'})."
         return f"{line} {self.note}".rstrip()
 
@@ -68,7 +79,7 @@ async def wait_until(
     source: Source, topic: str, text: str, report: Report = silent, *, max_bytes: int = 32_000
 ) -> Wait:
     """Looks at every message until one meets the condition, or the source's time is over; live, of those that a latched
-    topic replays, at the newest.
+    topic replays, at the newest, which counts only where nothing newer comes within a second.
 
     Raises:
         BadInput: if the text is not a condition.
@@ -125,11 +136,15 @@ class _Search:
     undecodable: int = 0
 
     async def run(self) -> None:
-        """Examines messages until one meets the condition, or the stream ends."""
+        """Examines messages until one meets the condition, or the stream ends. What was sent before meets it only where
+        nothing newer comes: it is not now.
+        """
         async for batch in self.stream.batches:
+            if self.met and not batch:  # by what was sent before, and nothing newer came for a while
+                return
             for begin in range(0, len(batch), _TURN_SAMPLES):
                 await asyncio.to_thread(self._examine, batch[begin : begin + _TURN_SAMPLES])
-                if self.met:
+                if self.met and not self.is_old:
                     return
 
     def _examine(self, samples: Sequence[Sample]) -> None:
@@ -138,15 +153,16 @@ class _Search:
             message = self._decoded(sample) if excerpts is None else excerpts[number]
             if message is None:
                 continue
-            self.last = sample
+            self.last, self.is_old, self.met = sample, self.stream.is_replayed(sample), False
             self.looked_at += 1
             holds = self.condition.holds(message)
             if holds is None:
                 self.undecided += 1
                 self.why_undecided = self.why_undecided or self.condition.why_undecided(message)
             elif holds:
-                self.met, self.is_old = True, self.stream.is_replayed(sample)
-                return
+                self.met = True
+                if not self.is_old:
+                    return
 
     def _decoded(self, sample: Sample) -> Message | None:
         """A message as a whole; None, and counted, where it is not what its type says."""
@@ -159,9 +175,10 @@ class _Search:
     def result(self, source: Source, waited_s: float, max_bytes: int) -> Wait:
         """The message in half of the result's size: the other half is for its text."""
         from ros2_mcp.values.render import RenderOptions, render
+        from ros2_mcp.values.select import parse_field
 
         definitions, type_name = self.stream.codec.definitions, self.stream.type
-        message, values = None, dict[str, Any]()
+        message, values, odd = None, dict[str, Any](), dict[str, str]()
         whole = self._decoded(self.last) if self.last else None
         if whole is not None:
             options = RenderOptions(max_bytes=max_bytes // 2)
@@ -169,10 +186,17 @@ class _Search:
             for path in self.condition.fields:
                 options = RenderOptions(max_array=8, max_string=200, max_bytes=_VALUE_BYTES, fields=[path])
                 try:
+                    value = parse_field(definitions, type_name, path).value_in(whole)
                     values |= render(definitions, type_name, whole, options=options).value
                 except BadValue:  # a list is too short
-                    values[path] = None
-            values |= self.condition.values(whole)
+                    values[path] = value = None
+                if isinstance(value, float) and not math.isfinite(value):
+                    odd[path] = word_for(value)
+            computed = self.condition.values(whole)
+            odd |= {
+                name: word_for(NOT_FINITE[str(value)]) for name, value in computed.items() if str(value) in NOT_FINITE
+            }
+            values |= computed
         dropped, at_ns = self.stream.counts.dropped, self.last.received_ns if self.last else 0
         notes: list[str] = []
         if self.undecodable:
@@ -184,9 +208,6 @@ class _Search:
         if self.undecided:
             why = f"{self.undecided} of {counted(self.looked_at, 'message')} could not be checked"
             notes.append(f"{why}: {self.why_undecided}")
-        if self.is_old and self.last:
-            age = f"{(at_ns - self.last.source_ns) / 1e9:.1f} s" if self.last.source_ns else "some time"
-            notes.append(f"That message is latched and was published {age} earlier.")
         if dropped:
             notes.append(f"{counted(dropped, 'message')} came too fast to be checked.")
         return Wait(
@@ -206,4 +227,6 @@ class _Search:
             note=" ".join(notes),
             is_live=source.is_live,
             when=recorded_time(at_ns, source.began_ns) if self.last else "",
+            odd=odd,
+            from_before=str(from_before(source, self.stream, [self.last])) if self.last and self.is_old else "",
         )

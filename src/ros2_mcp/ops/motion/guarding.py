@@ -7,12 +7,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ros2_mcp.model.errors import BadInput, NotFound, RobotError
+from ros2_mcp.model.errors import BadData, BadInput, NotFound, RobotError
 from ros2_mcp.model.text import listed, named
 from ros2_mcp.ops.motion.body import body_of
 from ros2_mcp.ops.motion.find import Found, first_decoded, given_topic, located_on
 from ros2_mcp.robot import Robot
 from ros2_mcp.world.transforms import Located
+from ros2_mcp_common.language.scans import no_bearings
 
 DEFAULT_GUARD_M = 0.2
 """Kept free ahead of the outline where nobody asks for another distance: it leaves room to turn on the spot, and for
@@ -72,10 +73,11 @@ async def guarding(
     sights = _one_of_each([one for one in tried if isinstance(one, Sight)])
     problems = [one for one in tried if isinstance(one, RobotError)]
     if not sights:
-        raise NotFound("; ".join(error.message.rstrip(".") for error in problems) + ".", WITHOUT)
+        reasons = dict.fromkeys(error.message.rstrip(".") for error in problems)  # one for all sensors in one frame
+        raise NotFound("; ".join(reasons) + ".", WITHOUT)
     distance_m = DEFAULT_GUARD_M if guard_m is None else guard_m
     topics = [one.found.topic for one in sights]
-    unused = [f"Not looked at: {error.message}" for error in problems]
+    unused = list(dict.fromkeys(f"Not looked at: {error.message}" for error in problems))
     return Guarding(
         guard_m=distance_m,
         topics=topics,
@@ -110,6 +112,8 @@ async def _sight(robot: Robot, found: Found, base_frame: str, is_given: bool) ->
     """Where that sensor sits; the error of one that is silent, or is not fixed to the robot, is returned."""
     try:
         message = await first_decoded(robot, found)
+        if found.type == SCAN and (why := no_bearings(message)):
+            raise BadData(f"{named(found.topic)} has no bearings, so it cannot guard: {why}.")
         frame = str(message.header.frame_id).lstrip("/")
         located = await located_on(robot, frame, base_frame)
         if located is None:

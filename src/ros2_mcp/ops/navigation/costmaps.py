@@ -33,7 +33,7 @@ class Costmap:
     """A grid with what has changed in it, the sample in which it was sent whole, and in words how old both are.
 
     `newest_ns` is when the newest of it was sent; None where there are no updates. `is_complete`: nothing that changed
-    is known to be missing.
+    is known to be missing. `age` says that all of it was sent before anybody listened here.
     """
 
     grid: CostGrid
@@ -42,6 +42,7 @@ class Costmap:
     note: str = ""
     newest_ns: int | None = None
     is_complete: bool = True
+    age: str = ""
 
 
 def chosen_costmaps(grids: Sequence[str], raw: Sequence[str]) -> list[str]:
@@ -91,7 +92,7 @@ async def costmap_now(
     from ros2_mcp.world.cost_updates import as_grid
 
     grid = await aside(len(found.sample.data), as_grid, type_name, found.message)
-    return Costmap(grid, found.sample, found.skipped, unheard, is_complete=not unheard)
+    return Costmap(grid, found.sample, found.skipped, unheard, is_complete=not unheard, age=found.age)
 
 
 async def costmap_recorded(source: Source, topic: str, type_name: str, updates_topic: str) -> Costmap:

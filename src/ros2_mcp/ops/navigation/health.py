@@ -59,7 +59,7 @@ async def _localisation(robot: Robot) -> list[str]:
 async def _costmap(robot: Robot, topics: Sequence[TopicRow], action: str) -> list[str]:
     grid, topic, ages = await costmap_of(robot, topics, action)
     if grid is None or "costmap" not in topic:
-        return ["No global costmap was received."]
+        return [ages or "No global costmap was received."]
     if ages:
         return [ages]
     stamp = grid.header.stamp

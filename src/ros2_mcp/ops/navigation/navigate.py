@@ -224,7 +224,7 @@ class Navigation(Job):
     def _hear(self, feedback: Mapping[str, Any]) -> None:
         """Takes in what Nav2 tells on the way."""
         remaining, recoveries = feedback.get("distance_remaining"), feedback.get("number_of_recoveries")
-        if isinstance(remaining, float):
+        if isinstance(remaining, float) and math.isfinite(remaining):
             self._note(remaining_m=round(remaining, 2))
         if isinstance(recoveries, int):
             self._note(recoveries=recoveries)

@@ -116,7 +116,7 @@ async def preview(
         sent = await send_goal(robot, session, action, COMPUTE_PATH, goal)
         result: Mapping[str, Any] = await _result(robot, action, sent.goal_id) if sent.accepted else {}
     path: Mapping[str, Any] = result.get("path") or {}
-    points = [(pose["pose"]["position"]["x"], pose["pose"]["position"]["y"]) for pose in path.get("poses", ())]
+    points, unknown = _points(path)
     code, text = int(result.get("error_code", 0)), str(result.get("error_msg", ""))
     frame = str(path.get("header", {}).get("frame_id") or MAP_FRAME)
     grid, grid_topic = await _grid(robot, action, frame) if points else (None, "")
@@ -148,7 +148,9 @@ async def preview(
         grid_topic=grid_topic,
         planning_s=_seconds(result.get("planning_time")),
         explanation=explanation,
-        note=error_in_words(code, text) if sent.accepted else f"{named(action)} rejected the goal.",
+        note=" ".join(filter(None, (error_in_words(code, text), unknown)))
+        if sent.accepted
+        else f"{named(action)} rejected the goal.",
         pictures=shown.pictures if shown else (),
         images=shown.images if shown else (),
     )
@@ -201,6 +203,15 @@ async def _grid(robot: Robot, action: str, frame: str) -> tuple[CostGrid | None,
         grid, topic, _ = await costmap_of(robot, list(await robot.graph.topics()), action)
         return (grid, topic) if grid and grid.frame_id == frame else (None, "")
     return None, ""
+
+
+def _points(path: Mapping[str, Any]) -> tuple[list[tuple[float, float]], str]:
+    """The places of a path that are finite, in m, and in words how many are not; empty where all are."""
+    told = [(pose["pose"]["position"]["x"], pose["pose"]["position"]["y"]) for pose in path.get("poses", ())]
+    points = [point for point in told if all(isinstance(one, (int, float)) and math.isfinite(one) for one in point)]
+    if len(points) == len(told):
+        return points, ""
+    return points, f"{len(told) - len(points)} of the path's {counted(len(told), 'pose')} are not finite: left out."
 
 
 def _dearest(grid: CostGrid | None, points: Sequence[tuple[float, float]]) -> int | None:

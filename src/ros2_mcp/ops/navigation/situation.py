@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from ros2_mcp.model.aside import aside, load
 from ros2_mcp.model.costs import cost_in_words
-from ros2_mcp.model.errors import RobotError, TimedOut
+from ros2_mcp.model.errors import BadData, RobotError, TimedOut
 from ros2_mcp.model.graph import TopicRow
 from ros2_mcp.model.nav2 import COSTMAP, COSTMAP_UPDATE, GRID_UPDATE, NAVIGATION_NODES
 from ros2_mcp.model.pictures import OCCUPANCY_GRID
@@ -26,8 +26,10 @@ from ros2_mcp.ops.navigation.base import Base, base_of
 from ros2_mcp.ops.navigation.costmaps import chosen_costmaps, costmap_now, updates_of
 from ros2_mcp.ops.navigation.whereabouts import Whereabouts, whereabouts
 from ros2_mcp.ops.nodes.lifecycle import states
+from ros2_mcp.ops.sources.from_before import FromBefore
 from ros2_mcp.ops.sources.live import Live
 from ros2_mcp.robot import Robot
+from ros2_mcp_common.finite import not_finite
 
 if TYPE_CHECKING:
     from ros2_mcp.world.costmap import CostGrid
@@ -141,21 +143,25 @@ async def costmap_of(
     sent; None where neither can be read.
 
     Of several robots that which stands below the same namespace as the `action`. The newest that comes `within_s`: the
-    first one is latched, and may be from before what it is asked for.
+    first one is latched, and may be from before what it is asked for. Of one that cannot be used the words
+    say why.
     """
     grids = _grids(topics)
     namespace = action.rpartition("/")[0]
     own = [name for name in grids if name.startswith(f"{namespace}/")] or grids
     wanted = sorted(own, key=lambda name: ("global_costmap" not in name, "costmap" in name, len(name)))
+    said: list[str] = []
     for name in wanted[:2]:
         if "local_costmap" in name:
             continue
         try:
             grid, ages = await _newest_grid(robot, topics, name, within_s)
-            return grid, name, ages
+            return grid, name, " ".join(filter(None, (*said, ages)))
+        except BadData as error:
+            said.append(f"{named(name)} cannot be used: {error.message}")
         except RobotError:
             continue
-    return None, "", ""
+    return None, "", " ".join(said)
 
 
 async def local_of(robot: Robot, topics: Sequence[TopicRow], action: str = "") -> Local | None:
@@ -265,12 +271,16 @@ async def _uncertainty(robot: Robot, topic: str) -> str:
             if not samples:
                 return ""
             message = cast("Any", robot.values.decode(listening.type, samples[-1]))
+            is_old = listening.is_from_before(samples[-1])
     except RobotError:
         return ""
+    if why := not_finite(message, "pose"):
+        return f"localisation is unknown: of {named(topic)}, {why}"
+    age = f" ({FromBefore.of(1, samples[-1].source_ns, robot.now_ns()).age})" if is_old else ""
     variance = max(float(message.pose.covariance[0]), float(message.pose.covariance[7]))
     if not variance > _UNCERTAIN_M**2:
         return ""
-    return f"localisation is uncertain: {named(topic)} gives a standard deviation of {variance**0.5:.2f} m"
+    return f"localisation is uncertain: {named(topic)} gives a standard deviation of {variance**0.5:.2f} m{age}"
 
 
 async def _log(robot: Robot, since_s: float) -> Log:

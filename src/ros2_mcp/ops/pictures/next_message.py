@@ -11,6 +11,7 @@ from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import named
 from ros2_mcp.model.times import recorded_time
 from ros2_mcp.ops.results.results import Report, reporting
+from ros2_mcp.ops.sources.from_before import from_before
 from ros2_mcp.ops.sources.selection import undecodable
 from ros2_mcp.ops.sources.source import Source
 
@@ -22,7 +23,8 @@ _TRIED = 32
 class Next:
     """A message with its sample, and in words where it is from.
 
-    `note` says when it was recorded, and how many were skipped as not of their type; `skipped` says the latter alone.
+    `note` says when it was recorded, or that it is from before, and how many were skipped as not of their type;
+    `skipped` says the latter alone, `age` that it is from before, and how old.
     """
 
     message: Any
@@ -30,10 +32,12 @@ class Next:
     source: str
     note: str
     skipped: str = ""
+    age: str = ""
 
 
 async def next_message(source: Source, topic: str, type_name: str, report: Report) -> Next:
-    """The next message of a topic that can be decoded; of several that wait live, the newest.
+    """The next message of a topic that can be decoded; of several that wait live, or that a latched topic has kept, the
+    newest.
 
     Raises:
         NotFound: if the topic is not there.
@@ -41,7 +45,7 @@ async def next_message(source: Source, topic: str, type_name: str, report: Repor
         TimedOut: if no message came.
         BadData: if no message is what the type says.
     """
-    topic = await source.name_of(topic)
+    topic, source = await source.name_of(topic), source.judging()
     async with reporting(report, source.duration_s, f"waiting for {topic}"):
         try:
             return await _next(source, topic, type_name, 1)
@@ -68,8 +72,10 @@ async def _next(source: Source, topic: str, type_name: str, limit: int) -> Next:
                 recorded = (
                     "" if source.is_live else f"Recorded at {recorded_time(sample.received_ns, source.began_ns)}."
                 )
-                note = " ".join(filter(None, (left_out, recorded)))
-                return Next(message, sample, source.words_after(stream.covered_s), note, left_out)
+                old = from_before(source, stream, [sample])
+                note = " ".join(filter(None, (left_out, recorded, f"{old}." if old.count else "")))
+                where = old.beside(source.words_after(stream.covered_s))
+                return Next(message, sample, where, note, left_out, old.age)
         if skipped:
             raise trouble
         hint = f"It is published by {', '.join(stream.nodes)}." if stream.publishers else "Nobody publishes on it."

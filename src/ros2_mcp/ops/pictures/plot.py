@@ -13,6 +13,7 @@ from ros2_mcp.model.pictures import MAX_SIDE
 from ros2_mcp.model.text import counted
 from ros2_mcp.model.times import seconds_in
 from ros2_mcp.ops.results.results import IF_ANY, SAID, Report, WithPictures, facts, iso_time, silent
+from ros2_mcp.ops.sources.from_before import FromBefore
 from ros2_mcp.ops.sources.source import Capture, Missing, Source, Stream
 
 if TYPE_CHECKING:
@@ -127,7 +128,7 @@ def _keeping(parts: Sequence[tuple[str, str]], request: PlotRequest) -> Callable
         most = _XY_FIELDS if request.kind == "xy" else None
         fields = [one for path in paths for one in drawn_fields(stream.codec.definitions, stream.type, path, most)]
         unique = list({field.path: field for field in fields}.values())
-        return Columns(stream.codec, stream.type, unique, room, whole_lists=True)
+        return Columns(stream.codec, stream.type, unique, room, whole_lists=True, is_replayed=stream.is_replayed)
 
     return keep
 
@@ -172,6 +173,11 @@ def _drawn(title: str, found: Sequence[tuple[Capture[Columns], str]], request: P
         raise BadInput(f"{len(values)} series are too many for one picture.", f"Give at most {most}.")
     series = [_series(value) for value in values]
     notes += [f"{topic} was silent." for topic, capture in captures.items() if not capture.kept.seen]
+    notes += [
+        f"{topic}: {FromBefore.of(capture.kept.replayed, capture.kept.replayed_ns, capture.end_ns)}."
+        for topic, capture in captures.items()
+        if capture.kept.replayed
+    ]
     notes += [
         f"{topic}: {one.dropped} messages were dropped: too many to keep."
         for topic, one in captures.items()

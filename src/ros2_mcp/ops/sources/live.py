@@ -85,15 +85,11 @@ _ASKED_AT_ONCE = 32
 
 @dataclass(kw_only=True)
 class _LiveStream(Stream):
-    """A subscription; the call that made it began at the steady time `asked_at`, waiting for the topic included.
-
-    `asked_ns` is the same as Unix time of the robot's clock.
-    """
+    """A subscription; the call that made it began at the steady time `asked_at`, waiting for the topic included."""
 
     robot: Robot
     listening: Listening
     asked_at: float
-    asked_ns: int
     _received_ns: tuple[int, int] | None = field(default=None, init=False)
     _least_age_ns: int | None = field(default=None, init=False)
     _first_ns: int = field(default=0, init=False)

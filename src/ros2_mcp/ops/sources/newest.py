@@ -95,7 +95,14 @@ class NewestOfRobot(Source):
         listening = newest.listening
         kind = listening.type if listening else type_name or await self.type_of(topic)
         publishers = listening.publishers if listening else ()
-        stream = Stream(topic=topic, type=kind, codec=self.codec, publishers=publishers)
+        stream = Stream(
+            topic=topic,
+            type=kind,
+            codec=self.codec,
+            publishers=publishers,
+            until_ns=self._robot.now_ns(),
+            asked_ns=newest.opened_ns,
+        )
         stream.batches = _one(sample)
         async with aclosing(stream.batches):
             yield stream

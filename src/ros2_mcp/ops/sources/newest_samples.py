@@ -30,13 +30,16 @@ _logger = logging.getLogger(__name__)
 
 @dataclass(eq=False)
 class Newest:
-    """One topic. `since` is when it was first looked at (monotonic, s); `error` says why it is not listened to."""
+    """One topic. `since` is when it was first looked at (monotonic, s); `error` says why it is not listened to.
+    `opened_ns` is since when it is listened to, by the robot's clock, where it is latched, else 0.
+    """
 
     topic: str
     since: float = field(default_factory=monotonic)
     listening: Listening | None = None
     sample: Sample | None = None
     error: RobotError | None = None
+    opened_ns: int = 0
     came: asyncio.Event = field(default_factory=asyncio.Event)
     task: asyncio.Task[None] | None = None
     looked_at: float = 0.0
@@ -52,6 +55,10 @@ class Newest:
             if scope.cancelled_caught:
                 return None
         return self.sample
+
+    def told_ns(self, sample: Sample) -> int:
+        """When a sample came; of one that was sent before anybody listened here when it was sent."""
+        return sample.source_ns if 0 < sample.source_ns < self.opened_ns else sample.received_ns
 
     def rate_hz(self) -> float | None:
         """How many messages came in a second, of late; None before that is known."""
@@ -99,6 +106,8 @@ class NewestSamples(Kept):
             try:
                 async with self._robot.listen(newest.topic, keep="latest") as listening:
                     newest.listening, newest.error, newest.counted = listening, None, []
+                    is_latched = listening.choice.qos.durability == "transient_local"
+                    newest.opened_ns = listening.opened_ns if is_latched else 0
                     await self._take(newest, listening)
             except RobotError as error:
                 newest.error = error

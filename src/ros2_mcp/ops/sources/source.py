@@ -106,7 +106,8 @@ class Stream:
     `qos` says how it listens, or what was recorded. Samples from before `start_ns` are latched ones. `from_end`: the
     limit meant the last messages. `thinned`: it is every n-th already. `received` samples have been read so far. With
     a limit, `further` is the next sample after those that were asked for, in the direction of reading; None where
-    there are no more. `note` is for whoever shows them.
+    there are no more. `note` is for whoever shows them. `asked_ns` is when a live one was asked for, by the
+    robot's clock.
     """
 
     topic: str
@@ -122,6 +123,7 @@ class Stream:
     received: int = 0
     further: Sample | None = None
     note: str = ""
+    asked_ns: int = 0
 
     @property
     def nodes(self) -> list[str]:
@@ -170,7 +172,7 @@ class Stream:
 
     def is_replayed(self, sample: Sample) -> bool:
         """Whether it was sent before the source's time, and came only because a late subscriber is given it, too."""
-        return sample.received_ns < self.start_ns
+        return sample.received_ns < self.start_ns or 0 < sample.source_ns < self.asked_ns
 
     async def why_no_more(self, last: Sample | None) -> str:
         """In words, why no sample came after `last`; None where none came at all."""

@@ -24,6 +24,6 @@ def since_s(stamp_ns: int | None, now_ns: int) -> float | None:
 
 
 def age_of(header: Any, sample: Sample, now_ns: int) -> float | None:
-    """By the message's stamp, else by when it was received."""
-    by_stamp = since_s(stamp_ns(header), now_ns)
-    return since_s(sample.received_ns, now_ns) if by_stamp is None else by_stamp
+    """By the message's stamp, else by when it was sent (if latched earlier than it came), else by when it came."""
+    of = (stamp_ns(header), sample.source_ns, sample.received_ns)
+    return next((age_s for at_ns in of if (age_s := since_s(at_ns, now_ns)) is not None), None)

@@ -187,13 +187,21 @@ def _how_told(edge: Edge, at_ns: int, publisher: str) -> list[str]:
     if edge.jumps:
         last = edge.jumps[-1]
         step = f"{'back' if last.to_ns < last.from_ns else 'forward'} by {seconds_in_words(last.to_ns - last.from_ns)}"
-        times = f", the last of {len(edge.jumps)} jumps" if len(edge.jumps) > 1 else ""
+        times = _first_of([jump.received_ns for jump in edge.jumps], "jumps", at_ns)
         cause = "its clock was set, or a bag or simulation restarted"
         if len(edge.writers) > 1 and len(edge.jumps) > _IN_TURN:
             cause = "its publishers use two clocks: is a bag played beside the robot?"
         ago = seconds_in_words(max(at_ns - last.received_ns, 0))
         parts.append(f"has stamps that jumped {step}, {ago} ago{times} ({cause})")
     return parts
+
+
+def _first_of(received_ns: Sequence[int], what: str, at_ns: int) -> str:
+    """Behind the last of several: how many there are, and when the first was; empty where there is one."""
+    if len(received_ns) < 2:
+        return ""
+    first = seconds_in_words(max(at_ns - received_ns[0], 0))
+    return f", the last of {len(received_ns)} {what}, the first {first} ago"
 
 
 def _is_refused_since(edge: Edge) -> bool:
@@ -208,7 +216,7 @@ def _leaps(edge: Edge, at_ns: int) -> list[str]:
         return []
     last = leaps[-1]
     turned = last.turned_deg if last.turned_deg > _SAME_DEG else 0
-    many = f", the last of {len(leaps)} such jumps" if len(leaps) > 1 else ""
+    many = _first_of([leap.received_ns for leap in leaps], "such jumps", at_ns)
     ago = seconds_in_words(max(at_ns - last.received_ns, 0))
     what = "odometry" if edge.newest and edge.newest.parent.rpartition("/")[2] == "odom" else "its source"
     cause = "the localisation corrected itself" if corrects else f"{what} was reset, or is at fault"

@@ -52,7 +52,7 @@ async def _live_head(robot: Robot, _: Source, topic: str, listen_s: float) -> He
     found: list[Sample] = []
     ends_at, began_at, last_at = monotonic() + listen_s, 0.0, 0.0
     with suppress(RobotError), anyio.move_on_after(listen_s):
-        async with robot.listen(topic, head_bytes=_HEAD_BYTES) as listening:
+        async with robot.listen(topic, head_bytes=_HEAD_BYTES, is_volatile=True) as listening:
             began_at = monotonic()
             async for sample in listening.samples(ends_at - monotonic()):
                 found.append(sample)

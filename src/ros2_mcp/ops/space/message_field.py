@@ -15,6 +15,7 @@ from ros2_mcp.ops.pictures.next_message import next_message
 from ros2_mcp.ops.results.results import Report
 from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.world.transforms import pose_of
+from ros2_mcp_common.finite import not_finite
 
 _LISTEN_S = 5.0
 """Live, for a message to come: more than the slowest usual topics (1 s) take."""
@@ -73,16 +74,20 @@ async def given_in(source: Source, text: str, most: int, report: Report) -> Give
         known = ", ".join(_PLACES)
         raise BadInput(f"{named(text)} is {named(kind)}, with nothing to transform.", f"Name a field that is {known}.")
     frame = getattr(header, "frame_id", "")
-    try:
-        poses = [_pose(value, kind) for value, kind in flat[:most]]
-    except ValueError as error:
-        raise BadData(f"{named(text)} has numbers that are not finite.") from error
+    poses: list[Pose] = []
+    for number, (value, kind) in enumerate(flat[:most]):
+        try:
+            poses.append(_pose(value, kind))
+        except ValueError as error:
+            which = f"{named(text)}, {kind} {number + 1} of {len(flat)}" if len(flat) > 1 else named(text)
+            raise BadData(f"{which} cannot be transformed: {error}.") from error
     stamp = header.stamp if header else None
     note = (
         f"From {named(topic)}, in the frame {named(frame)}."
         if frame
         else f"{named(topic)} has no header: source gives its frame."
     )
+    note += f" {found.age[0].upper()}{found.age[1:]}." if found.age else ""
     note += f" Only the first {most} are transformed." if len(flat) > most else ""
     stamp_ns = stamp.sec * 1_000_000_000 + stamp.nanosec if stamp else 0
     return Given(frame.lstrip("/"), stamp_ns, poses, [_PLACES[kind] for _, kind in flat[:most]], note)
@@ -123,5 +128,9 @@ def _pose(value: Any, kind: str) -> Pose:
     if kind == "Pose":
         return pose_of(value)
     if kind == "Quaternion":
+        if why := not_finite(value, "x", "y", "z", "w"):
+            raise ValueError(why)
         return Pose(rotation=normalised((value.x, value.y, value.z, value.w)))
+    if why := not_finite(value, "x", "y", "z"):
+        raise ValueError(why)
     return Pose((value.x, value.y, value.z))

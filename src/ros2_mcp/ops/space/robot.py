@@ -16,11 +16,11 @@ import anyio
 from ros2_mcp.model.aside import load
 from ros2_mcp.model.errors import NotFound, RobotError, UnknownInterface
 from ros2_mcp.model.graph import TopicEndpoints
-from ros2_mcp.model.poses import Pose, from_roll_pitch_yaw
 from ros2_mcp.model.text import named, quoted
 from ros2_mcp.ops.measure.diagnostics import LEVELS
 from ros2_mcp.ops.pictures.next_message import next_message
 from ros2_mcp.ops.results.results import silent
+from ros2_mcp.ops.sources.from_before import from_before
 from ros2_mcp.ops.sources.source import GraphSnapshot, Source
 from ros2_mcp.ops.space.body import NO_MOUNT, MountInWords, footprint_in_words, mounted
 from ros2_mcp.ops.space.brief import MOST_BYTES, Part, RobotInBrief, one_part, within
@@ -40,15 +40,29 @@ from ros2_mcp.ops.space.inputs import (
 )
 from ros2_mcp.ops.space.joints import JointNow, joints_now, placed
 from ros2_mcp.ops.space.lines import Named
-from ros2_mcp.ops.space.sensors import JOINT_STATE, MISSED, ODOMETRY, also_told, ranked, rate_in_words, sensors_of
+from ros2_mcp.ops.space.place import Odometer, now_ns_of, place_in_words
+from ros2_mcp.ops.space.sensors import (
+    JOINT_STATE,
+    MISSED,
+    ODOMETRY,
+    also_told,
+    charge_of,
+    ranked,
+    rate_in_words,
+    sees_in_words,
+    sensors_of,
+    view_in_words,
+)
 from ros2_mcp.ops.space.stacks import stacks_of
 from ros2_mcp.ops.space.standing_time import standing_time
 from ros2_mcp.ops.space.states import states_of
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.transforms import LISTENS
 from ros2_mcp.world.robot_kind import arms_of, kind_of, wheels_of
-from ros2_mcp.world.transforms import FrameTree, Located
-from ros2_mcp.world.urdf import Mount, Urdf, parse
+from ros2_mcp.world.transforms import FrameTree
+from ros2_mcp.world.urdf import Urdf, parse
+from ros2_mcp_common.finite import not_finite
+from ros2_mcp_common.language.scans import no_bearings
 
 _ANSWERED_S, _GIVEN_UP_S = 1.4, 1.7
 """After the call: so long messages are waited for, all at the same time, and so long any part of it at most. The
@@ -69,8 +83,6 @@ _MOST_SENSORS, _MOST_STATES = 30, 20
 more."""
 _MOST_HEARD = 40
 """Sensors of which rate and frame are looked for, where all are told."""
-_OLD_S = 2.0
-"""A place that is older is not that of now."""
 _FIRST = ("frames", "odometry", "diagnostics")
 """Parts of which a young bridge waits for the first message."""
 _MOST_CORNERS = 200
@@ -82,7 +94,9 @@ _logger = logging.getLogger(__name__)
 
 @dataclass(slots=True)
 class _Seen:
-    """What has been gathered; what did not come is None or empty."""
+    """What has been gathered; what did not come is None or empty. `senseless` says whose numbers mean nothing,
+    `ages` by topic that what came was sent before anybody listened here.
+    """
 
     graph: GraphSnapshot
     most_sensors: int
@@ -92,6 +106,7 @@ class _Seen:
     ranges: dict[str, str] = field(default_factory=dict[str, str])
     views: dict[str, str] = field(default_factory=dict[str, str])
     positions: dict[str, float] = field(default_factory=dict[str, float])
+    ages: dict[str, str] = field(default_factory=dict[str, str])
     batteries: dict[str, float | None] = field(default_factory=dict[str, "float | None"])
     footprint: Sequence[tuple[float, float, float]] = ()
     footprint_frame: str = ""
@@ -100,6 +115,7 @@ class _Seen:
     rates: Mapping[str, str] = field(default_factory=dict[str, str])
     states: Mapping[str, str] = field(default_factory=dict[str, str])
     faults: Sequence[str] = ()
+    senseless: list[str] = field(default_factory=list[str])
     odometry: Any = None
     odometry_topic: str = ""
     diagnostics_topic: str = ""
@@ -220,7 +236,9 @@ async def _message(source: Source, seen: _Seen, topic: str, type_name: str, list
     """The next message of a topic; None if none comes."""
     with suppress(RobotError):
         lasting = source.lasting(seen.listen_s if listen_s is None else listen_s)
-        return (await next_message(lasting, topic, type_name, silent)).message
+        found = await next_message(lasting, topic, type_name, silent)
+        seen.ages[topic] = found.age
+        return found.message
     return None
 
 
@@ -251,7 +269,7 @@ async def _frames(source: Source, seen: _Seen) -> None:
             published = [one.topic for one in _topics(seen.graph, _TF)]
             await frames_heard(source.transforms, published, seen.waits_until)
         seen.tree = await frames_of(source, until=is_whole, patience_s=seen.listen_s)
-        seen.stands = await standing_time(source, seen.tree, _now_ns(source))
+        seen.stands = await standing_time(source, seen.tree, now_ns_of(source))
 
 
 async def _heads(robot: Robot, source: Source, seen: _Seen) -> None:
@@ -270,16 +288,12 @@ async def _ranges(source: Source, seen: _Seen) -> None:
     found = await asyncio.gather(
         *(_message(source, seen, one.topic, kind) for one, kind in zip(topics, kinds, strict=True))
     )
-    for one, kind, message in zip(topics, kinds, found, strict=True):
+    for one, message in zip(topics, found, strict=True):
         if message is None:
             continue
-        if kind.endswith("Range"):
-            nearest, farthest, wide_rad = message.min_range, message.max_range, message.field_of_view
-        else:
-            nearest, farthest = message.range_min, message.range_max
-            wide_rad = abs(float(message.angle_max) - float(message.angle_min))
-        wide = f" over {math.degrees(wide_rad):.0f}°" if wide_rad > 0 else ""
-        seen.ranges[one.topic] = f"{nearest:.3g} to {farthest:.3g} m{wide}"
+        seen.ranges[one.topic] = sees_in_words(message)
+        if hasattr(message, "ranges") and (why := no_bearings(message)):
+            seen.senseless.append(f"{named(one.topic)} has no bearings: {why}.")
 
 
 async def _views(source: Source, seen: _Seen) -> None:
@@ -291,9 +305,8 @@ async def _views(source: Source, seen: _Seen) -> None:
             cameras[one.topic] = told
     found = await asyncio.gather(*(_message(source, seen, told, _CAMERA) for told in cameras.values()))
     for topic, message in zip(cameras, found, strict=True):
-        if message is not None and float(message.k[0]) > 0:
-            wide_deg = math.degrees(2 * math.atan(message.width / 2 / float(message.k[0])))
-            seen.views[topic] = f"{wide_deg:.0f}"
+        if message is not None:
+            seen.views[topic] = view_in_words(message)
 
 
 async def _joint_states(source: Source, seen: _Seen) -> None:
@@ -329,10 +342,7 @@ async def _batteries(source: Source, seen: _Seen) -> None:
     topics = _topics(seen.graph, _BATTERY)[:2]
     found = await asyncio.gather(*(_message(source, seen, one.topic, _BATTERY) for one in topics))
     for one, message in zip(topics, found, strict=True):
-        share = float(message.percentage) if message else math.nan
-        share = share / 100 if share > 1 else share  # some drivers give percent, against the definition
-        is_told = 0 < share <= 1 or (share == 0 and message.capacity > 0)  # 0 alone was never filled in
-        seen.batteries[one.topic] = share if is_told else None
+        seen.batteries[one.topic] = None if message is None else charge_of(message)
 
 
 async def _reports(source: Source, seen: _Seen) -> None:
@@ -352,11 +362,13 @@ async def _reports(source: Source, seen: _Seen) -> None:
                         for status in message.status:
                             level = LEVELS[int(status.level)] if int(status.level) < len(LEVELS) else str(status.level)
                             worst[status.name] = level, " ".join(status.message.split())
+                            seen.ages[status.name] = from_before(source, stream, [sample]).age
     told = {name: (level, said) for name, (level, said) in worst.items() if level != "OK"}
     summed_up = {name for name, (level, said) in told.items() if said == level}
     if len(summed_up) < len(told):  # a state that only sums up the others says nothing more
         told = {name: said for name, said in told.items() if name not in summed_up}
-    seen.reports = [f"{level} {quoted(name)}: {quoted(said)}" for name, (level, said) in told.items()]
+    ages = {name: f" ({seen.ages[name]})" if seen.ages[name] else "" for name in told}
+    seen.reports = [f"{level} {quoted(name)}: {quoted(said)}{ages[name]}" for name, (level, said) in told.items()]
 
 
 async def _states(source: Source, seen: _Seen) -> None:
@@ -379,6 +391,9 @@ async def _published_footprint(source: Source, seen: _Seen) -> None:
         if "footprint" not in one.topic:
             continue
         if message := await _message(source, seen, one.topic, "geometry_msgs/msg/PolygonStamped"):
+            if why := not_finite(message, "polygon"):
+                seen.senseless.append(f"{named(one.topic)} is no outline: {why}.")
+                return
             seen.footprint = [(float(at.x), float(at.y), float(at.z)) for at in message.polygon.points[:_MOST_CORNERS]]
             seen.footprint_frame = message.header.frame_id.lstrip("/")
             return
@@ -409,7 +424,10 @@ def _everything(source: Source, seen: _Seen) -> RobotInBrief:
         if name not in asked
     ]
     stacks = stacks_of(seen.graph)
-    place, trouble = _place(source, seen, base)
+    is_silent = source.is_live and bool(seen.odometry_topic)
+    is_unread = _misses_frames(seen) or is_silent or "odometry" in seen.not_read
+    odometer = Odometer(seen.odometry_topic, seen.odometry, seen.ages.get(seen.odometry_topic, ""))
+    place, trouble = place_in_words(source, seen.tree, base, odometer, seen.urdf, is_unread=is_unread)
     return RobotInBrief(
         name=(seen.urdf.name if seen.urdf else "") or "robot",
         kind=kind_of(seen.urdf, drive_types(inputs), stacks, _controller_types(seen)),
@@ -456,7 +474,9 @@ def _sensors(seen: _Seen, base: str) -> list[str]:
     frames = {head.frame for head in seen.heads.values() if head.frame}
     mounts = {frame: _mounted(seen, base, frame) for frame in frames}
     batteries = {
-        topic: ", ".join(filter(None, ("" if share is None else f"{share:.0%}", seen.rates.get(topic))))
+        topic: ", ".join(
+            filter(None, ("" if share is None else f"{share:.0%}", seen.ages.get(topic), seen.rates.get(topic)))
+        )
         for topic, share in seen.batteries.items()
     }
     return [one.line for one in sensors_of(seen.graph, seen.heads, mounts, seen.ranges, batteries, seen.views)]
@@ -486,73 +506,11 @@ def _misses_frames(seen: _Seen) -> bool:
     return not seen.tree.frames and ("frames" in seen.not_read or bool(_topics(seen.graph, _TF)))
 
 
-def _place(source: Source, seen: _Seen, base: str) -> tuple[str, list[str]]:
-    """Where it is, and what is wrong with that: where a place is old, that in the next frame is told, too."""
-    told, old = list[str](), list[str]()
-    for world in WORLDS:
-        match = next((name for name in seen.tree.frames if name.rpartition("/")[2] == world), "")
-        if match and base and match != base and (found := seen.tree.newest(match, base)):
-            age_s = _age_s(source, seen.tree, found)
-            how = "TF, localised" if world == "map" else "TF, by dead reckoning" if world == "odom" else "TF"
-            how = "TF, fixed there" if found.stamp_ns is None else how
-            told.append(_pose_in_words(match, found.pose.translation, found.pose.yaw_rad, how, age_s))
-            if age_s is None or age_s < _OLD_S:
-                break
-            old.append(f"Its place in {named(match)} is {age_s:.0f} s old.")
-    if told:
-        return " ".join(told), old
-    if seen.odometry is not None:
-        from ros2_mcp.world.transforms import pose_of
-
-        with suppress(ValueError):
-            pose = pose_of(seen.odometry.pose.pose)
-            how = f"odometry, {named(seen.odometry_topic)}"
-            return _pose_in_words(seen.odometry.header.frame_id, pose.translation, pose.yaw_rad, how, None), []
-    if seen.urdf and (fixed := _fixed_in_world(seen.urdf, base)):
-        pose = Pose(fixed.xyz, from_roll_pitch_yaw(*fixed.rpy))
-        return _pose_in_words(seen.urdf.root, pose.translation, pose.yaw_rad, "URDF, fixed there", None), []
-    is_silent = source.is_live and bool(seen.odometry_topic)
-    if _misses_frames(seen) or is_silent or "odometry" in seen.not_read:
-        return "The robot's place was not read in time.", []
-    if not seen.tree.frames:
-        return "The robot's place is unknown: no transforms, no odometry.", []
-    return (
-        f"The robot's place is unknown: no transform leads from {named(base or 'its base')} to a map, odom or world.",
-        [],
-    )
-
-
-def _fixed_in_world(urdf: Urdf, base: str) -> Mount | None:
-    """Where the base is fixed in the link that stands for the world; None where the description tells none."""
-    is_fixed = urdf.root.lower() in WORLDS and base != urdf.root and urdf.fixed_to(base) == urdf.root
-    return urdf.mount(base) if is_fixed else None
-
-
-def _pose_in_words(frame: str, at: Sequence[float], yaw_rad: float, how: str, age_s: float | None) -> str:
-    yaw_deg = round(math.degrees(yaw_rad))  # an int has no -0
-    x, y, z = (round(part, 2) + 0.0 for part in at)  # nor has a zero, so
-    height = f" z {z:.2f}" if abs(z) >= 0.05 else ""
-    age = "" if age_s is None else f", {age_s:.1f} s old" if age_s < _OLD_S else f" {age_s:.0f} s ago"
-    return f"In {named(frame)} at x {x:.2f} y {y:.2f}{height} m, yaw {yaw_deg}° ({how}{age})."
-
-
-def _age_s(source: Source, tree: FrameTree, found: Located) -> float | None:
-    if found.stamp_ns is None:
-        return None
-    now_ns = _now_ns(source)
-    return None if not now_ns else max((now_ns - found.stamp_ns - tree.clock_ns) / 1e9, 0.0)
-
-
-def _now_ns(source: Source) -> int:
-    """The robot's clock, or the end of a recording; 0 where that is not known."""
-    return source.transforms.now_ns() if source.transforms else source.covers_ns[1] if source.covers_ns else 0
-
-
 def _unhealthy(source: Source, seen: _Seen) -> list[str]:
     found = [*seen.problems, *filter(None, [seen.stands])]
     if len(roots := separate_roots(seen.tree)) > 1:
         found.append(f"{len(roots)} trees of frames: {', '.join(map(named, roots[:4]))}.")
-    now_ns = _now_ns(source)
+    now_ns = now_ns_of(source)
     for edge in seen.tree.edges.values():
         row = edge_row(seen.tree, edge, now_ns or edge.last_received_ns, time_stands=bool(seen.stands))
         if row.problem:
@@ -579,13 +537,15 @@ def _of_the_robot(seen: _Seen) -> list[str]:
             found.append(f"{_NOTHING_REPORTS} {', '.join(map(named, unknown[:3]))}{more}.")
     elif not seen.problems and "description" not in seen.not_read:
         found.append(_NO_DESCRIPTION)
-    low = [share for share in seen.batteries.values() if share is not None and share < 0.2]
+    low = [(share, topic) for topic, share in seen.batteries.items() if share is not None and share < 0.2]
     if low:
-        found.append(f"The battery is at {min(low):.0%}.")
+        share, topic = min(low)
+        age = f" ({seen.ages[topic]})" if seen.ages.get(topic) else ""
+        found.append(f"The battery is at {share:.0%}{age}.")
     base = _base_of(seen)
     frames = dict.fromkeys(head.frame for head in seen.heads.values() if head.frame and seen.tree.frames)
     found += [f"Not in TF: {named(frame)}." for frame in frames if _mounted(seen, base, frame) == NO_MOUNT]
-    return [*found, *seen.faults, *filter(None, [_not_localised(seen)])]
+    return [*found, *seen.senseless, *seen.faults, *filter(None, [_not_localised(seen)])]
 
 
 def _not_localised(seen: _Seen) -> str:

@@ -6,7 +6,7 @@ import asyncio
 import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.model import names
@@ -33,6 +33,7 @@ from ros2_mcp.ops.space.silhouette import silhouette_of
 from ros2_mcp.robot import Robot
 from ros2_mcp.world.limbs import Limb, LimbSeen, limbs_seen
 from ros2_mcp.world.transforms import FrameTree, Located, pose_of
+from ros2_mcp_common.finite import not_finite
 
 if TYPE_CHECKING:
     from ros2_mcp.pictures.scene import GridLayer, Mark, Scene, SceneDrawing
@@ -282,6 +283,8 @@ class Gathered:
                 continue
             age_s = age_of(found.message.header, found.sample, now_ns)
             _PLACERS[kind](self, name, found.message, pose, age_s)
+            if found.age and self.layers and self.layers[-1].name == name:
+                self.layers[-1] = replace(self.layers[-1], from_before=found.age)
         self._place_named(robot)
 
     def tell_age(self, name: str, scan: Next) -> None:
@@ -304,7 +307,7 @@ class Gathered:
             return
         self.grid_layer = GridLayer(grid, _place(pose @ grid.origin), costs)
         age_s = since_s(found.newest_ns, now_ns) if found.newest_ns else age_of(grid.header, found.sample, now_ns)
-        self.layers.append(SceneLayer(kind, self.grid_topic, age_s=age_s))
+        self.layers.append(SceneLayer(kind, self.grid_topic, age_s=age_s, from_before=found.age))
 
     def _unplaced(self, kind: str, name: str, header: Any) -> None:
         self.missing.append(
@@ -330,6 +333,9 @@ class Gathered:
         poses = [*message.poses[:: max(1, len(message.poses) // _MOST_POINTS)], *message.poses[-1:]]
         points = [(one.pose.position.x, one.pose.position.y, one.pose.position.z) for one in poses]
         ends = [pose.applied(point)[:2] for point in points if all(map(math.isfinite, point))]
+        if why := not_finite(message, "poses") if len(ends) < len(points) else "":
+            left_out = "some of its places are" if ends else "it is"
+            self.missing.append(f"The path {named(name)}: {left_out} not shown, because {why}.")
         if not ends:  # an empty path is how planners take one back
             return
         self.paths.append(np.array(ends))
@@ -340,6 +346,9 @@ class Gathered:
         """Its corners."""
         import numpy as np  # not at the start of the server
 
+        if why := not_finite(message, "polygon"):
+            self.missing.append(f"The footprint {named(name)} is not shown: {why}.")
+            return
         corners = [pose.applied((corner.x, corner.y, corner.z))[:2] for corner in message.polygon.points[:_MOST_POINTS]]
         if len(corners) > 2:
             self.footprint = np.array(corners)
@@ -376,8 +385,8 @@ class Gathered:
         """Where it is."""
         try:
             at = _place(pose @ pose_of(message.pose))
-        except ValueError:  # numbers that are not finite
-            self.missing.append(f"The goal {named(name)} is not shown: its numbers are not finite.")
+        except ValueError as error:
+            self.missing.append(f"The goal {named(name)} is not shown: {error}.")
             return
         self._mark("goal", name, at.x_m, at.y_m, at.yaw_rad, age_s)
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from ros2_mcp.model.meanings import Meaning
 from ros2_mcp.model.text import named
-from ros2_mcp.ops.results.results import SAID, WithPictures
+from ros2_mcp.ops.results.results import IF_ANY, SAID, WithPictures
 
 _FLAT_M = 0.05
 """A base that stands on the ground of its map may be told so much above or below it."""
@@ -44,6 +44,7 @@ class SceneLayer:
 
     `name` is its topic, or a place's name. `x_m`, `y_m` and `yaw_deg` tell where a goal or place is, or where a path
     ends, in the picture's frame; null for others, and the yaw where none is meant. `age_s` is null where nobody knows.
+    `from_before` says that it was sent before this was asked for, and how old it is.
     """
 
     kind: str
@@ -52,6 +53,7 @@ class SceneLayer:
     y_m: float | None = None
     yaw_deg: float | None = None
     age_s: float | None = None
+    from_before: str = field(default="", metadata=IF_ANY)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,4 +107,5 @@ class ScenePicture(WithPictures):
 def _in_words(layer: SceneLayer) -> str:
     at = "" if layer.x_m is None or layer.y_m is None else f" ({layer.x_m:.2f}, {layer.y_m:.2f})"
     to = " to" if layer.kind == "path" and at else ""
-    return f"{layer.kind} {named(layer.name)}{to}{at}"
+    age = f" ({layer.from_before})" if layer.from_before else ""
+    return f"{layer.kind} {named(layer.name)}{to}{at}{age}"

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from ros2_mcp.model.graph import TopicEndpoints
 from ros2_mcp.model.text import named
@@ -11,6 +13,7 @@ from ros2_mcp.ops.sources.source import GraphSnapshot
 from ros2_mcp.ops.space.body import MountInWords
 from ros2_mcp.ops.space.heads import Head
 from ros2_mcp.ops.space.inputs import LOW_LEVEL, REPORT
+from ros2_mcp_common.finite import not_finite
 
 _IMAGE, _COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 SENSORS = (
@@ -122,6 +125,38 @@ def _rate_in_words(rate_hz: float | None) -> str:
     if rate_hz is None:
         return ""
     return f"{rate_hz:.0f} Hz" if rate_hz >= _WHOLE_HZ else f"{rate_hz:.2g} Hz"
+
+
+def sees_in_words(message: Any) -> str:
+    """How far and how wide a LaserScan or a Range sees; that it is unknown where the message has no such number."""
+    if hasattr(message, "min_range"):
+        nearest, farthest, wide_rad = "min_range", "max_range", float(message.field_of_view)
+        unknown_width = not_finite(message, "field_of_view")
+    else:
+        nearest, farthest = "range_min", "range_max"
+        wide_rad = abs(float(message.angle_max) - float(message.angle_min))
+        unknown_width = not_finite(message, "angle_min", "angle_max")
+    wide = f" over {math.degrees(wide_rad):.0f}°" if math.isfinite(wide_rad) and wide_rad > 0 else ""
+    wide = f", angle unknown ({unknown_width})" if unknown_width else wide
+    if why := not_finite(message, nearest, farthest):
+        return f"range unknown ({why}){wide}"
+    return f"{getattr(message, nearest):.3g} to {getattr(message, farthest):.3g} m{wide}"
+
+
+def view_in_words(message: Any) -> str:
+    """How wide a camera sees, in degrees, by its CameraInfo; empty where that does not tell it."""
+    focal_px = float(message.k[0])
+    if not (math.isfinite(focal_px) and focal_px > 0):
+        return ""
+    return f"{math.degrees(2 * math.atan(message.width / 2 / focal_px)):.0f}"
+
+
+def charge_of(message: Any) -> float | None:
+    """How full a BatteryState is, from 0 to 1; None where it does not tell it."""
+    share = float(message.percentage)
+    share = share / 100 if share > 1 else share  # some drivers give percent, against the definition
+    is_told = 0 < share <= 1 or (share == 0 and message.capacity > 0)  # 0 alone was never filled in
+    return share if is_told else None
 
 
 def also_told(graph: GraphSnapshot) -> list[tuple[str, str]]:

@@ -11,9 +11,11 @@ from typing import Any
 from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.interfaces import Field
 from ros2_mcp.model.text import named, quoted
+from ros2_mcp.ops.sources.from_before import from_before
 from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.values.definitions import Definitions
 from ros2_mcp.values.store import attribute
+from ros2_mcp_common.finite import in_words
 
 _HEADER = "std_msgs/msg/Header"
 _MOST_TEXT = 30
@@ -32,26 +34,29 @@ async def states_of(source: Source, topics: Mapping[str, str]) -> tuple[dict[str
     it, where it has one. And sentences for those whose name is that of a fault.
     """
     found = await asyncio.gather(*(_state(source, topic, kind) for topic, kind in topics.items()))
-    values = {topic: said for topic, said in zip(topics, found, strict=True) if said}
-    return values, [f"{named(topic)} is {said}." for topic, said in values.items() if _is_fault(said)]
+    told = {topic: (said, f" ({age})" if age else "") for topic, (said, age) in zip(topics, found, strict=True) if said}
+    faults = [f"{named(topic)} is {said}{age}." for topic, (said, age) in told.items() if _is_fault(said)]
+    return {topic: said + age for topic, (said, age) in told.items()}, faults
 
 
 def _is_fault(name: str) -> bool:
     return bool(_FAULT.search(name)) and not _NO_FAULT.search(name)
 
 
-async def _state(source: Source, topic: str, kind: str) -> str:
-    said = ""
+async def _state(source: Source, topic: str, kind: str) -> tuple[str, str]:
+    """The value, and how old it is, if it was sent before anybody listened here."""
+    said = age = ""
     with suppress(RobotError):
         async with source.follow(topic, limit=1) as stream:
             field = _only_field(stream.codec.definitions, kind) if stream.type == kind else None
             if field is None:
-                return ""
+                return "", ""
             async for batch in stream.batches:
                 for sample in batch:
                     value: Any = getattr(stream.codec.decode(kind, sample.data), attribute(field.name))
-                    said = _in_words(value, stream.codec.definitions, kind)
-    return said
+                    said = _said(value, stream.codec.definitions, kind)
+                    age = from_before(source, stream, [sample]).age
+    return said, age
 
 
 def _only_field(definitions: Definitions, kind: str) -> Field | None:
@@ -61,12 +66,12 @@ def _only_field(definitions: Definitions, kind: str) -> Field | None:
     return fields[0] if is_value else None
 
 
-def _in_words(value: Any, definitions: Definitions, kind: str) -> str:
+def _said(value: Any, definitions: Definitions, kind: str) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):
         return quoted(value if len(value) <= _MOST_TEXT else f"{value[: _MOST_TEXT - 1]}…")
     if isinstance(value, float):
-        return f"{value:.3g}"
+        return in_words(value, ".3g")
     names = [constant.name for constant in definitions.structure(kind).constants if constant.value == value]
     return named(names[0]) if len(names) == 1 else str(value)

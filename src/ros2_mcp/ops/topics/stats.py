@@ -38,6 +38,7 @@ from ros2_mcp.ops.results.results import (
     silent,
     unless_all_failed,
 )
+from ros2_mcp.ops.sources.from_before import FromBefore
 from ros2_mcp.ops.sources.source import Capture, Missing, captured
 
 if TYPE_CHECKING:
@@ -259,7 +260,7 @@ def _measured(source: Source, capture: Capture[AgedArrivals], publishers: Sequen
     notes += [kept.goes_back] if kept.goes_back else []
     notes += [ages.trouble] if ages and ages.trouble else []
     if kept.replayed:
-        notes.append(f"Not counted: {counted(kept.replayed, 'earlier latched message')}.")
+        notes.append(f"Not counted: {FromBefore.of(kept.replayed, kept.replayed_ns, capture.end_ns)}.")
     notes += [capture.odd_times] if capture.odd_times else []
     if not kept.all_kept:
         until = recorded_time(end_ns, capture.began_ns)

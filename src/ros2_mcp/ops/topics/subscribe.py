@@ -6,6 +6,7 @@ Samples stay bytes until it is known which of them are shown: decoding is what c
 from __future__ import annotations
 
 import asyncio
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -37,6 +38,7 @@ from ros2_mcp.ops.results.results import (
     silent,
     unless_all_failed,
 )
+from ros2_mcp.ops.sources.from_before import from_before
 from ros2_mcp.ops.sources.selection import (
     MAX_MESSAGES,
     Collector,
@@ -69,7 +71,8 @@ class Reading(WithPictures):
     values are summaries. `source` says whether they are live, or of which part of which recording; `duration` is its
     length, or how long the read took. `meaning` is that of the newest message of a laser scan, a point cloud or a depth
     image, seen from the robot's base. Each message was received `times_s` seconds after `start`: the recording's
-    beginning, or live the first message.
+    beginning, or live the first message. `from_before` says which were sent before this was asked for, and how old the
+    newest of them is.
     """
 
     topic_name: str = field(metadata=SAID)
@@ -84,6 +87,7 @@ class Reading(WithPictures):
     lost: int | None = None
     publishers: Sequence[str] = ()
     qos: str = ""
+    from_before: str = field(default="", metadata=SAID)
     truncated: Sequence[str] = field(default=(), metadata=SAID)
     note: str = ""
     error: str = ""
@@ -99,7 +103,9 @@ class Reading(WithPictures):
         shown = "" if self.count == self.received else f", {self.count} shown"
         where = "" if self.is_live else "in "
         said = f"{self.note} {self.meaning or ''}".strip()
-        return f"{self.topic_name}: {counted(self.received, 'message')} {where}{self.source}{shown}. {said}".rstrip()
+        apart = "," if self.from_before.endswith(self.source) and self.from_before else ""  # all are from before
+        count = f"{counted(self.received, 'message')}{apart}"
+        return f"{self.topic_name}: {count} {where}{self.source}{shown}. {said}".rstrip()
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +124,8 @@ class Readings(WithPictures):
 class Echo(WithPictures):
     """The next message of a topic, or `received` false and the reason; `waited` is how long this took, in seconds.
 
-    `seconds_in` counts from the beginning of the recording; null live, and of a black box.
+    `seconds_in` counts from the beginning of the recording; null live, and of a black box. `from_before` says that it
+    was sent before this was asked for, and how old it is.
     """
 
     topic_name: str = field(metadata=SAID)
@@ -131,6 +138,7 @@ class Echo(WithPictures):
     publishers: Sequence[str]
     truncated: Sequence[str] = field(metadata={**IF_ANY, **SAID})
     note: str = field(metadata=IF_ANY)
+    from_before: str = field(metadata=SAID)
     source: str = field(metadata=SAID)
     meaning: Meaning | None = field(default=None, metadata={**ON_REQUEST, **SAID})
     is_live: bool = field(metadata=HIDDEN)
@@ -139,8 +147,10 @@ class Echo(WithPictures):
         """One line."""
         what = "a message" if self.received else "no message"
         where = f"after {self.waited:.2f} s" if self.is_live else f"in {self.source}"
+        if self.from_before:
+            what, where = "", self.from_before
         said = f"{self.note} {self.meaning or ''}".strip()
-        return f"{self.topic_name}: {what} {where}. {said}".rstrip()
+        return f"{self.topic_name}: {f'{what} {where}'.lstrip()}. {said}".rstrip()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -182,6 +192,8 @@ async def collect(
     """
     selection.check()
     limit, every_n, filtered = selection.enough, selection.every_n, selection.has_filter
+    if limit == 1 and not filtered:
+        source = source.judging()  # the bridge keeps all back but the newest of what was kept
     # A source cannot count what passes a filter: then it gives all, and the first or the last ones are kept here.
     asked, asked_n = (None, 1) if filtered else (limit, every_n)
     async with source.follow(topic, type_name, limit=asked, every_n=asked_n, latched=latched) as stream:
@@ -191,17 +203,20 @@ async def collect(
         collector = Collector(every_n=1 if stream.thinned else every_n, enough=limit)
         if filtered and source.from_end:
             collector = Collector(every_n=every_n, max_samples=limit or MAX_MESSAGES)
-        is_full, others = False, 0
+        is_full, others, kept = False, 0, _Kept(stream, limit if source.is_live and every_n == 1 else None)
         async with reporting(report, source.duration_s, lambda: f"{stream.topic}: {collector.seen} messages"):
             async for batch in stream.batches:
                 if filtered:
                     passed = await asyncio.to_thread(selection.wanted, stream.codec, stream.type, batch)
                     others += len(batch) - len(passed)
                     batch = passed  # noqa: PLW2901
-                if is_full := collector.add(batch):
+                if is_full := collector.add(kept.let_through(batch)):
                     break
+            is_full = is_full or collector.add(kept.remaining())
         samples = list(collector.samples)
         counts, further = stream.counts, stream.further
+        if kept.left_out:
+            stream.note = f"{stream.note} Not shown: {counted(kept.left_out, 'older message')} from before.".lstrip()
         if others:
             stream.note = f"{stream.note} No such element in {counted(others, 'other message')}.".lstrip()
         was_limited = filtered and not source.is_live and len(samples) == limit
@@ -230,6 +245,33 @@ async def collect(
             more=more,
             left_behind=stream.left_behind,
         )
+
+
+class _Kept:
+    """Holds back what a latched topic kept, the oldest of which come first, until the newest of it have come: where a
+    `limit` is asked for, they are meant. None: nothing is held back.
+    """
+
+    def __init__(self, stream: Stream, limit: int | None) -> None:
+        self._stream = stream
+        self._held: deque[Sample] | None = None if limit is None else deque(maxlen=limit)
+        self.left_out = 0
+
+    def let_through(self, batch: Sequence[Sample]) -> Sequence[Sample]:
+        """What goes on now; an empty batch says that nothing more came for a while."""
+        if self._held is None:
+            return batch
+        for number, sample in enumerate(batch):
+            if not self._stream.is_replayed(sample):
+                return [*self.remaining(), *batch[number:]]
+            self.left_out += len(self._held) == self._held.maxlen
+            self._held.append(sample)
+        return self.remaining() if self._held and not batch else ()
+
+    def remaining(self) -> Sequence[Sample]:
+        """What is still held back; from now on nothing is."""
+        held, self._held = self._held or (), None
+        return list(held)
 
 
 async def read(source: Source, topic: str, type_name: str, selection: Selection, report: Report = silent) -> Reading:
@@ -294,6 +336,7 @@ async def echo(source: Source, topic: str, topic_type: str, selection: Selection
         publishers=reading.publishers,
         truncated=reading.truncated,
         note=reading.note,
+        from_before=reading.from_before,
         source=reading.source,
         meaning=reading.meaning,
         is_live=source.is_live,
@@ -346,6 +389,7 @@ async def _shown(source: Source, collected: Collected, selection: Selection) -> 
         count = len(collected.samples)
         kept = f"Only the newest {count} messages, from {since} on, were kept; earlier ones did not fit in memory."
         cut = f"{kept} {cut}".rstrip()
+    old = from_before(source, stream, collected.samples)
     notes = (
         stream.mixed,
         stream.note,
@@ -372,7 +416,8 @@ async def _shown(source: Source, collected: Collected, selection: Selection) -> 
         qos=stream.qos,
         truncated=list(fitted.truncated),
         note=" ".join(filter(None, notes)),
-        source=source.words_after(collected.covered_s),
+        from_before=str(old),
+        source=old.beside(source.words_after(collected.covered_s)),
         meaning=await meaning_of_newest(source, stream, fitted),
         is_live=source.is_live,
         received_ns=[sample.received_ns for sample in fitted.samples],

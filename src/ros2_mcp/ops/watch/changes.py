@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator, Sequence
+from collections.abc import AsyncGenerator, Callable, Sequence
 from contextlib import aclosing, suppress
 from dataclasses import dataclass
 from time import monotonic
-from typing import Any
+from typing import Any, TypeAlias
 
 from ros2_mcp.model.errors import NotFound
 from ros2_mcp.model.goals import STATUS_TYPE, TERMINAL, goal_id_hex
@@ -32,12 +32,16 @@ _MATCHING_S = 0.2
 _MAX_SAMPLES = 1000
 
 
+_Arrived: TypeAlias = "tuple[str, list[Sample], Callable[[Sample], bool]]"
+
+
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """The newest sample of a topic, with its type."""
+    """The newest sample of a topic, with its type; `is_old`: it was sent before anybody listened here."""
 
     type: str
     sample: Sample
+    is_old: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,11 +63,11 @@ class TopicSamples:
     async def changes(self, robot: Robot) -> AsyncGenerator[Seen | None, None]:
         """The newest sample, whenever there is one."""
         async with aclosing(_samples(robot, self.topic, "latest")) as arrivals:
-            type_name, samples = await anext(arrivals)
-            yield Seen(type_name, samples[-1]) if samples else None
-            async for type_name, samples in arrivals:
+            type_name, samples, is_old = await anext(arrivals)
+            yield Seen(type_name, samples[-1], is_old(samples[-1])) if samples else None
+            async for type_name, samples, is_old in arrivals:
                 if samples:
-                    yield Seen(type_name, samples[-1])
+                    yield Seen(type_name, samples[-1], is_old(samples[-1]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,10 +119,10 @@ class WorseDiagnostics:
         """The table of all components, which stays up to date, whenever one got worse."""
         table = DiagnosticTable()
         async with aclosing(_samples(robot, DIAGNOSTICS, "all")) as arrivals:
-            type_name, samples = await anext(arrivals)
+            type_name, samples, _ = await anext(arrivals)
             await asyncio.to_thread(table.add_all, robot, type_name, samples)
             yield table
-            async for type_name, samples in arrivals:
+            async for type_name, samples, _ in arrivals:
                 if await asyncio.to_thread(table.add_all, robot, type_name, samples):
                     yield table
 
@@ -134,7 +138,7 @@ class ParametersOf:
         async with aclosing(_samples(robot, "/parameter_events", "all")) as arrivals:
             await anext(arrivals)
             yield None
-            async for type_name, samples in arrivals:
+            async for type_name, samples, _ in arrivals:
                 messages: list[Any] = await robot.values.decode_all(type_name, samples)
                 if any(message.node == self.node for message in messages):
                     yield None
@@ -167,8 +171,8 @@ class LogLines:
             stop()
 
 
-async def _samples(robot: Robot, topic: str, keep: Keep) -> AsyncGenerator[tuple[str, list[Sample]], None]:
-    """The type of a topic and its samples as they come, following its publishers' QoS.
+async def _samples(robot: Robot, topic: str, keep: Keep) -> AsyncGenerator[_Arrived, None]:
+    """The type of a topic, its samples as they come, following its publishers' QoS, and which are from before that.
 
     Whenever listening begins: what came until every publisher had matched, or nothing. Also nothing while the topic
     is not there yet.
@@ -176,17 +180,17 @@ async def _samples(robot: Robot, topic: str, keep: Keep) -> AsyncGenerator[tuple
     present = await robot.graph.endpoints(topic)
     while True:
         while not present.publishers:
-            yield "", []
+            yield "", [], lambda _: False
             present = await robot.graph.wait_for(topic, publishers=1, timeout_s=_APPEARS_S)
         type_name = present.publishers[0].type
         async with robot.listen(topic, type_name, keep=keep, max_samples=_MAX_SAMPLES) as listening:
-            yield type_name, await listening.take(_MATCHING_S)
+            yield type_name, await listening.take(_MATCHING_S), listening.is_from_before
             fits = True
             while fits:
                 compare_at = monotonic() + _ENDPOINTS_S
                 while (left := compare_at - monotonic()) > 0:
                     if samples := await listening.take(left):
-                        yield type_name, samples
+                        yield type_name, samples, listening.is_from_before
                 present = await robot.graph.endpoints(topic)
                 is_published = any(publisher.type == type_name for publisher in present.publishers)
                 fits = is_published and listening.still_fits(present)

@@ -37,6 +37,7 @@ class ValuesPanel(Panel):
         if not topic:
             raise NotFound("There is no topic to show.")
         rate_hz: float | None = None
+        at_ns: int | None = None
         publishers: Sequence[str] = ()
         if look.source.is_live:
             found = await self._shown.newer(look.robot, topic)
@@ -44,7 +45,7 @@ class ValuesPanel(Panel):
                 why = f"No message has come on {named(topic)} yet."
                 return None if self._shown.sample else {"topic": topic, "why": why}
             sample, newest, listening = found
-            kind, rate_hz = listening.type, newest.rate_hz()
+            kind, rate_hz, at_ns = listening.type, newest.rate_hz(), newest.told_ns(sample)
             publishers = sorted({one.who for one in listening.publishers})
         else:
             kind = await look.source.type_of(topic)
@@ -56,7 +57,7 @@ class ValuesPanel(Panel):
         return {
             "topic": topic,
             "type": kind,
-            "at_s": sample.received_ns / 1e9,
+            "at_s": (at_ns or sample.received_ns) / 1e9,
             "rate_hz": rate_hz,
             "publishers": list(publishers),
             "bytes": sample.size,

@@ -184,7 +184,7 @@ async def test_what_is_refused_now_is_told_with_its_last_good_one_and_not_as_sil
         none["transform"]["translation"] = {"x": math.nan}
         told.append((n / 10, none))
     said = await problems_of(window, *told)
-    assert "base_link is refused: it has values that are not finite (NaN); the last valid one came 4 s ago" in said
+    assert "base_link is refused: its translation.x is NaN; the last valid one came 4 s ago" in said
     assert "the last valid one came" in said and "stale" not in said
 
 

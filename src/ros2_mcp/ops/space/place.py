@@ -1,0 +1,97 @@
+"""Where the robot is, in words: by its transforms, its odometry or its description, and what is wrong with that."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any
+
+from ros2_mcp.model.poses import Pose, from_roll_pitch_yaw
+from ros2_mcp.model.text import named
+from ros2_mcp.ops.sources.source import Source
+from ros2_mcp.ops.space.frames import WORLDS
+from ros2_mcp.world.transforms import FrameTree, Located
+from ros2_mcp.world.urdf import Mount, Urdf
+from ros2_mcp_common.finite import not_finite
+
+_OLD_S = 2.0
+"""A place that is older is not that of now."""
+
+
+@dataclass(frozen=True, slots=True)
+class Odometer:
+    """A topic of odometry, and its message; empty where there is no such topic, None where nothing came. `age` says
+    that it was sent before anybody listened here.
+    """
+
+    topic: str = ""
+    message: Any = None
+    age: str = ""
+
+
+def place_in_words(
+    source: Source, tree: FrameTree, base: str, odometer: Odometer, urdf: Urdf | None, *, is_unread: bool
+) -> tuple[str, list[str]]:
+    """Where it is, and what is wrong with that: where a place is old, that in the next frame is told, too. `is_unread`:
+    it may be known, but was not read in time.
+    """
+    told, old = list[str](), list[str]()
+    for world in WORLDS:
+        match = next((name for name in tree.frames if name.rpartition("/")[2] == world), "")
+        if match and base and match != base and (found := tree.newest(match, base)):
+            age_s = _age_s(source, tree, found)
+            how = "TF, localised" if world == "map" else "TF, by dead reckoning" if world == "odom" else "TF"
+            how = "TF, fixed there" if found.stamp_ns is None else how
+            told.append(_pose_in_words(match, found.pose.translation, found.pose.yaw_rad, how, age_s))
+            if age_s is None or age_s < _OLD_S:
+                break
+            old.append(f"Its place in {named(match)} is {age_s:.0f} s old.")
+    if told:
+        return " ".join(told), old
+    if odometer.message is not None:
+        from ros2_mcp.world.transforms import pose_of
+
+        told_by = named(odometer.topic)
+        if why := not_finite(odometer.message, "pose.pose"):
+            return f"The robot's place is unknown: of {told_by}, {why}.", [f"{told_by}: {why}."]
+        with suppress(ValueError):  # numbers so large that they have no squares
+            pose = pose_of(odometer.message.pose.pose)
+            how = ", ".join(filter(None, (f"odometry, {told_by}", odometer.age)))
+            return _pose_in_words(odometer.message.header.frame_id, pose.translation, pose.yaw_rad, how, None), []
+    if urdf and (fixed := _fixed_in_world(urdf, base)):
+        pose = Pose(fixed.xyz, from_roll_pitch_yaw(*fixed.rpy))
+        return _pose_in_words(urdf.root, pose.translation, pose.yaw_rad, "URDF, fixed there", None), []
+    if is_unread:
+        return "The robot's place was not read in time.", []
+    if not tree.frames:
+        return "The robot's place is unknown: no transforms, no odometry.", []
+    base = named(base or "its base")
+    return f"The robot's place is unknown: no transform leads from {base} to a map, odom or world.", []
+
+
+def _fixed_in_world(urdf: Urdf, base: str) -> Mount | None:
+    """Where the base is fixed in the link that stands for the world; None where the description tells none."""
+    is_fixed = urdf.root.lower() in WORLDS and base != urdf.root and urdf.fixed_to(base) == urdf.root
+    return urdf.mount(base) if is_fixed else None
+
+
+def _pose_in_words(frame: str, at: Sequence[float], yaw_rad: float, how: str, age_s: float | None) -> str:
+    yaw_deg = round(math.degrees(yaw_rad))  # an int has no -0
+    x, y, z = (round(part, 2) + 0.0 for part in at)  # nor has a zero, so
+    height = f" z {z:.2f}" if abs(z) >= 0.05 else ""
+    age = "" if age_s is None else f", {age_s:.1f} s old" if age_s < _OLD_S else f" {age_s:.0f} s ago"
+    return f"In {named(frame)} at x {x:.2f} y {y:.2f}{height} m, yaw {yaw_deg}° ({how}{age})."
+
+
+def _age_s(source: Source, tree: FrameTree, found: Located) -> float | None:
+    if found.stamp_ns is None:
+        return None
+    now_ns = now_ns_of(source)
+    return None if not now_ns else max((now_ns - found.stamp_ns - tree.clock_ns) / 1e9, 0.0)
+
+
+def now_ns_of(source: Source) -> int:
+    """The robot's clock, or the end of a recording; 0 where that is not known."""
+    return source.transforms.now_ns() if source.transforms else source.covers_ns[1] if source.covers_ns else 0

@@ -1,0 +1,101 @@
+"""What was sent before anybody listened here is told as old, with its age, by the same words in every tool."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from collections.abc import Iterator
+
+import pytest
+
+from support.agent import Agent, until
+from support.processes import peer_command, running
+
+OLD = "s old, from before"
+TOPICS = ("/count", "/armed", "/steady", "/battery", "/odom", "/goal_pose", "/map")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def latched(ros_environment: dict[str, str], agent: Agent) -> Iterator[subprocess.Popen[str]]:
+    """A robot that was done talking before the server came to know of it, but for `/steady`."""
+    with running(ros_environment, *peer_command("latched_peer")) as process:
+        agent.knows(*TOPICS)
+        yield process
+
+
+def told(agent: Agent, tool: str, **arguments: object) -> str:
+    return agent.whole(tool, dict(arguments)).content[0].text  # type: ignore[union-attr]
+
+
+def test_one_message_of_a_topic_that_keeps_ten_is_the_newest(agent: Agent) -> None:
+    read = agent.call("ros2_topic_subscribe", topic_name="/count", message_limit=1)
+    assert [one["data"] for one in read["messages"]] == [9]
+    assert OLD in read["from_before"] and read["source"].endswith(OLD) and "live" not in read["source"]
+    said = told(agent, "ros2_topic_subscribe", topic_name="/count", message_limit=1)
+    assert "/count: 1 message, " in said and OLD in said and "live" not in said
+
+
+def test_three_of_ten_are_the_newest_three_and_what_is_left_out_is_counted(agent: Agent) -> None:
+    read = agent.call("ros2_topic_subscribe", topic_name="/count", message_limit=3)
+    assert [one["data"] for one in read["messages"]] == [7, 8, 9]
+    assert "7 older messages from before" in read["note"]
+
+
+def test_what_is_from_before_is_told_apart_from_what_came(agent: Agent) -> None:
+    read = agent.call("ros2_topic_subscribe", topic_name="/steady", message_limit=15)
+    assert read["source"].startswith("live") and f"{OLD})" in read["source"]
+    assert read["from_before"].startswith("10 messages")
+
+
+def test_the_next_message_the_map_and_the_scene_say_how_old_they_are(agent: Agent) -> None:
+    for tool, arguments in (
+        ("ros2_topic_echo_wait", {"topic_name": "/armed"}),
+        ("ros2_get_map_as_image", {"topic_name": "/map"}),
+        ("ros2_topic_stats", {"topic_names": ["/armed"], "duration": 0.5}),
+        ("ros2_topic_statistics", {"topic_names": ["/count"], "duration": 0.5}),
+        ("ros2_plot", {"series": ["/count:data"], "duration": 0.5}),
+    ):
+        assert OLD in told(agent, tool, **arguments), tool
+    scene = agent.call("ros2_scene")
+    layers = {one["kind"]: one for one in scene["layers"]}
+    assert all(OLD in layers[kind]["from_before"] and layers[kind]["age_s"] > 1.5 for kind in ("grid", "goal"))
+
+
+def test_the_robot_in_brief_says_of_each_value_that_it_is_old(agent: Agent) -> None:
+    def says() -> bool:
+        said = told(agent, "ros2_robot", whole=True)
+        lines = {
+            topic: next((line for line in said.splitlines() if line.lstrip("- ").startswith(f"{topic} ")), "")
+            for topic in ("/armed", "/count", "/steady")
+        }
+        return (
+            all(OLD in lines[topic] for topic in ("/armed", "/count"))
+            and "9" in lines["/count"]
+            and "false" in lines["/steady"]
+            and OLD not in lines["/steady"]
+            and "(odometry, /odom, " in said.partition("frames")[0]
+            and OLD in said.partition("frames")[0]
+            and "The battery is at 15% (" in said
+        )
+
+    until(says)
+
+
+def test_a_condition_is_not_met_by_what_was_true_before(agent: Agent) -> None:
+    waited = agent.call("ros2_wait_until", topic_name="/steady", condition="data == true", timeout=1.0)
+    assert (waited["met"], waited["from_before"]) == (False, "")
+    assert agent.call("ros2_wait_until", topic_name="/steady", condition="data == false", timeout=5.0)["met"]
+
+
+def test_a_condition_that_only_an_old_message_meets_says_so(agent: Agent) -> None:
+    waited = agent.call("ros2_wait_until", topic_name="/armed", condition="data == true", timeout=5.0)
+    assert waited["met"] and OLD in waited["from_before"] and waited["waited"] >= 1.0
+    said = told(agent, "ros2_wait_until", topic_name="/armed", condition="data == true", timeout=0.5)
+    assert OLD in said and "nothing newer came" in said
+
+
+def test_a_program_and_a_resource_get_the_newest_with_its_age(agent: Agent) -> None:
+    program = "import robot\nm = robot.latest('/count')\nprint(m['data'], m['_age_s'] > 1.5, m['_from_before'])"
+    assert "9 True True" in told(agent, "ros2_program_run", program=program)
+    sample = json.loads(agent.ask("read_resource", "ros2://topic//count").contents[0].text)["sample"]
+    assert sample["message"] == {"data": 9} and OLD in sample["from_before"]

@@ -1,0 +1,61 @@
+"""A robot that said all of it before anybody listened: topics that keep ten messages, or one, and are quiet since.
+
+`/steady` is latched as well, and goes on ten times a second: what it kept is True, what it says now is False.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import time
+
+import rclpy
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import OccupancyGrid, Odometry
+from rclpy.executors import ExternalShutdownException
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import BatteryState
+from std_msgs.msg import Bool, Int32
+
+from support.leaving import leave_on_sigterm
+
+KEPT = 10
+
+
+def main() -> None:
+    rclpy.init()
+    leave_on_sigterm()
+    node = rclpy.create_node("latched")
+
+    def publisher(kind: type, topic: str, depth: int = 1):
+        return node.create_publisher(kind, topic, QoSProfile(depth=depth, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+
+    counts, armed, steady = (
+        publisher(Int32, "/count", KEPT),
+        publisher(Bool, "/armed"),
+        publisher(Bool, "/steady", KEPT),
+    )
+    battery, odometry = publisher(BatteryState, "/battery"), publisher(Odometry, "/odom")
+    goal, grid = publisher(PoseStamped, "/goal_pose"), publisher(OccupancyGrid, "/map")
+    for number in range(KEPT):
+        counts.publish(Int32(data=number))
+        steady.publish(Bool(data=True))
+    armed.publish(Bool(data=True))
+    battery.publish(BatteryState(percentage=0.15))
+    placed = Odometry()
+    placed.header.frame_id, placed.pose.pose.orientation.w, placed.pose.pose.position.x = "odom", 1.0, 2.0
+    odometry.publish(placed)
+    target = PoseStamped()
+    target.header.frame_id, target.pose.orientation.w = "map", 1.0
+    goal.publish(target)
+    room = OccupancyGrid()
+    room.header.frame_id, room.info.resolution, room.info.width, room.info.height = "map", 0.1, 4, 4
+    room.data = [0] * 16
+    grid.publish(room)
+    time.sleep(2.0)  # they are old before anybody is told that they are there
+    node.create_timer(0.1, lambda: steady.publish(Bool(data=False)))
+    print("ready", flush=True)
+    with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
+        rclpy.spin(node)
+
+
+main()
