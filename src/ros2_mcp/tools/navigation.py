@@ -74,6 +74,10 @@ async def ros2_navigate(
     ] = None,
     job_id: Annotated[str, Field(description="Wait for this running job instead.")] = "",
     timeout_sec: Annotated[Number, Field(ge=0, le=MAX_DURATION_S, description="Maximum wait in seconds.")] = 45.0,
+    stop_when_stuck_s: Annotated[
+        Number | None,
+        Field(ge=5, le=MAX_DURATION_S, description="End it after so long without progress. Default: never."),
+    ] = None,
     action_name: Action = "",
 ) -> Navigated:
     """Drive to places with Nav2, around obstacles. Can move the robot.
@@ -81,7 +85,16 @@ async def ros2_navigate(
     Reports the time taken and how near the robot came; for a failed goal, the cause and what would help. After a
     time-out, call again with the job_id; ros2_stop ends the job.
     """
-    return await navigate(robot, session, to, action=action_name, job_id=job_id, timeout_s=timeout_sec, report=report)
+    return await navigate(
+        robot,
+        session,
+        to,
+        action=action_name,
+        job_id=job_id,
+        timeout_s=timeout_sec,
+        stuck_s=stop_when_stuck_s,
+        report=report,
+    )
 
 
 @tool(
