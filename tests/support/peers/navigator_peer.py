@@ -47,6 +47,7 @@ class Navigator:
         executor = MultiThreadedExecutor(8)
         executor.add_node(node)
         threading.Thread(target=executor.spin, daemon=True).start()
+        assert self._follow.wait_for_server(30.0) and self._spin.wait_for_server(30.0)
 
     def put(self, refuses: bool = False, longer_m: float = 0.0, recovers: bool = False) -> None:
         """Whether it refuses to cancel, how much longer its way becomes after a second, whether it spins then."""

@@ -25,8 +25,8 @@ from ros2_mcp.robot import Robot
 from ros2_mcp.robot.goals import TERMINATED_GOAL, UNKNOWN_GOAL
 from ros2_mcp.robot.session import Session
 
-_ANSWER_S = 1.0
-"""A node that spins answers within milliseconds, a busy one within some tenths of a second."""
+_ANSWER_S = 0.8
+"""A node that spins answers within milliseconds, a busy one within some tenths of a second; it is asked twice."""
 _CANCELLED_S = 1.0
 """A controller takes a request to cancel between two of its steps, which are 0.05 s apart."""
 _AFTER_S = 0.3

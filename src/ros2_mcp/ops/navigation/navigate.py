@@ -38,11 +38,13 @@ from ros2_mcp.robot.jobs import Job, abandon
 from ros2_mcp.robot.session import Session
 from ros2_mcp_common.wire.limits import MAX_DURATION_S
 
+_ANSWERED_S = 1.0
+"""A server that is alive answers a request to cancel within milliseconds."""
 _CANCELLED_S = 3.0
-"""A server that is alive answers within milliseconds."""
+"""From its answer until the robot stands and the goal has ended."""
 _ENDINGS = frozenset(STATUS[code] for code in TERMINAL)
 _LOOK_S = 0.5
-_SILENT_S = 3.0
+_SILENT_S = 1.5
 """Nav2's navigator tells where it is with every step of its tree, ten to a hundred times a second. Who is silent for so
 long is asked whether it lives."""
 _FAR_M = 0.5
@@ -249,7 +251,13 @@ class Navigation(Job):
             explain(self._robot, self.action, target, Failure(False), took_s),
             self._ask_to_cancel(),
         )
-        self.explanation = explanation
+        beside = () if explanation.cause.startswith("No cause") else (explanation.cause,)
+        self.explanation = replace(
+            explanation,
+            cause=said,
+            health=[*beside, *explanation.health],
+            helps=["Start the navigator again: its process, or all of Nav2 with ros2_nav_recover(stack=\"up\")."],
+        )
         await self._measure(target)
         self._note(outcome="failed", duration_s=round(took_s, 2))
         self.ending = f"{said} {below.sentence}"
@@ -277,14 +285,17 @@ class Navigation(Job):
         goal = self._goal
         if goal is None or not goal.is_running:
             return ""
+        server = f"the server of {named(self.action)}"
         try:
-            with anyio.fail_after(_CANCELLED_S):
-                response = await goal.request_cancel(_CANCELLED_S)
-                if response["return_code"] == UNKNOWN_GOAL:
-                    return f"the server of {named(self.action)} does not know the goal"
-                ended = await result_of(self._robot, self.action, NAVIGATE, goal.id, _CANCELLED_S)
+            with anyio.fail_after(_ANSWERED_S):
+                response = await goal.request_cancel(_ANSWERED_S)
+            if response["return_code"] == UNKNOWN_GOAL:
+                return f"{server} does not know the goal"
+            if not response["goals_canceling"] and goal.is_running:
+                return f"{server} refuses it"
+            ended = await result_of(self._robot, self.action, NAVIGATE, goal.id, _CANCELLED_S)
         except TimeoutError:
-            return f"the server of {named(self.action)} has not ended the goal within {_CANCELLED_S:g} s"
+            return f"{server} has not answered within {_ANSWERED_S:g} s"
         except RobotError as error:
             return error.message
         return "" if ended.status in _ENDINGS else f"the goal has not ended within {_CANCELLED_S:g} s"

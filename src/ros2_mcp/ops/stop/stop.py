@@ -266,7 +266,7 @@ async def _stop(robot: Robot) -> Stopped:
     notes = [f"{problem}."] if problem else []
     notes += [f"The latch could not be saved ({unwritten}): it is lost when this server ends."] if unwritten else []
     notes += [f"{job.kind} {job.id} did not end cleanly: {error}" for job, error in jobs.items() if error]
-    running = await _others_running(robot, running) if running else running  # some end meanwhile
+    running = from_above(await _others_running(robot, running) if running else running)  # some end meanwhile
     doubts = [*notes, *_doubts(topics, goals, observation), *(job.doubt for job in jobs if job.doubt)]
     doubts += [goal.sentence for goal in running[:_MOST_RUNNING]]
     unknown = _unknown(unsettled)
@@ -385,7 +385,7 @@ async def _others_running(robot: Robot, of: Sequence[RunningGoal] = ()) -> Seque
             found = await running_goals(robot, actions, beside={goal.id for goal in robot.jobs.running(Goal)})
     except (RobotError, TimeoutError):
         return of
-    return from_above(found)
+    return found
 
 
 async def _cancel(robot: Robot, goal: Goal) -> StoppedGoal | None:
