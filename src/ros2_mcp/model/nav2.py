@@ -32,6 +32,8 @@ CANNOT_MOVE = frozenset(
 """Actions that compute, and set nothing in motion."""
 NO_PROGRESS = 105
 """The controller's code for a robot that did not come on."""
+MANAGE = "nav2_msgs/srv/ManageLifecycleNodes"
+"""By which a lifecycle manager starts and stops its nodes together."""
 POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
 PATH = "nav_msgs/msg/Path"
 COSTMAP = "nav2_msgs/msg/Costmap"

@@ -7,14 +7,13 @@ from typing import Annotated, Any, cast
 from pydantic import BeforeValidator, Field
 from pydantic_core import PydanticCustomError
 
-from ros2_mcp.model.nav2 import COMPUTE_PATH, NAVIGATE
+from ros2_mcp.model.nav2 import COMPUTE_PATH, MANAGE, NAVIGATE
 from ros2_mcp.model.text import excerpt
 from ros2_mcp.ops.navigation.localize import POSE_ESTIMATE, NavLocalized, localize
 from ros2_mcp.ops.navigation.navigate import Navigated, navigate
 from ros2_mcp.ops.navigation.places import PlaceKept, PlaceList, PlaceRequest, list_places, set_place
 from ros2_mcp.ops.navigation.preview import Preview, preview
 from ros2_mcp.ops.navigation.recover import BACK_UP, CLEAR, DRIVE, SPIN, NavRecovered, StackCommand, What, recover
-from ros2_mcp.ops.nodes.stacks import MANAGE
 from ros2_mcp.ops.results.results import Report
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.session import Session

@@ -68,24 +68,12 @@ def nav_agent(nav_environment: dict[str, str], nav2: CommandedProcess) -> Iterat
         yield client
 
 
-@pytest.fixture(scope="module")
-def navigators(nav_environment: dict[str, str]) -> Iterator[list[CommandedProcess]]:
-    """The navigator that lives, if there is one; a test that kills it takes it out."""
-    living: list[CommandedProcess] = []
-    yield living
-    for process in living:
-        process.kill()
-
-
 @pytest.fixture
-def navigator(
-    nav_environment: dict[str, str], nav2: CommandedProcess, nav_agent: Agent, navigators: list[CommandedProcess]
-) -> CommandedProcess:
-    """Nav2's navigator, which the server knows; the base stands at the start."""
+def navigator(nav_environment: dict[str, str], nav2: CommandedProcess, nav_agent: Agent) -> Iterator[CommandedProcess]:
+    """Nav2's navigator, which the server knows and the test may kill; the base stands at the start."""
     until(lambda: nav2.speed() == 0.0)
     nav2.put()
-    if not navigators:
-        navigators.append(CommandedProcess("navigator_peer", nav_environment))
-        nav_agent.until_answered("ros2_parameter_list", node_name="/bt_navigator")  # not one that was killed
-    navigators[0].put()
-    return navigators[0]
+    process = CommandedProcess("navigator_peer", nav_environment)
+    nav_agent.until_answered("ros2_parameter_list", node_name="/bt_navigator")  # not one that was killed
+    yield process
+    process.leave()

@@ -32,14 +32,11 @@ def begin(agent: Agent, nav2: CommandedProcess, **arguments: object):
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
-def test_a_navigator_that_dies_or_freezes_leaves_nothing_driving(
-    nav_agent, nav2, navigator, navigators, number
-) -> None:
+def test_a_navigator_that_dies_or_freezes_leaves_nothing_driving(nav_agent, nav2, navigator, number) -> None:
     driving = begin(nav_agent, nav2)
     os.kill(navigator.pid, number)
     done = driving.result(60)
     speed, x = nav2.speed(), nav2.x()
-    navigators.remove(navigator)
     navigator.kill()
     assert done["outcome"] == "failed", done
     assert speed == 0.0 and x < 5.0, "it was not left to drive to the end of its path"
@@ -47,16 +44,14 @@ def test_a_navigator_that_dies_or_freezes_leaves_nothing_driving(
     assert "/follow_path" in done["note"] and "The robot stands" in done["note"], done["note"]
 
 
-def test_what_the_policy_does_not_let_be_cancelled_is_waited_for(
-    nav_environment, nav2, navigator, navigators, tmp_path
-) -> None:
+def test_what_the_policy_does_not_let_be_cancelled_is_waited_for(nav_environment, nav2, navigator, tmp_path) -> None:
     policy = tmp_path / "policy.yaml"
     policy.write_text(NO_CANCELS)
-    with agent_for(nav_environment, "--tools", "all", "--policy", str(policy)) as limited:
+    elsewhere = {**nav_environment, "XDG_STATE_HOME": str(tmp_path)}  # under a policy one server acts on a robot
+    with agent_for(elsewhere, "--tools", "all", "--policy", str(policy)) as limited:
         limited.knows("/cmd_vel", "/odom", "/tf")
         limited.until_answered("ros2_parameter_list", node_name="/bt_navigator")
         driving = begin(limited, nav2)
-        navigators.remove(navigator)
         navigator.kill()
         done = driving.result(60)
         assert done["outcome"] == "failed", done
@@ -71,12 +66,11 @@ def test_a_goal_outlives_the_bridge_and_its_end_is_seen_by_the_next_one(nav_agen
     os.kill(nav_agent.call("ros2_status")["bridge_pid"], signal.SIGKILL)
     done = driving.result(60)
     assert (done["outcome"], done["legs"][0]["outcome"]) == ("reached", "reached"), done
-    assert nav2.x() == pytest.approx(2.5, abs=0.2)
+    assert nav2.x() == pytest.approx(2.5, abs=0.5)
 
 
-def test_a_stop_beside_a_dead_navigator_is_no_end_that_was_not_seen(nav_agent, nav2, navigator, navigators) -> None:
+def test_a_stop_beside_a_dead_navigator_is_no_end_that_was_not_seen(nav_agent, nav2, navigator) -> None:
     driving = begin(nav_agent, nav2)
-    navigators.remove(navigator)
     navigator.kill()
     first = nav_agent.call("ros2_stop")
     done = driving.result(60)

@@ -199,10 +199,16 @@ class Nav2:
 
     # ── the servers ────────────────────────────────────────────────────────────────────────────────────────────
 
-    def _drive(self, handle: Any, publisher: Any, kind: Any, velocity: tuple[float, float], most_s: float) -> Any:
-        """Sends velocities for so long, unless it is cancelled."""
-        end, result = time.monotonic() + most_s, kind.Result()
-        while time.monotonic() < end and not handle.is_cancel_requested:
+    def _drive(self, handle: Any, publisher: Any, kind: Any, velocity: tuple[float, float], way: float) -> Any:
+        """Sends velocities until the base has come so far or turned so far, unless it is cancelled."""
+        result, before = kind.Result(), (self._x, self._y, self._yaw)
+
+        def come() -> float:
+            if velocity[1]:
+                return abs(self._yaw - before[2])
+            return math.hypot(self._x - before[0], self._y - before[1])
+
+        while come() < way and not handle.is_cancel_requested:
             publisher.publish(_twist(*velocity))
             time.sleep(STEP_S)
         publisher.publish(Twist())
@@ -215,16 +221,16 @@ class Nav2:
     def _follow(self, handle: Any) -> Any:
         path = handle.request.path.poses
         left_m = path[-1].pose.position.x - self._x if path else 0.0
-        return self._drive(handle, self._commands, FollowPath, (math.copysign(SPEED, left_m), 0.0), abs(left_m) / SPEED)
+        return self._drive(handle, self._commands, FollowPath, (math.copysign(SPEED, left_m), 0.0), abs(left_m))
 
     def _spin(self, handle: Any) -> Any:
         yaw = handle.request.target_yaw
-        return self._drive(handle, self._behaviours, Spin, (0.0, math.copysign(0.8, yaw)), abs(yaw) / 0.8)
+        return self._drive(handle, self._behaviours, Spin, (0.0, math.copysign(0.8, yaw)), abs(yaw))
 
     def _straight(self, kind: Any, sign: int, handle: Any) -> Any:
         request = handle.request
         speed = abs(request.speed)
-        return self._drive(handle, self._behaviours, kind, (sign * speed, 0.0), abs(request.target.x) / speed)
+        return self._drive(handle, self._behaviours, kind, (sign * speed, 0.0), abs(request.target.x))
 
     def _plan(self, handle: Any) -> Any:
         path = Path()

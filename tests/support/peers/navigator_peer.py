@@ -44,14 +44,20 @@ class Navigator:
             cancel_callback=lambda _: CancelResponse.REJECT if self._refuses else CancelResponse.ACCEPT,
             callback_group=group,
         )
-        executor = MultiThreadedExecutor(8)
-        executor.add_node(node)
-        threading.Thread(target=executor.spin, daemon=True).start()
+        self._executor = MultiThreadedExecutor(8)
+        self._executor.add_node(node)
+        threading.Thread(target=self._executor.spin, daemon=True).start()
         assert self._follow.wait_for_server(30.0) and self._spin.wait_for_server(30.0)
 
     def put(self, refuses: bool = False, longer_m: float = 0.0, recovers: bool = False) -> None:
         """Whether it refuses to cancel, how much longer its way becomes after a second, whether it spins then."""
         self._refuses, self._longer_m, self._recovers = refuses, longer_m, recovers
+
+    def leave(self) -> None:
+        """Say goodbye to ROS."""
+        self._executor.shutdown(1.0)
+        self._node.destroy_node()
+        rclpy.shutdown()
 
     def _on_goal_pose(self, pose: PoseStamped) -> None:
         self._self.send_goal_async(NavigateToPose.Goal(pose=pose))
@@ -98,6 +104,7 @@ def main() -> None:
     for line in sys.stdin:
         command, arguments = json.loads(line)
         print(json.dumps(getattr(navigator, command)(**arguments)), flush=True)
+    navigator.leave()
 
 
 if __name__ == "__main__":

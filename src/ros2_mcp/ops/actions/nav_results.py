@@ -40,7 +40,7 @@ def _missed(result: Mapping[str, Any]) -> list[str]:
         else:  # Humble: the numbers alone
             found.append(f"number {one}")
     for one in cast("Sequence[Any]", result.get("waypoint_statuses") or ()):
-        entry = cast("Mapping[str, Any]", one) if isinstance(one, Mapping) else {}
+        entry: Mapping[str, Any] = cast("Mapping[str, Any]", one) if isinstance(one, Mapping) else {}
         how = _NOT_REACHED.get(int(entry.get("waypoint_status") or 0))
         if how:
             code = in_words(int(entry.get("error_code") or 0))

@@ -256,7 +256,7 @@ class Navigation(Job):
             explanation,
             cause=said,
             health=[*beside, *explanation.health],
-            helps=["Start the navigator again: its process, or all of Nav2 with ros2_nav_recover(stack=\"up\")."],
+            helps=['Start the navigator again: its process, or all of Nav2 with ros2_nav_recover(stack="up").'],
         )
         await self._measure(target)
         self._note(outcome="failed", duration_s=round(took_s, 2))

@@ -10,13 +10,14 @@ from typing import Any, Literal, get_args
 
 from ros2_mcp.model.aside import load
 from ros2_mcp.model.errors import BadInput, NotFound, RobotError
+from ros2_mcp.model.nav2 import MANAGE
 from ros2_mcp.model.pictures import OCCUPANCY_GRID
 from ros2_mcp.model.text import counted, listed, named
 from ros2_mcp.ops.actions.send_goal import send_goal
 from ros2_mcp.ops.navigation.navigate import action_of
 from ros2_mcp.ops.navigation.whereabouts import Whereabouts, whereabouts
 from ros2_mcp.ops.nodes.lifecycle import states
-from ros2_mcp.ops.nodes.stacks import COMMANDS, MANAGE, Stack, stacks_of
+from ros2_mcp.ops.nodes.stacks import COMMANDS, Stack, stacks_of
 from ros2_mcp.ops.results.results import SAID, Report, silent
 from ros2_mcp.ops.services.call import call
 from ros2_mcp.robot import Robot

@@ -5,14 +5,15 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import cast
 
 from ros2_mcp.model import parameters
 from ros2_mcp.model.errors import RobotError
+from ros2_mcp.model.nav2 import MANAGE
 from ros2_mcp.model.text import counted, listed, named
 from ros2_mcp.ops.nodes.own_services import ask_node
 from ros2_mcp.robot import Robot
 
-MANAGE = "nav2_msgs/srv/ManageLifecycleNodes"
 COMMANDS = {"up": 0, "pause": 1, "resume": 2, "reset": 3, "down": 4}
 """What its request's `command` may be: STARTUP, PAUSE, RESUME, RESET, SHUTDOWN."""
 _ENDING = "/manage_nodes"
@@ -66,8 +67,7 @@ async def _nodes(robot: Robot, host: str) -> list[str]:
         (value,) = (await robot.fields_of(answer))["values"]
     except (RobotError, ValueError):
         return []
-    names = parameters.value_of(value)
-    if not isinstance(names, list):
-        return []
+    names: object = parameters.value_of(value)
     namespace = host.rpartition("/")[0]
-    return [str(one) if str(one).startswith("/") else f"{namespace}/{one}" for one in names]
+    given = [str(one) for one in cast("Sequence[object]", names)] if isinstance(names, (list, tuple)) else []
+    return [one if one.startswith("/") else f"{namespace}/{one}" for one in given]
