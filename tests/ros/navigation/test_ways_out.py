@@ -47,13 +47,13 @@ def test_a_robot_that_is_commanded_and_does_not_move_is_told(nav_agent, nav2, na
 def test_the_polygon_that_holds_the_robot_is_told_while_it_drives(nav_agent, nav2, navigator) -> None:
     begun = nav_agent.call("ros2_navigate", to=FAR, timeout_sec=0)
     until(lambda: nav2.speed() > 0.1)
-    nav2.hold("PolygonStop")
+    nav2.hold(polygon="PolygonStop")
     until(
         lambda: (
             "holds the robot" in str(nav_agent.call("ros2_navigate", job_id=begun["job_id"], timeout_sec=0.5)["health"])
         )
     )
-    nav2.hold("")
+    nav2.hold(polygon="")
     nav_agent.call("ros2_stop")
 
 
