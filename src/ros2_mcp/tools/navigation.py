@@ -77,9 +77,8 @@ async def ros2_navigate(
     job_id: Annotated[str, Field(description="Wait for this running job instead.")] = "",
     timeout_sec: Annotated[Number, Field(ge=0, le=MAX_DURATION_S, description="Maximum wait in seconds.")] = 45.0,
     stop_when_stuck_s: Annotated[
-        Number | None,
-        Field(ge=5, le=MAX_DURATION_S, description="End it after so long without progress. Default: never."),
-    ] = None,
+        Number, Field(ge=0, le=MAX_DURATION_S, description="End it after so long without progress; 0: never.")
+    ] = 0,
     action_name: Action = "",
 ) -> Navigated:
     """Drive to places with Nav2, around obstacles. Can move the robot.
@@ -94,7 +93,7 @@ async def ros2_navigate(
         action=action_name,
         job_id=job_id,
         timeout_s=timeout_sec,
-        stuck_s=stop_when_stuck_s,
+        stuck_s=stop_when_stuck_s or None,
         report=report,
     )
 

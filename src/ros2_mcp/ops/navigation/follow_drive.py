@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from time import monotonic
 from typing import Any
@@ -100,7 +101,8 @@ async def _hear(robot: Robot, topic: str, kind: str, take: Take) -> None:
             async with robot.listen(topic, kind, keep=keep) as listening:
                 while True:
                     for sample in await listening.take(_AGAIN_S):
-                        take(await robot.values.in_full(listening.type, sample.data))
+                        with suppress(LookupError, TypeError, ValueError):  # of another release, with other fields
+                            take(await robot.values.in_full(listening.type, sample.data))
                     await asyncio.sleep(_EVERY_S)
         except RobotError:
             await asyncio.sleep(_AGAIN_S)

@@ -24,7 +24,9 @@ def _find(evidence: Evidence) -> Iterator[Finding]:
         remedy = f"{_RESTARTED} If two robots share this domain, separate them, or stop one."
         yield Finding("warning", "nodes", problem, remedy)
     for name, count in shared.items() if len(shared) == 1 else ():
-        yield Finding("warning", name, f"{count} nodes have this name.", f"{_RESTARTED} Else rename or stop all but one.")
+        yield Finding(
+            "warning", name, f"{count} nodes have this name.", f"{_RESTARTED} Else rename or stop all but one."
+        )
 
 
 CHECK = Check((), _find)
