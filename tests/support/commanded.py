@@ -45,7 +45,7 @@ class CommandedProcess:
         self._process.communicate(timeout=20)
         assert self._process.returncode == 0
 
-    def leave(self) -> None:
+    def end_or_kill(self) -> None:
         """Let it go if it lives, and end it if it does not go."""
         with suppress(subprocess.TimeoutExpired, BrokenPipeError):
             self._process.communicate(timeout=10)

@@ -76,4 +76,4 @@ def navigator(nav_environment: dict[str, str], nav2: CommandedProcess, nav_agent
     process = CommandedProcess("navigator_peer", nav_environment)
     nav_agent.until_answered("ros2_parameter_list", node_name="/bt_navigator")  # not one that was killed
     yield process
-    process.leave()
+    process.end_or_kill()

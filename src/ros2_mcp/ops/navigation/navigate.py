@@ -230,7 +230,9 @@ class Navigation(Job):
                 return
             if min(monotonic() - self._heard_at, graph.bridge_age_s) < _SILENT_S:
                 continue
-            if why := await why_lost(self._robot, self.action):
+            before = self._heard_at
+            why = await why_lost(self._robot, self.action)
+            if why and self._heard_at == before:  # else it was only slow
                 self._lost = why
                 following.cancel()
                 return
