@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any
 
 from support.processes import peer_command
@@ -43,6 +44,12 @@ class CommandedProcess:
         """Let it go, and see that it went."""
         self._process.communicate(timeout=20)
         assert self._process.returncode == 0
+
+    def end_or_kill(self) -> None:
+        """Let it go if it lives, and end it if it does not go."""
+        with suppress(subprocess.TimeoutExpired, BrokenPipeError):
+            self._process.communicate(timeout=10)
+        self.kill()
 
     def kill(self) -> None:
         """End it without its saying goodbye to ROS."""

@@ -208,7 +208,7 @@ class Connection:
         if not self.hello:
             return LinkError(f"{self._name} {what} before it was ready.{self._last_words()}", "Run: ros2-mcp doctor")
         last_words = self._last_words() if has_ended else ""
-        stop = "what this server drove is being stopped"
+        stop = "what this server drove is being stopped, but goals go on"
         if self.carrier.is_remote:  # nobody here knows when it heard the last word
             stop = (
                 f"the bridge stops what this server drove {self.carrier.lease_s:g} s after the last message it received"

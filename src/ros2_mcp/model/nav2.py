@@ -11,6 +11,29 @@ from dataclasses import dataclass
 
 NAVIGATE = "nav2_msgs/action/NavigateToPose"
 COMPUTE_PATH = "nav2_msgs/action/ComputePathToPose"
+FOLLOW_WAYPOINTS = "nav2_msgs/action/FollowWaypoints"
+THROUGH_POSES = "nav2_msgs/action/NavigateThroughPoses"
+NAVIGATORS = frozenset({NAVIGATE, THROUGH_POSES, FOLLOW_WAYPOINTS})
+"""Actions whose servers send goals to other servers of Nav2."""
+BELOW = frozenset(
+    f"nav2_msgs/action/{name}"
+    for name in (
+        *("FollowPath", "ComputePathToPose", "ComputePathThroughPoses", "SmoothPath", "ComputeAndTrackRoute"),
+        *("Spin", "BackUp", "DriveOnHeading", "AssistedTeleop", "Wait", "DockRobot", "UndockRobot"),
+    )
+)
+"""Actions of the servers that carry out what a navigator decides."""
+CANNOT_MOVE = frozenset(
+    {
+        *(f"nav2_msgs/action/{name}" for name in ("ComputePathToPose", "ComputePathThroughPoses", "SmoothPath")),
+        *("nav2_msgs/action/ComputeRoute", "tf2_msgs/action/LookupTransform"),
+    }
+)
+"""Actions that compute, and set nothing in motion."""
+NO_PROGRESS = 105
+"""The controller's code for a robot that did not come on."""
+MANAGE = "nav2_msgs/srv/ManageLifecycleNodes"
+"""By which a lifecycle manager starts and stops its nodes together."""
 POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
 PATH = "nav_msgs/msg/Path"
 COSTMAP = "nav2_msgs/msg/Costmap"

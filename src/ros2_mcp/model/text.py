@@ -47,6 +47,8 @@ LAYOUT = "\n\t"
 
 _MOST_QUOTED = 80
 """Characters of the robot's text within a sentence: about a line. The whole of it stands in the values beside it."""
+LOG_LINE = 240
+"""Of a line of the log, which names node, file and goal before it comes to the reason."""
 _LINE_BREAKS = re.compile(r"[\n\r\v\f\x1c-\x1e\x85\u2028\u2029]+")
 _NAME = re.compile(r"[\w/~.:+\[\]*-]{1,256}", re.ASCII)
 
@@ -109,16 +111,16 @@ def _as_json_escapes(escape: re.Match[str]) -> str:
     )
 
 
-def quoted(text: str) -> str:
-    """Text of the robot within a sentence of ours: `«text»`, on one line, cut to 80 characters as they are shown."""
-    line = _LINE_BREAKS.sub(" ⏎ ", text[: 2 * _MOST_QUOTED].strip()).replace("\t", " ")
+def quoted(text: str, most: int = _MOST_QUOTED) -> str:
+    """Text of the robot within a sentence of ours: `«text»`, on one line, cut to `most` characters as shown."""
+    line = _LINE_BREAKS.sub(" ⏎ ", text[: 2 * most].strip()).replace("\t", " ")
     line = line.replace("«", "‹").replace("»", "›")
     length = 0
     for place, character in enumerate(line):
         length += len(_escape(character)) if _is_hidden(character) else 1
-        if length > _MOST_QUOTED:
+        if length > most:
             return f"«{line[:place]}…»"
-    return f"«{line}…»" if len(text) > 2 * _MOST_QUOTED else f"«{line}»"
+    return f"«{line}…»" if len(text) > 2 * most else f"«{line}»"
 
 
 def named(name: str) -> str:

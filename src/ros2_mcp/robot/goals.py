@@ -50,7 +50,8 @@ class Goal(Job):
     It is running until somebody has seen it end, and may move the robot until then. Where nobody awaits it, that is
     `follow`, which listens to its action's status while it `is_followed`. `is_accepted` is false as long as its server
     has not said that it takes it, and so may know nothing of it; `was_sent` is false once it is known that it never
-    left. `at_end` is told once of its end, and `ended_as` is how that was, in words.
+    left; `is_unanswered` where its server did not answer the last stop. `at_end` is told once of its end, and
+    `ended_as` is how that was, in words.
     """
 
     kind = "goal"
@@ -76,6 +77,7 @@ class Goal(Job):
         self.action_type = action_type
         self.is_accepted = False
         self.was_sent = True
+        self.is_unanswered = False
         self.is_followed = False
         self.ended_as = ""
         self.at_end: Callable[[Goal], None] = lambda _: None

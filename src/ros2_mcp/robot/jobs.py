@@ -33,7 +33,8 @@ class Job(ABC):
 
     `state` is `starting`, `running`, `ended` (by itself), `stopped` (somebody stopped it) or `failed` (`failure` says
     why); `is_stopping` from the time on at which somebody asks it to end. `stop_reason` is what stopped it, where that
-    was not its own tool; `started_at` when it was made (monotonic, in s). `owner` is who began it. `moves` are the
+    was not its own tool; `doubt` a sentence on what of it may go on although it has ended, which no stop is confirmed
+    beside; `started_at` when it was made (monotonic, in s). `owner` is who began it. `moves` are the
     topics and actions that it may move something on: `ros2_stop` and the end of its owner stop all jobs that have some,
     and leave the others. `at_most_s` is the time after which it ends by itself, in s.
 
@@ -73,6 +74,7 @@ class Job(ABC):
         self.outcome: State | None = None
         self.has_begun = False
         self.stop_reason = ""
+        self.doubt = ""
         self.started_at = monotonic()
         self._ended_at = 0.0
         self._scope: anyio.CancelScope | None = None

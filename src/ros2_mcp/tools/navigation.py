@@ -7,11 +7,13 @@ from typing import Annotated, Any, cast
 from pydantic import BeforeValidator, Field
 from pydantic_core import PydanticCustomError
 
-from ros2_mcp.model.nav2 import COMPUTE_PATH, NAVIGATE
+from ros2_mcp.model.nav2 import COMPUTE_PATH, MANAGE, NAVIGATE
 from ros2_mcp.model.text import excerpt
+from ros2_mcp.ops.navigation.localize import POSE_ESTIMATE, NavLocalized, localize
 from ros2_mcp.ops.navigation.navigate import Navigated, navigate
 from ros2_mcp.ops.navigation.places import PlaceKept, PlaceList, PlaceRequest, list_places, set_place
 from ros2_mcp.ops.navigation.preview import Preview, preview
+from ros2_mcp.ops.navigation.recover import BACK_UP, CLEAR, DRIVE, SPIN, NavRecovered, StackCommand, What, recover
 from ros2_mcp.ops.results.results import Report
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.session import Session
@@ -75,6 +77,9 @@ async def ros2_navigate(
     ] = None,
     job_id: Annotated[str, Field(description="Wait for this running job instead.")] = "",
     timeout_s: Annotated[Number, Field(ge=0, le=MAX_DURATION_S, description="Maximum wait in seconds.")] = 45.0,
+    stop_when_stuck_s: Annotated[
+        Number, Field(ge=0, le=MAX_DURATION_S, description="End it after so long without progress; 0: never.")
+    ] = 0,
     action_name: Action = "",
 ) -> Navigated:
     """Drive to places with Nav2, around obstacles. Can move the robot.
@@ -82,14 +87,23 @@ async def ros2_navigate(
     Reports the time taken and how near the robot came; for a failed goal, the cause and what would help. After a
     time-out, call again with the job_id; ros2_stop ends the job.
     """
-    return await navigate(robot, session, to, action=action_name, job_id=job_id, timeout_s=timeout_s, report=report)
+    return await navigate(
+        robot,
+        session,
+        to,
+        action=action_name,
+        job_id=job_id,
+        timeout_s=timeout_s,
+        stuck_s=stop_when_stuck_s or None,
+        report=report,
+    )
 
 
 @tool(
     title="Preview a path",
     risk="write",
     does={"goal": (COMPUTE_PATH,)},
-    group="motion",
+    group="navigation",
     by_default=False,
     finds="plan a path without moving, route, is a place reachable",
 )
@@ -109,6 +123,52 @@ async def ros2_nav_preview(
     """Ask Nav2's planner for the path to a place: picture, length, points, narrowest spot. Nothing moves. If there is
     no path, the result says why."""
     return await preview(robot, session, to, start, planner_id=planner_id, action=action_name, report=report)
+
+
+@tool(
+    title="Tell where the robot is",
+    risk="write",
+    does={"publish": (POSE_ESTIMATE,)},
+    group="navigation",
+    by_default=False,
+    finds="initial pose, relocalize, AMCL is lost, set the robot's position on the map",
+)
+async def ros2_nav_localize(
+    robot: Robot,
+    session: Session,
+    at: Pose,
+    topic_name: Annotated[str, Field(description="Default: /initialpose.")] = "",
+) -> NavLocalized:
+    """Tell localisation where the robot is (initial pose). Nothing moves.
+
+    Reports whether the transforms took it, and how well the laser scan fits the map before and after.
+    """
+    return await localize(robot, session, at, topic_name)
+
+
+@tool(
+    title="Free the robot",
+    risk="actuate",
+    does={"goal": (SPIN, BACK_UP, DRIVE), "call": (CLEAR, MANAGE)},
+    group="navigation",
+    by_default=False,
+    finds="robot is stuck, clear costmap, back up, spin, pause or restart Nav2",
+)
+async def ros2_nav_recover(
+    robot: Robot,
+    session: Session,
+    report: Report,
+    what: Annotated[What | None, Field(description="Clear a costmap, or a short move with collision checks.")] = None,
+    amount: Annotated[Number | None, Field(description="Of a move: m (0.3), of spin degrees to the left (90).")] = None,
+    stack: Annotated[StackCommand | None, Field(description="Instead: command all of Nav2's servers.")] = None,
+    node_name: Annotated[str, Field(description="The lifecycle manager, if there are several.")] = "",
+) -> NavRecovered:
+    """Use Nav2's own recoveries: clear costmaps, back up, spin, drive ahead; or bring its servers up, down, pause or
+    resume them. Can move the robot.
+
+    Reports what was measured: cells cleared, distance and angle by odometry, servers active.
+    """
+    return await recover(robot, session, what or "", stack=stack or "", amount=amount, node=node_name, report=report)
 
 
 @tool(

@@ -46,9 +46,14 @@ def check(definitions: Definitions, type_name: str, value: object, *, partial: b
 
 
 def missing_fields(definitions: Definitions, type_name: str, value: object) -> list[str]:
-    """The top-level fields that the value does not give."""
+    """The top-level fields that the value does not give; there is nothing to give for one without fields (Empty)."""
     fields = _object(definitions.structure(type_name), value, "")
-    return [field.name for field in definitions.structure(type_name).fields if field.name not in fields]
+
+    def has_something(kind: FieldType) -> bool:
+        return kind.arity != "single" or not kind.is_message or bool(definitions.structure(kind.base).fields)
+
+    given = definitions.structure(type_name).fields
+    return [field.name for field in given if field.name not in fields and has_something(field.type)]
 
 
 class _Check:

@@ -13,6 +13,7 @@ from ros2_mcp.model.errors import LEASE, NotFound, TimedOut
 from ros2_mcp.model.goals import STATUS, TERMINAL, goal_id_bytes, goal_id_hex
 from ros2_mcp.ops.acting.endings import ended_by, reason_of
 from ros2_mcp.ops.actions.cancel_when import note_on
+from ros2_mcp.ops.actions.nav_results import told_by_result
 from ros2_mcp.ops.actions.status import SERVER_S, states_now
 from ros2_mcp.ops.results.results import SAID, Report, reporting, silent
 from ros2_mcp.robot import Answer, Robot
@@ -144,8 +145,8 @@ async def result_of(
         note = ended_by(LEASE)
     elif STATUS.get(code) == "CANCELED" and goal and robot.graph.latched_at > goal.started_at:
         note = ended_by(reason_of(robot, "latch"))
-    note = " ".join(filter(None, (note, note_on(robot, goal_id))))
     result = response["result"] if code in TERMINAL else None
+    note = " ".join(filter(None, (told_by_result(action_type, result), note, note_on(robot, goal_id))))
     return GoalResult(service, goal_id, True, timeout_s, code, STATUS.get(code, str(code)), result, note)
 
 

@@ -12,7 +12,7 @@ from typing import Any
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.commands import SendGoal
-from ros2_mcp.model.errors import LinkError, NotFound, RobotError, TimedOut
+from ros2_mcp.model.errors import BridgeLost, LinkError, NotFound, RobotError, TimedOut, Unreachable
 from ros2_mcp.model.goals import STATUS, goal_id_hex, new_goal_id
 from ros2_mcp.ops.acting.defaults import left_at_default
 from ros2_mcp.ops.acting.idle import why_idle, with_reason
@@ -33,6 +33,11 @@ ACCEPT_S = 10.0
 _LAST_FEEDBACK_S = 0.02
 """Feedback and result come on different ways: what was sent before the result may arrive a little after it."""
 
+_AGAIN_S = 0.2
+"""Between two attempts to follow a goal whose bridge was lost: the next one is there within a second."""
+_REDISCOVERED_S = 10.0
+"""For the next bridge to discover an action's server: two participants may need several seconds on a busy machine."""
+_WENT_ON = "The bridge was lost meanwhile: the robot went on with the goal, and the next bridge saw it end."
 _ANNOUNCED_S = 0.1
 """Announcements take milliseconds; a server that has had no goal has no latched message, and its first one waits."""
 
@@ -125,8 +130,12 @@ async def send_goal(
             # it, for 1 in 300 goals that publish at once, on a busy machine. A server takes in announcements in their
             # order: when a later subscription has its latched message, the server knows this one too.
             await states_now(robot, action, _ANNOUNCED_S)
-            sent = _with_note(await _submit(robot, session, command, goal), several)
-            return await _ending(robot, sent, listening, timeout_s, report) if sent.accepted else sent
+            sent, deadline = _with_note(await _submit(robot, session, command, goal), several), monotonic() + timeout_s
+            if not sent.accepted:
+                return sent
+            with suppress(BridgeLost, Unreachable):
+                return await _ending(robot, sent, listening, timeout_s, report)
+        return await _through_losses(robot, sent, deadline, timeout_s, report, was_lost=True)
     except asyncio.CancelledError:
         await asyncio.shield(_give_up(robot, command))
         raise
@@ -150,9 +159,35 @@ async def follow(robot: Robot, goal: Goal, report: Report = silent, heard: Heard
         NotFound: if its server left.
     """
     sent = GoalOutcome(goal.action, goal.action_type, True, goal.id, None)
-    topic, kind = f"{goal.action}/_action/feedback", f"{goal.action_type}_FeedbackMessage"
-    async with robot.listen(topic, kind, wait_s=SERVER_S) as listening:
-        return await _ending(robot, sent, listening, MAX_DURATION_S, report, heard)
+    return await _through_losses(robot, sent, monotonic() + MAX_DURATION_S, MAX_DURATION_S, report, heard)
+
+
+async def _through_losses(
+    robot: Robot,
+    sent: GoalOutcome,
+    deadline: float,
+    timeout_s: float,
+    report: Report,
+    heard: Heard = lambda _: None,
+    *,
+    was_lost: bool = False,
+) -> GoalOutcome:
+    """Waits for the end of a goal; a bridge that is lost leaves it to the next one, as the robot goes on with it."""
+    topic, kind = f"{sent.action_name}/_action/feedback", f"{sent.action_type}_FeedbackMessage"
+    while True:
+        left_s = max(0.0, deadline - monotonic())
+        try:
+            async with robot.listen(topic, kind, wait_s=SERVER_S) as listening:
+                ended = await _ending(robot, sent, listening, left_s, report, heard)
+                return _with_note(replace(ended, result_timeout_sec=timeout_s), _WENT_ON if was_lost else "")
+        except (BridgeLost, Unreachable) as error:
+            if robot.graph.is_closed or not left_s or (isinstance(error, Unreachable) and error.is_lasting):
+                raise
+            was_lost = True
+        except NotFound:  # the next bridge may not have discovered the server yet
+            if not robot.graph.losses or robot.graph.bridge_age_s > _REDISCOVERED_S or not left_s:
+                raise
+        await asyncio.sleep(_AGAIN_S)
 
 
 async def _submit(robot: Robot, session: Session, command: SendGoal, goal: Mapping[str, Any]) -> GoalOutcome:
@@ -247,7 +282,7 @@ async def _ending(
         result=ended.result,
         feedback_count=count,
         last_feedback=last,
-        note=" ".join(filter(None, (sent.note, ended.note, why))),
+        note=" ".join(filter(None, (ended.note, sent.note, why))),
     )
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import anyio
 
 from ros2_mcp.model.errors import RobotError
-from ros2_mcp.model.text import named, quoted
+from ros2_mcp.model.text import LOG_LINE, named, quoted
 from ros2_mcp.ops.log.read import LogLine, is_node, line_of
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.log import LOG_TYPE, level_of
@@ -49,7 +49,7 @@ class Complaints:
             while not self._lines(nodes):
                 await asyncio.sleep(_LOOK_S)
         lines = self._lines(nodes)[-_MOST_LINES:]
-        told = "; ".join(f"{named(line.node)} {line.level}: {quoted(line.text)}" for line in lines)
+        told = "; ".join(f"{named(line.node)} {line.level}: {quoted(line.text, LOG_LINE)}" for line in lines)
         return f"The robot logged meanwhile: {told}." if told else ""
 
     def _lines(self, nodes: Sequence[str]) -> list[LogLine]:

@@ -9,7 +9,7 @@ from ros2_mcp.model.aside import load
 from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.meanings import bearing_in_words
 from ros2_mcp.model.poses import Pose
-from ros2_mcp.model.text import named
+from ros2_mcp.model.text import listed, named
 from ros2_mcp.ops.motion.body import body_of
 from ros2_mcp.ops.motion.find import Found, base_frame_of, located_on
 from ros2_mcp.ops.motion.guarding import SCAN, candidates
@@ -17,10 +17,11 @@ from ros2_mcp.ops.navigation.base import zero_limits
 from ros2_mcp.ops.pictures.next_message import next_message
 from ros2_mcp.ops.results.results import silent
 from ros2_mcp.ops.sources.live import Live
-from ros2_mcp.robot import Robot
+from ros2_mcp.robot import VELOCITY_TYPES, Robot
 
 _SCAN_S = 1.0
 """Scans come at 5 Hz or more."""
+_MONITOR = "/collision_monitor"
 _MOST_NODES, _MOST_NAMED = 4, 3
 """Who listens to a command input is one base, perhaps a recorder and a filter."""
 
@@ -35,7 +36,26 @@ async def others_on(robot: Robot, topic: str) -> str:
     if not others:
         return ""
     who = ", ".join(map(named, others))
-    return f"{who} may publish on {named(topic)}, too: the robot follows the latest command, whoever sent it."
+    told = f"{who} may publish on {named(topic)}, too: the robot follows the latest command, whoever sent it."
+    return f"{told} {await _past_a_monitor(robot, topic, others)}".rstrip()
+
+
+async def _past_a_monitor(robot: Robot, topic: str, publishers: Sequence[str]) -> str:
+    """That what is published on the output of Nav2's collision monitor is not looked at by it; "" where it is none."""
+    for node in publishers:
+        if not node.endswith(_MONITOR):
+            continue
+        try:
+            inputs = [one.name for one in (await robot.graph.node(node)).subscribers if _is_velocity(one.types)]
+        except RobotError:
+            return ""
+        where = f" What comes on {listed(inputs, 2)} is: drive there to be held by it." if inputs else ""
+        return f"{named(topic)} is the output of {named(node)}: what is published there is not held by it.{where}"
+    return ""
+
+
+def _is_velocity(types: Sequence[str]) -> bool:
+    return not VELOCITY_TYPES.keys().isdisjoint(types)
 
 
 async def why_it_stands(robot: Robot, topic: str, odometry: Found, scan: str = "") -> Sequence[str]:

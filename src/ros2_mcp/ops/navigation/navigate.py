@@ -10,16 +10,22 @@ from dataclasses import dataclass, field, replace
 from time import monotonic
 from typing import Any, Literal
 
+import anyio
+
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadInput, NotFound, RobotError, TypeConflict
-from ros2_mcp.model.goals import TERMINAL
-from ros2_mcp.model.nav2 import NAVIGATE
-from ros2_mcp.model.text import listed, named, quoted
+from ros2_mcp.model.goals import STATUS, TERMINAL
+from ros2_mcp.model.nav2 import NAVIGATE, NO_PROGRESS
+from ros2_mcp.model.text import counted, listed, named, quoted
 from ros2_mcp.ops.acting.endings import ended_by
+from ros2_mcp.ops.actions.result import result_of
+from ros2_mcp.ops.actions.running import running_goals
 from ros2_mcp.ops.actions.send_goal import GoalOutcome, follow, send_goal
-from ros2_mcp.ops.actions.status import states_now
+from ros2_mcp.ops.navigation.below import settle, why_lost
+from ros2_mcp.ops.navigation.drive_watch import DriveWatch
 from ros2_mcp.ops.navigation.explain import Explanation, Failure, explain
+from ros2_mcp.ops.navigation.follow_drive import follow_drive
 from ros2_mcp.ops.navigation.health import health_of
 from ros2_mcp.ops.navigation.known_places import places_of
 from ros2_mcp.ops.navigation.targets import MAP_FRAME, Target, targets_of
@@ -27,13 +33,20 @@ from ros2_mcp.ops.navigation.whereabouts import in_frame, whereabouts
 from ros2_mcp.ops.results.results import SAID, Report, silent
 from ros2_mcp.ops.space.plans import hear_plans
 from ros2_mcp.robot import Robot
-from ros2_mcp.robot.goals import Goal
+from ros2_mcp.robot.goals import UNKNOWN_GOAL, Goal
 from ros2_mcp.robot.jobs import Job, abandon
 from ros2_mcp.robot.session import Session
 from ros2_mcp_common.wire.limits import MAX_DURATION_S
 
+_ANSWERED_S = 1.0
+"""A server that is alive answers a request to cancel within milliseconds."""
 _CANCELLED_S = 3.0
-"""A server that is alive answers within milliseconds."""
+"""From its answer until the robot stands and the goal has ended."""
+_ENDINGS = frozenset(STATUS[code] for code in TERMINAL)
+_LOOK_S = 0.5
+_SILENT_S = 1.5
+"""Nav2's navigator tells where it is with every step of its tree, ten to a hundred times a second. Who is silent for so
+long is asked whether it lives."""
 _FAR_M = 0.5
 """Nav2's own tolerance is 0.25 m; who is this far from the goal has not reached it, whatever is said."""
 
@@ -46,8 +59,8 @@ class Leg:
 
     `place` is its name, if it has one; the pose is in `frame` (m, degrees). `duration_s` is how long it took so far.
     `away_m` and `heading_off_deg` say where the robot is by its transforms, from the goal (null: not known, or any
-    heading). `recoveries` is how often it had to free itself, `remaining_m` the distance that Nav2 last said
-    was left of a goal that is not reached.
+    heading). `recoveries` is how often it had to free itself, `recovered_by` which recoveries were seen, `remaining_m`
+    the distance that Nav2 last said was left of a goal that is not reached.
     """
 
     place: str
@@ -61,6 +74,7 @@ class Leg:
     heading_off_deg: float | None = None
     remaining_m: float | None = None
     recoveries: int = 0
+    recovered_by: str = ""
     goal_id: str = ""
     note: str = ""
 
@@ -109,6 +123,9 @@ def _line(leg: Leg) -> str:
         told += f", {leg.away_m:.2f} m{turned} from the goal"
     if leg.outcome == "under way" and leg.remaining_m is not None:
         told += f", {leg.remaining_m:.1f} m to go"
+    if leg.recoveries:
+        by = f" ({leg.recovered_by})" if leg.recovered_by else ""
+        told += f", {counted(leg.recoveries, 'recovery', 'recoveries')}{by}"
     return f"{told}. {leg.note}".rstrip()
 
 
@@ -119,7 +136,9 @@ class Navigation(Job):
     most_running = 8
     """A robot has one Nav2; more goals than that replace each other."""
 
-    def __init__(self, robot: Robot, session: Session, action: str, targets: Sequence[Target]) -> None:
+    def __init__(
+        self, robot: Robot, session: Session, action: str, targets: Sequence[Target], stuck_s: float | None = None
+    ) -> None:
         super().__init__(owner=session.principal, moves=[action])
         self.action = action
         self.legs = [_not_begun(target) for target in targets]
@@ -128,7 +147,13 @@ class Navigation(Job):
         self._robot, self._session = robot, session
         self._targets = targets
         self._goal: Goal | None = None
-        self._leg_at = monotonic()
+        self._leg_at = self._heard_at = monotonic()
+        self.ending = ""
+        """What is to be said of the end where the navigator did not see to it."""
+        self._lost = self._doing = ""
+        self._stuck_s = math.inf if stuck_s is None else stuck_s
+        self._is_stuck = False
+        self.watch = DriveWatch(began_at=monotonic())
 
     async def run(self) -> None:
         """Sends each goal when the one before has been reached."""
@@ -138,13 +163,14 @@ class Navigation(Job):
         x_m, y_m = where.x_m, where.y_m
         for number, target in enumerate(self._targets):
             self.now, self._leg_at = number, monotonic()
-            self._goal = None
+            self._goal, self._doing = None, ""
             if target.frame == where.frame and x_m is not None and y_m is not None:
                 target = target.facing_from(x_m, y_m)  # noqa: PLW2901 - the same place, with the heading of arrival
             try:
                 await self._drive_to(target)
             except asyncio.CancelledError:
-                await asyncio.shield(self._give_up())
+                with anyio.CancelScope(shield=True):
+                    await self._give_up()
                 raise
             except RobotError as error:
                 if not number and not self.has_begun:
@@ -167,8 +193,114 @@ class Navigation(Job):
         self.begun()
         if self._goal is None:
             raise NotFound("This server no longer knows the goal.", "ros2_action_status shows it.")
-        ended = await follow(robot, self._goal, heard=self._hear)
-        await self._judge(target, ended)
+        ended = await self._ended(self._goal)
+        if self.watch.recoveries:
+            self._note(recovered_by=self.watch.recoveries)
+        if self._is_stuck:
+            await self._end_stuck(target)
+        elif ended and ended.status in _ENDINGS:
+            await self._judge(target, ended)
+        else:
+            await self._settle(target, self._lost or (ended.note if ended else ""))
+
+    async def _ended(self, goal: Goal) -> GoalOutcome | None:
+        """How a goal has ended; None where its navigator is lost."""
+        ended: GoalOutcome | None = None
+        self._heard_at = monotonic()
+        self.watch = DriveWatch(began_at=self._heard_at)
+        async with anyio.create_task_group() as group:
+            group.start_soon(self._watch_navigator, group.cancel_scope)
+            group.start_soon(follow_drive, self._robot, self.action, self.watch)
+            try:
+                while ended is None or ended.status == "TIMEOUT":
+                    ended = await follow(self._robot, goal, heard=self._hear)
+            except RobotError as error:
+                self._lost = error.message
+            group.cancel_scope.cancel()
+        return ended
+
+    async def _watch_navigator(self, following: anyio.CancelScope) -> None:
+        """Ends the following of a goal whose navigator has fallen silent and does not answer, or that is stuck."""
+        graph = self._robot.graph
+        while True:
+            await asyncio.sleep(_LOOK_S)
+            if self.watch.stuck_s(monotonic()) > self._stuck_s:
+                self._is_stuck = True
+                following.cancel()
+                return
+            if min(monotonic() - self._heard_at, graph.bridge_age_s) < _SILENT_S:
+                continue
+            before = self._heard_at
+            why = await why_lost(self._robot, self.action)
+            if why and self._heard_at == before:  # else it was only slow
+                self._lost = why
+                following.cancel()
+                return
+            self._heard_at = monotonic()  # it lives, and has nothing to tell
+
+    async def _settle(self, target: Target, why: str) -> None:
+        """Sees to it that nothing goes on of a goal whose navigator is lost, and that the robot stands."""
+        took_s = monotonic() - self._leg_at
+        said = f"{why[0].upper()}{why[1:].rstrip('.')}." if why else "The end of the goal was not seen."
+        self._note(remaining_m=None)
+        self._doing = f"{said} Waiting until the robot stands."
+
+        def tell(now: str) -> None:
+            self._doing = f"{said} {now}"
+
+        below, explanation, _ = await asyncio.gather(
+            settle(self._robot, self._session, self.action, tell),
+            explain(self._robot, self.action, target, Failure(False), took_s),
+            self._ask_to_cancel(),
+        )
+        beside = () if explanation.cause.startswith("No cause") else (explanation.cause,)
+        self.explanation = replace(
+            explanation,
+            cause=said,
+            health=[*beside, *explanation.health],
+            helps=['Start the navigator again: its process, or all of Nav2 with ros2_nav_recover(stack="up").'],
+        )
+        await self._measure(target)
+        self._note(outcome="failed", duration_s=round(took_s, 2))
+        self.ending = f"{said} {below.sentence}"
+        self.doubt = "" if below.stands else self.ending
+
+    async def _end_stuck(self, target: Target) -> None:
+        """Cancels a goal on which the robot does not come on, and explains why."""
+        took_s, now = monotonic() - self._leg_at, monotonic()
+        seen = self.watch.sees(now) or "Nothing was seen that keeps it from it."
+        told = f"Ended by stop_when_stuck_s: it has not come on for {self.watch.stuck_s(now):.0f} s. {seen}"
+        self._doing = told
+        if problem := await self._ask_to_cancel():
+            await self._settle(target, f"{told} It could not be cancelled: {problem}")
+            return
+        self._note(remaining_m=None)
+        failure = Failure(False, NO_PROGRESS)
+        explanation = await explain(self._robot, self.action, target, failure, took_s)
+        self.explanation = replace(explanation, server="", error_code=0, error="")  # Nav2 has not said so
+        await self._measure(target)
+        self._note(outcome="failed", duration_s=round(took_s, 2))
+        self.ending = told
+
+    async def _ask_to_cancel(self) -> str:
+        """Has the goal cancelled; why that was not seen, or ""."""
+        goal = self._goal
+        if goal is None or not goal.is_running:
+            return ""
+        server = f"the server of {named(self.action)}"
+        try:
+            with anyio.fail_after(_ANSWERED_S):
+                response = await goal.request_cancel(_ANSWERED_S)
+            if response["return_code"] == UNKNOWN_GOAL:
+                return f"{server} does not know the goal"
+            if not response["goals_canceling"] and goal.is_running:
+                return f"{server} refuses it"
+            ended = await result_of(self._robot, self.action, NAVIGATE, goal.id, _CANCELLED_S)
+        except TimeoutError:
+            return f"{server} has not answered within {_ANSWERED_S:g} s"
+        except RobotError as error:
+            return error.message
+        return "" if ended.status in _ENDINGS else f"the goal has not ended within {_CANCELLED_S:g} s"
 
     async def _judge(self, target: Target, ended: GoalOutcome) -> None:
         """Notes the outcome, and where the robot is by its transforms; explains a failure."""
@@ -187,10 +319,11 @@ class Navigation(Job):
             self._note(outcome="canceled", note=ended.note or ended_by(reason or "a request to cancel it"))
         else:
             self._note(outcome="failed")
-            if await self._is_replaced(ended):
-                self._note(note="Another goal, from this or another client, replaced it.")
-                return
             result = ended.result or {}
+            if not result.get("error_code") and (other := await self._replaced_by(ended.goal_id)):
+                self._note(note=f"Another goal, from this or another client, replaced it. {other}")
+                return
+            self._doing = "it failed: looking for the cause"
             failure = Failure(False, int(result.get("error_code", 0)), str(result.get("error_msg", "")))
             self.explanation = await explain(self._robot, self.action, target, failure, took_s)
 
@@ -205,26 +338,33 @@ class Navigation(Job):
             off = round(math.degrees(math.remainder(where.yaw_rad - (target.yaw_rad or 0.0), 2 * math.pi)), 1)
         self._note(away_m=round(math.hypot(goal[0] - where.x_m, goal[1] - where.y_m), 3), heading_off_deg=off)
 
-    async def _is_replaced(self, ended: GoalOutcome) -> bool:
-        """Whether another goal of the action runs now, as Nav2 has one at a time."""
-        if (ended.result or {}).get("error_code"):
-            return False
+    async def _replaced_by(self, goal_id: str) -> str:
+        """That another goal of the action runs now, and how to end it; "" where none does."""
+        others = []
         with suppress(RobotError):
-            others = await states_now(self._robot, self.action)
-            return any(one.goal_id != ended.goal_id and one.status_code not in TERMINAL for one in others)
-        return False
+            others = await running_goals(self._robot, {self.action: [NAVIGATE]}, beside={goal_id})
+        return " ".join(f"The robot drives on: {other.sentence}" for other in others)
 
     async def _give_up(self) -> None:
-        """Cancels the goal that is under way."""
-        self._note(outcome="canceled")
-        if self._goal and self._goal.is_running:
-            with suppress(RobotError):
-                await self._goal.request_cancel(_CANCELLED_S)
+        """Cancels the goal that is under way, and what goes on below a navigator that does not take that."""
+        goal = self._goal
+        if goal is None or not goal.is_running:
+            self._note(outcome="canceled")
+            return
+        if not (problem := await self._ask_to_cancel()):
+            self._note(outcome="canceled", note=await self._replaced_by(goal.id))
+            return
+        below = await settle(self._robot, self._session, self.action, lambda _: None, most_s=0.0)
+        self._note(outcome="failed", remaining_m=None)
+        self.ending = f"It could not be cancelled: {problem.rstrip('.')}. {below.sentence}"
+        self.doubt = self.ending
 
     def _hear(self, feedback: Mapping[str, Any]) -> None:
         """Takes in what Nav2 tells on the way."""
+        self._heard_at = monotonic()
         remaining, recoveries = feedback.get("distance_remaining"), feedback.get("number_of_recoveries")
         if isinstance(remaining, float) and math.isfinite(remaining):
+            self.watch.remaining(remaining, monotonic())
             self._note(remaining_m=round(remaining, 2))
         if isinstance(recoveries, int):
             self._note(recoveries=recoveries)
@@ -237,9 +377,13 @@ class Navigation(Job):
         leg = self.legs[self.now]
         to = quoted(leg.place) if leg.place else f"({leg.x_m:.2f}, {leg.y_m:.2f})"
         which = f" ({self.now + 1} of {len(self.legs)})" if len(self.legs) > 1 else ""
+        if self._doing:
+            return f"to {to}{which}: {monotonic() - self._leg_at:.0f} s: {self._doing}"
         left = "" if leg.remaining_m is None else f", {leg.remaining_m:.1f} m to go"
-        freed = f", {leg.recoveries} recoveries" if leg.recoveries else ""
-        return f"to {to}{which}: {monotonic() - self._leg_at:.0f} s{left}{freed}"
+        by = f" ({self.watch.recoveries})" if self.watch.recoveries else ""
+        freed = f", {counted(leg.recoveries, 'recovery', 'recoveries')}{by}" if leg.recoveries else ""
+        seen = self.watch.sees(monotonic())
+        return f"to {to}{which}: {monotonic() - self._leg_at:.0f} s{left}{freed}{f'. {seen}' if seen else ''}"
 
     def so_far(self) -> Navigated:
         """What is known of it now."""
@@ -250,11 +394,15 @@ class Navigation(Job):
         note = ""
         if outcome == "under way":
             note = f'The robot is still under way: wait with ros2_navigate(job_id="{self.id}"); ros2_stop ends it.'
+            note = f"{self._doing} {note}".lstrip()
         elif outcome == "canceled" and self.stop_reason:
             note = ended_by(self.stop_reason)
+        elif outcome == "failed":
+            note = self.ending
         legs = list(self.legs)
         if self.is_running and last.outcome == "under way":
-            legs[self.now] = replace(last, duration_s=round(monotonic() - self._leg_at, 2))
+            took_s = round(monotonic() - self._leg_at, 2)
+            legs[self.now] = replace(last, duration_s=took_s, recovered_by=self.watch.recoveries)
         return Navigated(
             outcome=outcome,
             action_name=self.action,
@@ -279,11 +427,12 @@ async def navigate(
     action: str = "",
     job_id: str = "",
     timeout_s: float = 45.0,
+    stuck_s: float | None = None,
     report: Report = silent,
 ) -> Navigated:
     """Drives to places, or waits on for a navigation that is under way; at most `timeout_s`, after which it goes on.
 
-    A waiting that is cancelled cancels the goal.
+    A waiting that is cancelled cancels the goal. With `stuck_s` it is ended where it does not come on for so long.
 
     Raises:
         BadInput: for a place that is written wrongly, or neither a place nor a job.
@@ -299,7 +448,7 @@ async def navigate(
         if to is None:
             raise BadInput("to, the place to go to, is not given.", "Give a place, a pose, or a list of them.")
         targets = targets_of(to, places_of(robot))
-        job = Navigation(robot, session, await action_of(robot, NAVIGATE, action), targets)
+        job = Navigation(robot, session, await action_of(robot, NAVIGATE, action), targets, stuck_s)
         await robot.jobs.start(job)
 
     async def progress() -> None:
@@ -315,7 +464,10 @@ async def navigate(
     except asyncio.CancelledError:  # as while it is waited for: who cancels the call wants the robot to stand
         await abandon(job)
         raise
-    return replace(job.so_far(), health=health if job.is_running else ())
+    if not job.is_running:
+        return job.so_far()
+    seen = job.watch.sees(monotonic())
+    return replace(job.so_far(), health=[*([seen] if seen else []), *health])
 
 
 async def action_of(robot: Robot, kind: str, given: str = "") -> str:

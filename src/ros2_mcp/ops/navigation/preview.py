@@ -17,6 +17,7 @@ from ros2_mcp.model.goals import STATUS, goal_id_bytes
 from ros2_mcp.model.nav2 import COMPUTE_PATH
 from ros2_mcp.model.text import counted, named
 from ros2_mcp.ops.actions.send_goal import send_goal
+from ros2_mcp.ops.navigation.below import idle_server
 from ros2_mcp.ops.navigation.explain import Explanation, Failure, error_in_words, explain
 from ros2_mcp.ops.navigation.known_places import places_of
 from ros2_mcp.ops.navigation.navigate import action_of
@@ -48,10 +49,10 @@ class Preview(WithPictures):
     `narrowest` says in words, and the four numbers beside it, how near the way leads past what is occupied there
     (`clearance_m`, from its middle line) and through which gap (`gap_m`), each with its place; null where nothing is
     within 3 m, or no costmap is there. `grid_topic` is where costs and narrowness are from.
-    `is_feasible` is false where there is no way; then `explanation` says why.
+    `is_feasible` is false where there is no way; then `explanation` says why. It is null where no planner was asked.
     """
 
-    is_feasible: bool
+    is_feasible: bool | None
     action_name: str
     frame: str
     length_m: float
@@ -81,6 +82,8 @@ class Preview(WithPictures):
                 f"{counted(self.turns, 'turn')}{dearest}."
                 f"{narrowest} Nothing moved. {self.note}".rstrip()
             ]
+        if self.is_feasible is None:
+            return [f"NOT KNOWN whether there is a path: {self.note}"]
         why = self.explanation
         told = f" Cause: {why.cause} What would help: {' '.join(why.helps)}" if why else ""
         return [f"There is no path. {self.note}{told}".rstrip()]
@@ -110,11 +113,15 @@ async def preview(
     if begin:
         goal["start"] = begin.pose()
     robot.log.start()
+    if idle := await idle_server(robot, action):
+        return _not_asked(action, f"no planner was asked. {idle}")
     await hear_plans(robot)
     began_at = monotonic()
     async with reporting(report, PLAN_S, f"{action}: planning"):
         sent = await send_goal(robot, session, action, COMPUTE_PATH, goal)
-        result: Mapping[str, Any] = await _result(robot, action, sent.goal_id) if sent.accepted else {}
+        if not sent.accepted:
+            return _not_asked(action, f"{named(action)} rejected the goal. {sent.note}")
+        result: Mapping[str, Any] = await _result(robot, action, sent.goal_id)
     path: Mapping[str, Any] = result.get("path") or {}
     points, unknown = _points(path)
     code, text = int(result.get("error_code", 0)), str(result.get("error_msg", ""))
@@ -126,9 +133,7 @@ async def preview(
     is_feasible = bool(points) and not code
     explanation = None
     if not is_feasible:
-        explanation = await explain(
-            robot, action, target, Failure(not sent.accepted, code, text), monotonic() - began_at
-        )
+        explanation = await explain(robot, action, target, Failure(False, code, text), monotonic() - began_at)
     return Preview(
         is_feasible=is_feasible,
         action_name=action,
@@ -148,11 +153,27 @@ async def preview(
         grid_topic=grid_topic,
         planning_s=_seconds(result.get("planning_time")),
         explanation=explanation,
-        note=" ".join(filter(None, (error_in_words(code, text), unknown)))
-        if sent.accepted
-        else f"{named(action)} rejected the goal.",
+        note=" ".join(filter(None, (error_in_words(code, text), unknown))),
         pictures=shown.pictures if shown else (),
         images=shown.images if shown else (),
+    )
+
+
+def _not_asked(action: str, note: str) -> Preview:
+    """What is to be said where no planner looked for a way."""
+    return Preview(
+        is_feasible=None,
+        action_name=action,
+        frame=MAP_FRAME,
+        length_m=0.0,
+        straight_m=0.0,
+        points=(),
+        poses=0,
+        turns=0,
+        dearest_cost=None,
+        dearest="",
+        planning_s=0.0,
+        note=note,
     )
 
 

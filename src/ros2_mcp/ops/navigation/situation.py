@@ -18,7 +18,7 @@ from ros2_mcp.model.errors import BadData, RobotError, TimedOut
 from ros2_mcp.model.graph import TopicRow
 from ros2_mcp.model.nav2 import COSTMAP, COSTMAP_UPDATE, GRID_UPDATE, NAVIGATION_NODES
 from ros2_mcp.model.pictures import OCCUPANCY_GRID
-from ros2_mcp.model.text import named, quoted
+from ros2_mcp.model.text import LOG_LINE, named, quoted
 from ros2_mcp.ops.log.read import Log, LogLine, LogRequest
 from ros2_mcp.ops.log.read import read as read_log
 from ros2_mcp.ops.measure.diagnostics import Diagnostic, read_diagnostics
@@ -300,4 +300,4 @@ def is_of_navigation(line: LogLine) -> bool:
 
 def line_in_words(line: LogLine) -> str:
     """A line of the log within a sentence."""
-    return f"{named(line.node)} {line.level}: {quoted(line.text)}"
+    return f"{named(line.node)} {line.level}: {quoted(line.text, LOG_LINE)}"

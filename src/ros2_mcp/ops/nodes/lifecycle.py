@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -14,6 +14,7 @@ from ros2_mcp.model.errors import BadInput, NotFound
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.log.complaints import complaints_from_now
 from ros2_mcp.ops.nodes.own_services import APPEAR_S, TIMEOUT_S, ask_node, fields_of_answer, service_of
+from ros2_mcp.ops.nodes.stacks import stack_of, stacks_of
 from ros2_mcp.ops.results.results import SAID, or_error
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.session import Session
@@ -26,16 +27,22 @@ _UNANSWERED = "The transition may still take effect: ros2_lifecycle_state shows 
 
 @dataclass(frozen=True, slots=True)
 class LifecycleState:
-    """The state of one lifecycle node and the transitions that are possible now, by name."""
+    """The state of one lifecycle node and the transitions that are possible now, by name.
+
+    `managed_by` is the node that starts and stops it together with others, such as Nav2's lifecycle manager.
+    """
 
     node: str
     state: str
     transitions: Sequence[str]
     error: str = ""
+    managed_by: str = ""
 
     def summary(self) -> str:
         """One line."""
-        return f"{self.node}: " + (self.error or f"{named(self.state)}; possible now: {_listed(self.transitions)}.")
+        by = f" Managed by {named(self.managed_by)}." if self.managed_by else ""
+        told = self.error or f"{named(self.state)}; possible now: {_listed(self.transitions)}."
+        return f"{self.node}: {told}{by}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +82,9 @@ async def states(robot: Robot, nodes: Sequence[str] = ()) -> LifecycleStates:
     """The states of the named nodes, or of every lifecycle node; the `error` of one does not end the others."""
     chosen = [names.absolute(node, "node") for node in nodes] or await _lifecycle_nodes(robot)
     asking = [or_error(_state(robot, node), partial(LifecycleState, node, "unknown", ())) for node in chosen]
-    found = await asyncio.gather(*asking)
+    stacks, found = await asyncio.gather(stacks_of(robot), asyncio.gather(*asking))
+    hosts = {node: stack.host for stack in stacks for node in stack.nodes}
+    found = [replace(one, managed_by=hosts.get(one.node, "")) for one in found]
     return LifecycleStates(found, "" if found else await robot.graph.absence())
 
 
@@ -106,7 +115,7 @@ async def change(robot: Robot, session: Session, node: str, transition: str) -> 
         timeout_s=CHANGE_S,
         wait_s=APPEAR_S,
     )
-    complaints = complaints_from_now(robot)
+    complaints, stack = complaints_from_now(robot), await stack_of(robot, node)
     response = await fields_of_answer(robot, node, robot.do(command, session), _not_found, CHANGE_S, _UNANSWERED)
     after = await _state(robot, node)
     return Transition(
@@ -116,7 +125,9 @@ async def change(robot: Robot, session: Session, node: str, transition: str) -> 
         state_before=before.state,
         state=after.state,
         transitions=after.transitions,
-        note="" if response["success"] else await complaints.said(node),
+        note=" ".join(
+            filter(None, ("" if response["success"] else await complaints.said(node), stack.of(node) if stack else ""))
+        ),
     )
 
 

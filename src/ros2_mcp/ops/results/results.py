@@ -228,7 +228,9 @@ def in_words(values: Mapping[str, Any]) -> str:
     """The values of an object of the robot as one readable line: those within others by their paths, stamps and
     durations in seconds; texts are quoted, and long ones cut.
     """
-    leaves = [f"{named(path)} {text}" for path, text in _leaves(values)]
+    shallow = {name: value for name, value in values.items() if not isinstance(value, (dict, list))}
+    nested = {name: value for name, value in values.items() if name not in shallow}
+    leaves = [f"{named(path)} {text}" for path, text in _leaves({**shallow, **nested})]  # stamps say least
     more = f" and {len(leaves) - _MAX_IN_WORDS} more" if len(leaves) > _MAX_IN_WORDS else ""
     return ", ".join(leaves[:_MAX_IN_WORDS]) + more
 

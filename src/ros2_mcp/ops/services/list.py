@@ -13,6 +13,9 @@ from ros2_mcp.ops.results.results import IF_ANY, SAID, list_note
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.resolution import is_infrastructure
 
+_FEW_LIFECYCLE = 20
+"""Services of four lifecycle nodes; Nav2 has seven to ten such nodes."""
+
 
 @dataclass(frozen=True, slots=True)
 class ServiceEntry:
@@ -47,8 +50,13 @@ async def list_services(robot: Robot, pattern: str = "", include_hidden: bool = 
     matching = names.matching(sorted(types), pattern, types.__getitem__)
     matching.sort(key=lambda name: is_infrastructure(name, types[name]))  # a limit leaves those out first
 
+    lifecycle = {name for name in matching if any(kind.startswith("lifecycle_msgs/") for kind in types[name])}
+    folds = len(lifecycle) > _FEW_LIFECYCLE  # ros2_lifecycle_state and ros2_lifecycle_change are for these
+
     def is_meant(name: str) -> bool:
-        return include_hidden or not (names.is_hidden(name) if pattern else is_infrastructure(name, types[name]))
+        if include_hidden or pattern:
+            return include_hidden or not names.is_hidden(name)
+        return not (is_infrastructure(name, types[name]) or (folds and name in lifecycle))
 
     visible = [name for name in matching if is_meant(name)]
     chosen = [(name, types[name][0]) for name in visible[:limit]]

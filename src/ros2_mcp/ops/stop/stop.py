@@ -19,6 +19,7 @@ from ros2_mcp.model.names import UNKNOWN_NODE
 from ros2_mcp.model.text import counted, listed
 from ros2_mcp.ops.acting.flights import StoppedFlight, brake_flights
 from ros2_mcp.ops.actions.result import result_of
+from ros2_mcp.ops.actions.running import RunningGoal, from_above, running_goals
 from ros2_mcp.ops.results.results import HIDDEN, IF_ANY, SAID
 from ros2_mcp.ops.stop.judge import Observation, Observed, is_confirmed
 from ros2_mcp.ops.stop.observe import observe_still
@@ -43,6 +44,10 @@ _LOOK_S = 0.05
 """Between two looks at whether a robot is out of reach. Chosen."""
 _LATCH_S = 0.2
 """A bridge that is alive has ended what moves, and sent its zeros, within a tenth of that."""
+_UNANSWERED_S = 0.5
+"""For a server that did not answer the last stop: a dead one does not cost each stop its time."""
+_MOST_RUNNING = 4
+"""Goals of others that are told with the call that ends each; the result has all."""
 _MOST_NAMED = 20
 """Of each kind: enough to see what it was. All else is counted."""
 _MOST_GONE = 3
@@ -92,18 +97,20 @@ class Stopped:
     `dropped` was accepted before the stop, had not been sent yet, and is not sent any more. `unknown_services` were
     called and `unknown_topics` published on by this server since it was started, the last ones first; it does not know
     how what they set in motion is stopped (parameters and lifecycle transitions are configuration, and not among them).
+    `running` are goals of other clients that their servers say have not ended: each names the one call that ends it.
     `observed` says whether odometry and joint states from after the stop report that the robot stands, or hovers;
     `latched` whether it has to be reset by an operator before anything acts again.
     `confirmed` is true if the robot was so observed; every zero command reached its subscribers, and those that had
-    taken commands are still there; nobody else publishes on those topics; every goal has ended; every vehicle reports
-    a mode in which it stands; and no such service was called or topic published on since the robot was last observed to
-    stand.
+    taken commands are still there; nobody else publishes on those topics; every goal has ended, and no goal of another
+    client runs that may move the robot; every vehicle reports a mode in which it stands; and no such service was called
+    or topic published on since the robot was last observed to stand.
     """
 
     repeats_stopped: int = field(metadata=SAID)
     relays_stopped: int = field(metadata=SAID)
     topics: Sequence[StoppedTopic]
     goals: Sequence[StoppedGoal]
+    running: Sequence[RunningGoal] = field(default=(), metadata=SAID)
     flights: Sequence[StoppedFlight] = ()
     dropped: Sequence[str] = ()
     unknown_services: Sequence[str] = ()
@@ -252,12 +259,16 @@ async def _stop(robot: Robot) -> Stopped:
     judging = [_judged(robot, topic, zeros.get((topic, kind)), missing) for topic, kind in _topics(robot, zeros)]
     hovers = any(flight.armed for flight in flights)
     commands, unsettled = robot.failsafes.commands(), robot.stops.unknown.unsettled()
-    observation, topics = await asyncio.gather(observe_still(robot, hovers=hovers), asyncio.gather(*judging))
+    observation, topics, running = await asyncio.gather(
+        observe_still(robot, hovers=hovers), asyncio.gather(*judging), _others_running(robot)
+    )
     services, others = robot.stops.unknown.names("service"), robot.stops.unknown.names("topic")
     notes = [f"{problem}."] if problem else []
     notes += [f"The latch could not be saved ({unwritten}): it is lost when this server ends."] if unwritten else []
     notes += [f"{job.kind} {job.id} did not end cleanly: {error}" for job, error in jobs.items() if error]
-    doubts = [*notes, *_doubts(topics, goals, observation)]
+    running = from_above(await _others_running(robot, running) if running else running)  # some end meanwhile
+    doubts = [*notes, *_doubts(topics, goals, observation), *(job.doubt for job in jobs if job.doubt)]
+    doubts += [goal.sentence for goal in running[:_MOST_RUNNING]]
     unknown = _unknown(unsettled)
     doubts += [flight.sentence for flight in flights if not flight.confirmed]
     is_doubtful = observation.is_moving or observation.is_open
@@ -278,6 +289,7 @@ async def _stop(robot: Robot) -> Stopped:
         relays_stopped=ended["relays"],
         topics=topics,
         goals=goals,
+        running=running,
         flights=flights,
         dropped=_first(dropped),
         unknown_services=_first(services),
@@ -365,12 +377,26 @@ async def cancel_goals(robot: Robot) -> list[StoppedGoal]:
     return [goal for goal in found if goal]
 
 
+async def _others_running(robot: Robot, of: Sequence[RunningGoal] = ()) -> Sequence[RunningGoal]:
+    """The goals that run and that this server does not know of, or those actions' alone; none where nobody can say."""
+    actions = {goal.action_name: [goal.action_type] for goal in of} or None
+    try:
+        with anyio.fail_after(_OTHERS_S):
+            found = await running_goals(robot, actions, beside={goal.id for goal in robot.jobs.running(Goal)})
+    except (RobotError, TimeoutError):
+        return of
+    return found
+
+
 async def _cancel(robot: Robot, goal: Goal) -> StoppedGoal | None:
     """Cancels a goal and sees it end; one that its server does not know, or no longer, is not running. None for one
     that had not been sent yet.
     """
+    within_s = _UNANSWERED_S if goal.is_unanswered else ENDED_S
     try:
-        response = await goal.request_cancel(ENDED_S)
+        with anyio.fail_after(within_s):
+            response = await goal.request_cancel(within_s)
+        goal.is_unanswered = False
         is_unknown, cancelled = response["return_code"] == UNKNOWN_GOAL, bool(response["goals_canceling"])
         if not goal.was_sent:
             return None
@@ -379,10 +405,14 @@ async def _cancel(robot: Robot, goal: Goal) -> StoppedGoal | None:
                 f"The server of {goal.action} has not answered whether it accepts goal {goal.id}: stop again."
             )
         result = await result_of(robot, goal.action, goal.action_type, goal.id, ENDED_S)
-    except RobotError as error:
+    except (RobotError, TimeoutError) as error:
         if not goal.was_sent:
             return None
-        return StoppedGoal(goal.action, goal.id, "UNKNOWN", False, error=str(error))
+        goal.is_unanswered = True
+        told = str(error) or f"The server of {goal.action} did not answer within {within_s:g} s"
+        return StoppedGoal(
+            goal.action, goal.id, "UNKNOWN", False, error=f"{told.rstrip('.')}: goal {goal.id} may go on."
+        )
     cancelled = cancelled or result.status == "CANCELED"  # by the bridge, which has seen the latch first
     confirmed = (is_unknown and result.status == STATUS[0]) or result.status_code in TERMINAL
     return StoppedGoal(goal.action, goal.id, result.status, confirmed, cancelled)
@@ -444,7 +474,7 @@ def _facts(
     facts: list[str] = []
     if dropped := _dropped(ended):
         facts.append(f"{counted(len(dropped), 'request')} had not been sent yet and will not be sent.")
-    if ended_jobs := [job for job in jobs if job.kind not in ("repeat", "relay")]:
+    if ended_jobs := [job for job in jobs if job.kind not in ("repeat", "relay") and not job.doubt]:
         facts.append(f"Ended: {', '.join(f'{job.kind} {job.id}' for job in ended_jobs)}.")
     facts += [
         f"Nobody subscribes to {topic.topic_name} now."

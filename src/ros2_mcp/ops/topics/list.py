@@ -10,6 +10,20 @@ from ros2_mcp.model import names
 from ros2_mcp.ops.results.results import IF_ANY, ON_REQUEST, SAID, list_note
 from ros2_mcp.robot import Robot
 
+_FEW = 8
+"""So many such topics are no clutter: a robot without Nav2 has hardly as many."""
+_INTERNAL_TYPES = frozenset(
+    {
+        "bond/msg/Status",
+        "lifecycle_msgs/msg/TransitionEvent",
+        "map_msgs/msg/OccupancyGridUpdate",
+        "nav2_msgs/msg/Costmap",
+        "nav2_msgs/msg/CostmapUpdate",
+        "nav2_msgs/msg/VoxelGrid",
+    }
+)
+_INTERNAL_NAMES = frozenset({"clearing_endpoints", "voxel_marked_cloud", "voxel_unknown_cloud", "evaluation"})
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TopicEntry:
@@ -40,6 +54,11 @@ class TopicList:
         return f"{len(self.topics)} of {self.total} topics. {self.note}".rstrip()
 
 
+def is_internal(name: str, types: Sequence[str]) -> bool:
+    """Whether nodes keep a topic for themselves or for finding faults, as Nav2 and its lifecycle nodes do by dozens."""
+    return not _INTERNAL_TYPES.isdisjoint(types) or name.rpartition("/")[2] in _INTERNAL_NAMES
+
+
 async def list_topics(
     robot: Robot, pattern: str = "", include_hidden: bool = False, limit: int = 200, *, with_fields: bool = False
 ) -> TopicList:
@@ -47,7 +66,15 @@ async def list_topics(
     found, absence = await robot.graph.topics_and_absence(count_most=limit)
     visible = {row.name: row for row in found if include_hidden or not names.is_hidden(row.name)}
     chosen = names.matching(sorted(visible), pattern, lambda name: visible[name].types)
-    note = list_note(len(chosen), limit, found.settled, absence)
+    note = ""
+    internals = {name for name in chosen if is_internal(name, visible[name].types)}
+    if len(internals) > _FEW and not (pattern or include_hidden):
+        chosen = [name for name in chosen if name not in internals]
+        note = (
+            f"Left out: {len(internals)} internal topics (bonds, transition events, costmaps' raw forms, updates and "
+            "debug clouds); a pattern or include_hidden=true lists them. "
+        )
+    note += list_note(len(chosen), limit, found.settled, absence)
     rows = await robot.graph.counted([visible[name] for name in chosen[:limit]])
     fields, unknown = await robot.values.fields_of(row.types[0] for row in rows) if with_fields else ({}, "")
     topics = [

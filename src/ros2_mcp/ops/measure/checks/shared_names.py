@@ -13,14 +13,20 @@ from ros2_mcp.ops.measure.findings import Finding
 _MAX_SHARED = 12
 """Names that several nodes share: a robot's nodes, so that it is seen whether all of them are there twice."""
 
+_RESTARTED = "If they were killed and started again, the old ones vanish within 20 s: look again then."
+"""Middlewares keep a participant that did not say goodbye for its lease, mostly 20 s."""
+
 
 def _find(evidence: Evidence) -> Iterator[Finding]:
     shared = {name: count for name, count in Counter(evidence.graph.nodes or ()).items() if count > 1}
     if len(shared) > 1:  # most likely two robots, or one that was started twice: one fault
         problem = f"{len(shared)} names are shared by several nodes each: {listed(list(shared), _MAX_SHARED)}."
-        yield Finding("warning", "nodes", problem, "If two robots share this domain, separate them, or stop one.")
+        remedy = f"{_RESTARTED} If two robots share this domain, separate them, or stop one."
+        yield Finding("warning", "nodes", problem, remedy)
     for name, count in shared.items() if len(shared) == 1 else ():
-        yield Finding("warning", name, f"{count} nodes have this name.", "Rename or stop all but one.")
+        yield Finding(
+            "warning", name, f"{count} nodes have this name.", f"{_RESTARTED} Else rename or stop all but one."
+        )
 
 
 CHECK = Check((), _find)

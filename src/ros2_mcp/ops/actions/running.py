@@ -1,0 +1,105 @@
+"""Which goals run now, on every action and whoever sent them, by the status that action servers publish."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from ros2_mcp.model.errors import RobotError
+from ros2_mcp.model.goals import TERMINAL
+from ros2_mcp.model.nav2 import BELOW, CANNOT_MOVE, FOLLOW_WAYPOINTS, NAVIGATORS
+from ros2_mcp.model.text import listed, named
+from ros2_mcp.ops.actions.status import states_now
+from ros2_mcp.robot import Robot
+from ros2_mcp.robot.goals import Goal
+
+_MOST_ACTIONS = 60
+"""That are looked at: three times as many as Nav2 and MoveIt have together."""
+_MOST_NAMED = 3
+
+
+@dataclass(frozen=True, slots=True)
+class RunningGoal:
+    """A goal that its server says has not ended; `ours` if this server sent it.
+
+    `carried_by` are the actions of servers below that run for it.
+    """
+
+    action_name: str
+    action_type: str
+    goal_id: str
+    status: str
+    ours: bool = False
+    carried_by: Sequence[str] = ()
+
+    @property
+    def ended_by(self) -> str:
+        """The one call that ends it."""
+        return f'ros2_cancel_action_goal(action_name="{self.action_name}", goal_id_hex="{self.goal_id}")'
+
+    @property
+    def sentence(self) -> str:
+        """In words, with that call."""
+        through = f", carried out by {listed(self.carried_by, _MOST_NAMED)}" if self.carried_by else ""
+        whose = "this server's own" if self.ours else "another client's"
+        return (
+            f"{named(self.action_name)} runs {whose} goal {self.goal_id} ({self.status}{through}): it may move the "
+            f"robot. To end it: {self.ended_by}."
+        )
+
+
+async def running_goals(
+    robot: Robot, actions: Mapping[str, Sequence[str]] | None = None, *, beside: Collection[str] = ()
+) -> list[RunningGoal]:
+    """Those of these actions, or of every one, that can move a robot; without the goals whose ids are in `beside`.
+
+    Takes half a second where a server has had no goal yet. A server that is dead says nothing. Raises as
+    `Resolution.actions`.
+    """
+    known = await robot.types.actions() if actions is None else actions
+    asked = [(name, kinds) for name, kinds in sorted(known.items()) if not CANNOT_MOVE.issuperset(kinds)]
+    found = await asyncio.gather(*(_running(robot, name, kinds) for name, kinds in asked[:_MOST_ACTIONS]))
+    return [goal for goals in found for goal in goals if goal.goal_id not in beside]
+
+
+async def _running(robot: Robot, action: str, kinds: Sequence[str]) -> list[RunningGoal]:
+    try:
+        states = await states_now(robot, action)
+    except RobotError:
+        return []
+    running = [state for state in states if state.status_code not in TERMINAL]
+    return [
+        RunningGoal(
+            action, kinds[0] if kinds else "", state.goal_id, state.status, _is_ours(robot, action, state.goal_id)
+        )
+        for state in running
+    ]
+
+
+def _is_ours(robot: Robot, action: str, goal_id: str) -> bool:
+    goal = robot.jobs.get(Goal, goal_id)
+    return goal is not None and goal.action == action
+
+
+def from_above(goals: Sequence[RunningGoal]) -> list[RunningGoal]:
+    """The same, those of Nav2's servers told with the goal that they are carried out for, which ends them, too."""
+    carried: dict[str, list[str]] = {}
+    for goal in goals:
+        if above := next((one for one in goals if _is_above(one, goal)), None):
+            carried.setdefault(above.goal_id, []).append(goal.action_name)
+    below = {name for actions in carried.values() for name in actions}
+    return [
+        replace(goal, carried_by=sorted(carried.get(goal.goal_id, ())))
+        for goal in goals
+        if goal.action_name not in below
+    ]
+
+
+def _is_above(one: RunningGoal, goal: RunningGoal) -> bool:
+    """Whether one navigator's goal is what the other one is carried out for."""
+    if one.action_name.rpartition("/")[0] != goal.action_name.rpartition("/")[0]:
+        return False
+    if one.action_type == FOLLOW_WAYPOINTS:
+        return goal.action_type in NAVIGATORS - {FOLLOW_WAYPOINTS}
+    return one.action_type in NAVIGATORS and goal.action_type in BELOW

@@ -1,0 +1,157 @@
+"""What is seen of a robot that navigates: commanded and not moving, held, in a recovery, on a way that became longer.
+
+Pure: no clock and no ROS. Times are of a steady clock, in s.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from ros2_mcp.model.text import named
+
+STANDS_MPS, STANDS_RADPS = 0.02, 0.05
+"""Below these a base stands: wheel encoders that flicker stay below, and no controller drives as slowly for long."""
+_COMMANDED = 0.01
+"""A velocity above this (m/s, rad/s) is meant to move something."""
+_NEW_S = 1.0
+"""A velocity that is older commands nothing: bases give up after 0.5 s."""
+_SAID_AFTER_S = 2.0
+"""A base needs some tenths of a second to begin to move; from now on it is told."""
+_IDLE_S = 4.0
+"""A planner takes tenths of a second, a controller begins at once."""
+_LONGER_M, _LONGER_SHARE, _LONGER_S = 0.8, 0.15, 15.0
+"""A way that becomes this much longer at once leads round something; it is told for so long."""
+_PROGRESS_M, _NEARER_M = 0.5, 0.1
+"""Nav2's own progress checker asks for 0.5 m; what is left of the way tells of less."""
+MONITOR_ACTIONS = {1: "stops", 2: "slows", 3: "slows (approach)", 4: "limits"}
+"""nav2_msgs/msg/CollisionMonitorState: what it does to the robot; 0 is nothing."""
+
+
+@dataclass(slots=True)
+class _Link:
+    """What was last sent on one topic of velocities, and since when that is not 0."""
+
+    speed: float = 0.0
+    turn: float = 0.0
+    heard_at: float = -math.inf
+    since: float = math.inf
+
+
+@dataclass(slots=True, kw_only=True)
+class DriveWatch:
+    """Is told what comes, and says what it shows. `began_at` is when the goal was accepted."""
+
+    began_at: float
+    recovered: Counter[str] = field(default_factory=Counter[str])
+    """Recoveries by name, and how often each was begun."""
+    _links: dict[str, _Link] = field(default_factory=dict[str, _Link])
+    _odometry: str = ""
+    _speed: tuple[float, float] | None = None
+    _stands_since: float = math.inf
+    _anchor: tuple[float, float] | None = None
+    _progress_at: float = -math.inf
+    _monitor: tuple[int, str, float] = (0, "", 0.0)
+    _running: dict[str, float] = field(default_factory=dict[str, float])
+    _remaining: float = math.inf
+    _nearest: float = math.inf
+    _longer: tuple[float, float] = (0.0, -math.inf)
+
+    def commanded(self, topic: str, linear: float, angular: float, now: float) -> None:
+        """A velocity was sent on a topic between Nav2 and the base; topics are told in the order of the chain."""
+        link = self._links.setdefault(topic, _Link())
+        link.speed, link.turn, link.heard_at = linear, angular, now
+        is_moving = abs(linear) > _COMMANDED or abs(angular) > _COMMANDED
+        link.since = min(link.since, now) if is_moving else math.inf
+
+    def chain(self, topics: Sequence[str]) -> None:
+        """The topics between Nav2 and the base, in their order."""
+        for topic in topics:
+            self._links.setdefault(topic, _Link())
+
+    def moved(self, topic: str, linear: float, angular: float, at: tuple[float, float] | None, now: float) -> None:
+        """Odometry came: speeds in m/s and rad/s, and the place."""
+        self._odometry, self._speed = topic, (linear, angular)
+        stands = abs(linear) < STANDS_MPS and abs(angular) < STANDS_RADPS
+        self._stands_since = min(self._stands_since, now) if stands else math.inf
+        if at is not None and (self._anchor is None or math.dist(self._anchor, at) > _PROGRESS_M):
+            self._anchor, self._progress_at = at, now
+        if abs(angular) > 2 * STANDS_RADPS and not self._running:
+            self._progress_at = now  # it turns to where it is to go
+
+    def monitor(self, action: int, polygon: str, now: float) -> None:
+        """The collision monitor tells what it does, and by which polygon."""
+        if (action, polygon) != self._monitor[:2]:
+            self._monitor = (action, polygon, now)
+
+    def behaviour(self, name: str, *, is_running: bool, now: float) -> None:
+        """One of Nav2's recoveries runs, or does not."""
+        if not is_running:
+            self._running.pop(name, None)
+        elif name not in self._running:
+            self._running[name] = now
+            self.recovered[name] += 1
+
+    def remaining(self, left_m: float, now: float) -> None:
+        """Nav2 tells how long its way still is; 0 before it has one."""
+        if left_m <= 0.0:
+            return
+        longer = left_m - self._remaining
+        if math.isfinite(longer) and longer > max(_LONGER_M, _LONGER_SHARE * self._remaining):
+            self._longer = (longer, now)
+        self._remaining = left_m
+        if left_m < self._nearest - _NEARER_M:
+            self._nearest, self._progress_at = left_m, now
+
+    def stuck_s(self, now: float) -> float:
+        """How long it has not come on: neither half a metre from where it was, nor nearer to the goal."""
+        return now - max(self._progress_at, self.began_at)
+
+    def sees(self, now: float) -> str:
+        """The most telling thing that it sees now, in sentences; "" where all is as it should be."""
+        told = [self._held(now), self._recovering(now)]
+        if not any(told):
+            told.append(self._unmoved(now))
+        longer_m, at = self._longer
+        if now - at < _LONGER_S:
+            told.append(f"The way became {longer_m:.1f} m longer {now - at:.0f} s ago: it was blocked, and replanned.")
+        return " ".join(filter(None, told))
+
+    @property
+    def recoveries(self) -> str:
+        """The recoveries by name."""
+        return ", ".join(f"{name} ×{count}" if count > 1 else name for name, count in self.recovered.items())
+
+    def _held(self, now: float) -> str:
+        action, polygon, since = self._monitor
+        if action not in MONITOR_ACTIONS:
+            return ""
+        verb = "holds" if action == 1 else MONITOR_ACTIONS[action]
+        by = f"polygon {named(polygon)}" if polygon else "no polygon named"
+        return f"The collision monitor {verb} the robot, for {now - since:.0f} s: {by}."
+
+    def _recovering(self, now: float) -> str:
+        return " ".join(f"Nav2 recovers: {name}, for {now - since:.0f} s." for name, since in self._running.items())
+
+    def _unmoved(self, now: float) -> str:
+        """That it stands although it is commanded, or that nobody commands it."""
+        if self._speed is None or now - self._stands_since < _SAID_AFTER_S:
+            return ""
+        live = {topic: link for topic, link in self._links.items() if now - link.heard_at < _NEW_S}
+        sent = [(topic, link) for topic, link in live.items() if now - link.since > _SAID_AFTER_S]
+        if not sent:
+            stands_s = now - max(self._stands_since, self.began_at)
+            is_known = bool(self._links) and stands_s > _IDLE_S
+            why = "Nav2 plans, waits, or is blocked"
+            return f"The robot stands, and no velocity was sent to it for {stands_s:.0f} s: {why}." if is_known else ""
+        topic, link = sent[-1]
+        after = list(self._links)[list(self._links).index(topic) + 1 :]
+        what = f"{link.speed:.2f} m/s" if abs(link.speed) > _COMMANDED else f"{link.turn:.2f} rad/s"
+        where = f" The commands end between {named(topic)} and {named(after[0])}." if after else ""
+        base = "" if after else " Whatever listens to that topic does not carry them out: motors off, brake, or fault."
+        return (
+            f"COMMANDED AND NOT MOVING for {now - link.since:.0f} s: {what} on {named(topic)}, and "
+            f"{named(self._odometry)} reports {self._speed[0]:.2f} m/s.{where}{base}"
+        )

@@ -1,0 +1,141 @@
+"""Listens to what shows how a navigation goes: velocities, odometry, collision monitor, recoveries."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from functools import partial
+from time import monotonic
+from typing import Any
+
+import anyio
+
+from ros2_mcp.guard.document import ODOMETRY
+from ros2_mcp.model.errors import RobotError
+from ros2_mcp.model.goals import STATUS_TYPE, TERMINAL
+from ros2_mcp.model.graph import TopicEndpoints
+from ros2_mcp.ops.navigation.base import chain_of
+from ros2_mcp.ops.navigation.drive_watch import DriveWatch
+from ros2_mcp.ops.stop.observe import velocity_of
+from ros2_mcp.robot import VELOCITY_TYPES, Robot
+
+MONITOR_STATE = "nav2_msgs/msg/CollisionMonitorState"
+TREE_LOG = "nav2_msgs/msg/BehaviorTreeLog"
+BEHAVIOURS: Mapping[str, str] = {
+    "nav2_msgs/action/Spin": "spin",
+    "nav2_msgs/action/BackUp": "back up",
+    "nav2_msgs/action/DriveOnHeading": "drive ahead",
+    "nav2_msgs/action/Wait": "wait",
+    "nav2_msgs/action/AssistedTeleop": "assisted teleop",
+}
+"""Recoveries that are actions, and what they are called here."""
+_CLEARS = "clear"
+"""Nodes of behaviour trees that clear costmaps have it in their name: ClearLocalCostmap-Context and the like."""
+_EVERY_S = 0.2
+"""Between two looks at one topic: a person sees no faster, and a robot of 40 topics must not pay for it."""
+_AGAIN_S = 2.0
+"""Between attempts to listen to a topic that could not be subscribed to, or whose bridge was lost."""
+_MOST_LINKS = 5
+"""From Nav2 to the wheels: controller, smoother, monitor, multiplexer, base."""
+
+Take = Callable[[Mapping[str, Any]], None]
+
+
+async def follow_drive(robot: Robot, action: str, watch: DriveWatch) -> None:
+    """Tells `watch` what comes, until this is cancelled. Raises no `RobotError`."""
+    namespace = action.rpartition("/")[0]
+    while True:
+        try:
+            topics = list(await robot.graph.topics())
+            actions = await robot.types.actions()
+            velocities = [row.name for row in topics if not VELOCITY_TYPES.keys().isdisjoint(row.types)]
+            present = await asyncio.gather(*map(robot.graph.endpoints, velocities[: 2 * _MOST_LINKS]))
+            break
+        except RobotError:
+            await asyncio.sleep(_AGAIN_S)
+    links = in_order(present)[:_MOST_LINKS]
+    watch.chain(links)
+    heard: list[tuple[str, str, Take]] = [(topic, "", partial(_take_velocity, watch, topic)) for topic in links]
+    for row in topics:
+        is_own = row.name.startswith(f"{namespace}/") and row.publishers
+        if is_own and ODOMETRY in row.types and "odom" in row.name:
+            heard.append((row.name, ODOMETRY, partial(_take_odometry, watch, row.name)))
+        elif is_own and MONITOR_STATE in row.types:
+            heard.append((row.name, MONITOR_STATE, partial(_take_monitor, watch)))
+        elif is_own and TREE_LOG in row.types:
+            heard.append((row.name, TREE_LOG, partial(_take_tree, watch)))
+    for name, kinds in actions.items():
+        known = [BEHAVIOURS[kind] for kind in kinds if kind in BEHAVIOURS]
+        if known and name.startswith(f"{namespace}/"):
+            heard.append((f"{name}/_action/status", STATUS_TYPE, partial(_take_status, watch, known[0])))
+    async with anyio.create_task_group() as group:
+        for topic, kind, take in heard:
+            group.start_soon(_hear, robot, topic, kind, take)
+
+
+def in_order(present: Sequence[TopicEndpoints]) -> list[str]:
+    """The velocity topics from Nav2 to the base, each behind those that its publishers listen to."""
+    topics, chain = chain_of(present)
+    links = {one.topic: one for one in present if one.topic in topics and one.subscribers}
+    behind = {
+        name: {
+            other
+            for other, before in links.items()
+            if other != name
+            and {one.node for one in before.subscribers} & {one.node for one in link.publishers if one.node in chain}
+        }
+        for name, link in links.items()
+    }
+    found: list[str] = []
+    while len(found) < len(links):
+        free = sorted(name for name in links if name not in found and behind[name] <= set(found))
+        found += free or sorted(set(links) - set(found))  # a circle has no order
+    return found
+
+
+async def _hear(robot: Robot, topic: str, kind: str, take: Take) -> None:
+    keep = "all" if kind in (MONITOR_STATE, TREE_LOG) else "latest"
+    while True:
+        try:
+            async with robot.listen(topic, kind, keep=keep) as listening:
+                while True:
+                    for sample in await listening.take(_AGAIN_S):
+                        with suppress(LookupError, TypeError, ValueError):  # of another release, with other fields
+                            take(await robot.values.in_full(listening.type, sample.data))
+                    await asyncio.sleep(_EVERY_S)
+        except RobotError:
+            await asyncio.sleep(_AGAIN_S)
+
+
+def _take_velocity(watch: DriveWatch, topic: str, message: Mapping[str, Any]) -> None:
+    velocity = velocity_of(message, "twist" if "header" in message else "")
+    if velocity:
+        watch.commanded(topic, velocity[0], velocity[5], monotonic())
+
+
+def _take_odometry(watch: DriveWatch, topic: str, message: Mapping[str, Any]) -> None:
+    velocity = velocity_of(message, "twist.twist")
+    at = message["pose"]["pose"]["position"]
+    if velocity:
+        watch.moved(topic, velocity[0] or velocity[1], velocity[5], (float(at["x"]), float(at["y"])), monotonic())
+
+
+def _take_monitor(watch: DriveWatch, message: Mapping[str, Any]) -> None:
+    watch.monitor(int(message["action_type"]), str(message["polygon_name"]), monotonic())
+
+
+def _take_tree(watch: DriveWatch, message: Mapping[str, Any]) -> None:
+    """Clearings, which are services: nothing else tells of them. Other recoveries are actions."""
+    for change in message["event_log"]:
+        name = str(change["node_name"])
+        if _CLEARS in name.lower() and change["current_status"] == "RUNNING":
+            which = "local" if "local" in name.lower() else "global" if "global" in name.lower() else ""
+            cleared = f"clear {which} costmap".replace("  ", " ")
+            watch.behaviour(cleared, is_running=True, now=monotonic())
+            watch.behaviour(cleared, is_running=False, now=monotonic())
+
+
+def _take_status(watch: DriveWatch, name: str, message: Mapping[str, Any]) -> None:
+    is_running = any(int(entry["status"]) not in TERMINAL for entry in message["status_list"])
+    watch.behaviour(name, is_running=is_running, now=monotonic())

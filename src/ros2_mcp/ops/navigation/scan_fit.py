@@ -1,0 +1,76 @@
+"""How well what a laser sees fits the map where the robot believes to be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from ros2_mcp.model.aside import load
+from ros2_mcp.model.errors import RobotError
+from ros2_mcp.model.occupancy import OCCUPIED_FROM
+from ros2_mcp.model.pictures import OCCUPANCY_GRID
+from ros2_mcp.model.text import named
+from ros2_mcp.ops.navigation.targets import MAP_FRAME
+from ros2_mcp.ops.pictures.next_message import next_message
+from ros2_mcp.ops.results.results import silent
+from ros2_mcp.ops.sources.live import Live
+from ros2_mcp.robot import Robot
+
+_SCAN = "sensor_msgs/msg/LaserScan"
+_MAP_S, _SCAN_S = 2.0, 1.5
+"""A map is latched; the slowest scanners turn five times a second."""
+_NEAR_M = 0.15
+"""A cell, the scanner's noise and that of a settled localisation."""
+_LEAST_HITS = 20
+"""With fewer beams that end at something, a share says nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class ScanFit:
+    """`share` of the beams that end within 0.15 m of what is occupied on the map, of `beams` that end at something."""
+
+    share: float
+    beams: int
+    scan_topic: str
+    map_topic: str
+
+    def __str__(self) -> str:
+        return f"{self.share:.0%} of {self.beams} beams of {named(self.scan_topic)} fit {named(self.map_topic)}"
+
+
+async def scan_fit(robot: Robot) -> ScanFit | str:
+    """The fit now, or why it is not known, in words. Raises no `RobotError`."""
+    await load("ros2_mcp.world.scans")  # with numpy: not before it is needed
+    from ros2_mcp.ops.space.frames import pose_in
+    from ros2_mcp.world.occupancy import OccupancyGrid
+    from ros2_mcp.world.scans import moved, scan_points
+
+    try:
+        rows = [row for row in await robot.graph.topics() if row.publishers]
+        maps = sorted(row.name for row in rows if OCCUPANCY_GRID in row.types and "costmap" not in row.name)
+        scans = sorted(row.name for row in rows if _SCAN in row.types)
+        if not maps or not scans:
+            return "no map is published" if not maps else "no laser scan is published"
+        maps.sort(key=lambda name: (not name.endswith("/map"), len(name)))
+        grid = OccupancyGrid((await next_message(Live(robot).lasting(_MAP_S), maps[0], OCCUPANCY_GRID, silent)).message)
+        scan: Any = (await next_message(Live(robot).lasting(_SCAN_S), scans[0], _SCAN, silent)).message
+        located = await pose_in(Live(robot), grid.frame_id or MAP_FRAME, scan.header.frame_id)
+        hits = moved(scan_points(scan).hits, located.pose)[:, :2]
+    except RobotError as error:
+        return error.message.rstrip(".")
+    if len(hits) < _LEAST_HITS:
+        return f"only {len(hits)} beams of {named(scans[0])} end at something"
+    return ScanFit(round(share_near_occupied(grid, hits.tolist()), 3), len(hits), scans[0], maps[0])
+
+
+def share_near_occupied(grid: Any, points: list[list[float]]) -> float:
+    """The share of points within `_NEAR_M` of an occupied cell; those beside the grid are not near one."""
+    reach = max(1, round(_NEAR_M / grid.resolution_m))
+    occupied = grid.cells >= OCCUPIED_FROM
+    near = 0
+    for x_m, y_m in points:
+        row, column = grid.cell(x_m, y_m)
+        if row + reach >= 0 and column + reach >= 0:
+            around = occupied[max(0, row - reach) : row + reach + 1, max(0, column - reach) : column + reach + 1]
+            near += bool(around.any())
+    return near / len(points)
