@@ -106,16 +106,16 @@ def _as_json_escapes(escape: re.Match[str]) -> str:
     )
 
 
-def quoted(text: str) -> str:
-    """Text of the robot within a sentence of ours: `«text»`, on one line, cut to 80 characters as they are shown."""
-    line = _LINE_BREAKS.sub(" ⏎ ", text[: 2 * _MOST_QUOTED].strip()).replace("\t", " ")
+def quoted(text: str, most: int = _MOST_QUOTED) -> str:
+    """Text of the robot within a sentence of ours: `«text»`, on one line, cut to `most` characters as they are shown."""
+    line = _LINE_BREAKS.sub(" ⏎ ", text[: 2 * most].strip()).replace("\t", " ")
     line = line.replace("«", "‹").replace("»", "›")
     length = 0
     for place, character in enumerate(line):
         length += len(_escape(character)) if _is_hidden(character) else 1
-        if length > _MOST_QUOTED:
+        if length > most:
             return f"«{line[:place]}…»"
-    return f"«{line}…»" if len(text) > 2 * _MOST_QUOTED else f"«{line}»"
+    return f"«{line}…»" if len(text) > 2 * most else f"«{line}»"
 
 
 def named(name: str) -> str:

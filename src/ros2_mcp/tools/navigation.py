@@ -9,6 +9,7 @@ from pydantic_core import PydanticCustomError
 
 from ros2_mcp.model.nav2 import COMPUTE_PATH, NAVIGATE
 from ros2_mcp.model.text import excerpt
+from ros2_mcp.ops.navigation.check import NavChecked, check_navigation
 from ros2_mcp.ops.navigation.navigate import Navigated, navigate
 from ros2_mcp.ops.navigation.places import PlaceKept, PlaceList, PlaceRequest, list_places, set_place
 from ros2_mcp.ops.navigation.preview import Preview, preview
@@ -82,6 +83,29 @@ async def ros2_navigate(
     time-out, call again with the job_id; ros2_stop ends the job.
     """
     return await navigate(robot, session, to, action=action_name, job_id=job_id, timeout_s=timeout_sec, report=report)
+
+
+@tool(
+    title="Why it does not navigate",
+    risk="read",
+    group="motion",
+    beside={"ros2_navigate": "Before a goal, or when one fails."},
+    finds="why does the robot not move, Nav2 diagnosis, navigation stuck, check before driving",
+)
+async def ros2_nav_check(
+    robot: Robot,
+    to: Annotated[
+        dict[str, Any] | None,
+        BeforeValidator(_as_object),
+        Field(description="A goal to look at, too: a place or a pose, as for ros2_navigate."),
+    ] = None,
+) -> NavChecked:
+    """Find out why a robot with Nav2 does not navigate: reads only, sends no goal, moves nothing.
+
+    Looks at the command chain to the wheels, clocks, frames, servers, sensors, map, localisation and settings. Each
+    finding has its cause, the proof in numbers and a remedy, the worst first.
+    """
+    return await check_navigation(robot, to)
 
 
 @tool(
