@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import anyio
@@ -100,6 +100,8 @@ async def read_evidence(
             missed.append(need)
 
     await asyncio.gather(*(made(need) for need in needs if need in makers))
+    if frames := found.get("frames"):  # the tree has grown meanwhile
+        found["frames"] = replace(frames, at_ns=robot.now_ns())
     goal = await _goal(robot, target, found.get("grids")) if target else None
     return NavEvidence(graph=graph, goal=goal, now_ns=robot.now_ns(), **found), sorted(missed)
 

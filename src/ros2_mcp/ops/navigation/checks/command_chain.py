@@ -125,7 +125,7 @@ def _end(evidence: NavEvidence, topic: TopicEndpoints, publisher: Endpoint, chai
         rank="stops everything",
         subject=topic.topic,
         cause=f"{cause}.",
-        proof=f"The chain by endpoints: {way}, then {where} with {len(topic.publishers)} publishers and 0 subscribers.",
+        proof=f"The chain by endpoints: {way}, then {where}, which has 0 subscribers.",
         remedy=f"Remap {where} to {to}, or give the multiplexer {where} as an input.",
     )
 

@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING
 from ros2_mcp.model.names import may_be_one
 from ros2_mcp.model.text import listed, named
 from ros2_mcp.ops.navigation.checks.check import FRAMES, NavCheck
+from ros2_mcp.ops.navigation.checks.inputs import silent_inputs
 from ros2_mcp.ops.navigation.evidence import ODOMETRY, SCAN, Frames, NavEvidence, NavFinding, is_of_role
 from ros2_mcp.ops.navigation.targets import MAP_FRAME
+from ros2_mcp.ops.space.tellers import GONE
 from ros2_mcp.robot.transforms import TF, TF_STATIC
 
 if TYPE_CHECKING:
@@ -22,7 +24,6 @@ _ROLES = (
     *("docking_server", "slam_toolbox"),
 )
 _TELLS_TF = ("enable_odom_tf", "publish_odom_tf", "publish_tf", "odom_tf", "broadcast_tf")
-_INPUTS = ("sensor_msgs/msg/Imu", ODOMETRY, "geometry_msgs/msg/TwistWithCovarianceStamped")
 _MOST_NAMES = 4
 
 
@@ -81,6 +82,8 @@ def _two_owners(frames: Frames, edge: Edge) -> NavFinding:
         moving = frames.tellers.on(TF, edge, edge.moving[-1].parent) or " or ".join(frames.owners.get(TF, ()))
         cause = f"{named(edge.child)} is told twice: as moving by {moving}, and as static by {static_by}."
         remedy = "End the static one (static_transform_publisher)."
+        if GONE in static_by:
+            remedy = "Its publisher has gone: start the nodes again that heard it, as they keep it."
     elif edge.two_parents:
         cause = f"{named(edge.child)} has two parents: {listed(parents, 3)}."
         told = [f"{named(parent)}{frames.tellers.by_whom(edge, parent)}" for parent in parents]
@@ -91,10 +94,12 @@ def _two_owners(frames: Frames, edge: Edge) -> NavFinding:
     apart = edge.apart
     far = f" What they tell is {apart[0]:.2g} m and {apart[1]:.2g}° apart." if apart else ""
     return NavFinding(
-        rank="stops everything" if _is_needed(edge) or edge.two_parents else "makes it worse",
+        rank="makes it worse"
+        if GONE in static_by or not (_is_needed(edge) or edge.two_parents)
+        else "stops everything",
         subject=_name(edge),
         cause=cause,
-        proof=f"{len(edge.writers)} publishers tell it; it is told by {who}.{far}",
+        proof=f"It is told by {who}.{far}",
         remedy=remedy,
     )
 
@@ -116,12 +121,7 @@ def _odometry(evidence: NavEvidence, frames: Frames) -> Iterator[NavFinding]:
     if not heard:
         return
     one = heard[0]
-    off = [
-        f"{name} of {named(node)} is false"
-        for node, values in (evidence.parameters or {}).items()
-        for name, value in values.items()
-        if value is False and name.rpartition(".")[2] in _TELLS_TF
-    ]
+    off = _switched_off(evidence)
     yield NavFinding(
         rank="stops everything",
         subject="odom → base",
@@ -133,6 +133,16 @@ def _odometry(evidence: NavEvidence, frames: Frames) -> Iterator[NavFinding]:
     )
 
 
+def _switched_off(evidence: NavEvidence) -> list[str]:
+    """Parameters by which a node is told to tell no transform."""
+    return [
+        f"{name} of {named(node)} is false"
+        for node, values in (evidence.parameters or {}).items()
+        for name, value in values.items()
+        if value is False and name.rpartition(".")[2] in _TELLS_TF
+    ]
+
+
 def _is_fixed(edge: Edge) -> bool:
     """A base below another part of the robot, as base_footprint → base_link, is no odometry."""
     return bool(edge.newest and _is_base(edge.newest.parent))
@@ -141,18 +151,23 @@ def _is_fixed(edge: Edge) -> bool:
 def _stale(evidence: NavEvidence, frames: Frames, edge: Edge) -> NavFinding:
     silent_s = frames.silent_ns(edge) / 1e9
     owner = frames.tellers.of(edge).removeprefix("probably ")
-    inputs = _silent_inputs(evidence, owner) if owner.startswith("/") else []
+    inputs = silent_inputs(evidence, owner) if owner.startswith("/") else []
     is_gone = "gone" in owner
     cause = f"The transform {_name(edge)} is not told any more"
     cause += f": {owner}." if is_gone else f"; {owner} publishes it." if owner else "."
     proof = f"The last one came {silent_s:.1f} s ago."
-    if inputs:
+    off = _switched_off(evidence) if _name(edge) == "odom → base" else []
+    if off and any(one.count for one in evidence.of(ODOMETRY)):
+        cause = "Odometry comes, and nobody tells the transform from odom to the base."
+        proof += f" {'; '.join(off[:3])}."
+    elif inputs:
         cause = f"{cause[:-1]}, and what it waits for is silent: {listed(inputs, 3)}."
     elif owner.startswith("/") and not is_gone:
         proof += " The node is still there." if owner in evidence.nodes else " The node has left."
     fine = [one.topic for one in evidence.of(SCAN) if one.count]
     proof += f" {listed(fine, 2)} comes." if fine else ""
     remedy = f"First find out why {inputs[0]} is silent." if inputs else "Start its publisher again, and read its log."
+    remedy = "Set it to true again." if off else remedy
     return NavFinding(
         rank="stops everything",
         subject=_name(edge),
@@ -161,18 +176,6 @@ def _stale(evidence: NavEvidence, frames: Frames, edge: Edge) -> NavFinding:
         remedy=remedy,
         covers=["map → odom", *inputs] if _name(edge) == "odom → base" else inputs,
     )
-
-
-def _silent_inputs(evidence: NavEvidence, node: str) -> list[str]:
-    """Topics that a node listens to of which nothing comes."""
-    silent = list[str]()
-    for topic in evidence.topics(*_INPUTS, SCAN):
-        if not any(one.node == node for one in topic.subscribers):
-            continue
-        heard = (evidence.heard or {}).get(topic.topic)
-        if not topic.publishers or (heard and heard.is_silent):
-            silent.append(topic.topic)
-    return silent
 
 
 def _names(evidence: NavEvidence, frames: Frames) -> Iterator[NavFinding]:

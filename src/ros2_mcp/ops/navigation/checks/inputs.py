@@ -13,9 +13,8 @@ from ros2_mcp.ops.topics.info import mismatches
 from ros2_mcp.robot import TopicEndpoints
 
 _READERS = ("local_costmap", "global_costmap", "amcl", "slam_toolbox")
-_ALSO_READS = "collision_monitor"
-"""Its own check tells what it lacks."""
 _NEEDS_ODOMETRY = ("controller_server", "bt_navigator", "velocity_smoother", "behavior_server")
+_INPUTS = ("sensor_msgs/msg/Imu", ODOMETRY, "geometry_msgs/msg/TwistWithCovarianceStamped", *SENSORS)
 _MOST_NAMES = 4
 
 
@@ -43,11 +42,9 @@ def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
 
 def _absent(evidence: NavEvidence, topic: TopicEndpoints, who: str) -> NavFinding:
     gone = evidence.graph.left.topics.get(topic.topic, ())
-    elsewhere = [
-        other
-        for other in evidence.topics(*topic.types)
-        if other.publishers and not any(is_of_role(one.node, *_READERS, _ALSO_READS) for one in other.subscribers)
-    ]
+    others = [other for other in evidence.topics(*topic.types) if other.publishers]
+    last = topic.topic.rpartition("/")[2]
+    elsewhere = [other for other in others if other.topic.rpartition("/")[2] == last] or others
     kind = topic.types[0].rpartition("/")[2]
     is_needed = any(is_of_role(one.node, "amcl", "slam_toolbox", "local_costmap") for one in topic.subscribers)
     remedy, proof = f"Start what publishes {named(topic.topic)}, or correct the topic.", ""
@@ -58,10 +55,10 @@ def _absent(evidence: NavEvidence, topic: TopicEndpoints, who: str) -> NavFindin
     elif len(elsewhere) == 1:
         other = elsewhere[0]
         cause = f"{cause}; the {kind} is on {named(other.topic)}"
-        proof = f"{listed(nodes_of(other.publishers), _MOST_NAMES)} publishes it, and no costmap listens there."
+        proof = f"{listed(nodes_of(other.publishers), _MOST_NAMES)} publishes it there; on {named(topic.topic)} are 0."
         remedy = f"Set the topic of that source to {other.topic}, with the slash in front, or remap it."
     elif elsewhere:
-        proof = f"Nobody of Nav2 listens on {listed([one.topic for one in elsewhere], _MOST_NAMES)}, of the same type."
+        proof = f"Of the same type are {listed([one.topic for one in elsewhere], _MOST_NAMES)}."
     return NavFinding(
         rank="stops everything" if is_needed else "stops some goals",
         subject=topic.topic,
@@ -77,14 +74,36 @@ def _silent(evidence: NavEvidence, topic: TopicEndpoints, who: str) -> NavFindin
     by = nodes_of(topic.publishers)
     idle = [node for node in by if not evidence.is_active(node)]
     state = f" {listed(idle, 2)} is not active." if idle else ""
+    inputs = silent_inputs(evidence, by[0]) if len(by) == 1 else []
+    if inputs:
+        cause = f"{inputs[0]} is silent, so that {named(by[0])} tells nothing on {named(topic.topic)}."
+        first = nodes_of(evidence.topic(inputs[0]).publishers)
+        remedy = f"Find out why {listed(first, 2)} publishes nothing there." if first else "Start what publishes it."
+        proof = f"Nothing came on either in {heard.duration_s:.1f} s; {named(by[0])} is there, and {who} waits."
+    else:
+        cause = f"{named(topic.topic)} is silent: {listed(by, _MOST_NAMES)} publishes it, and nothing comes."
+        remedy = f"Check the device, the parameters and the log of {listed(by, _MOST_NAMES)}; then start it again."
+        proof = f"No message in {heard.duration_s:.1f} s, for which {who} waits.{state}"
     return NavFinding(
         rank="stops everything",
-        subject=topic.topic,
-        cause=f"{named(topic.topic)} is silent: {listed(by, _MOST_NAMES)} publishes it, and nothing comes.",
-        proof=f"No message in {heard.duration_s:.1f} s, for which {who} waits.{state}",
-        remedy=f"Check the device, the parameters and the log of {listed(by, _MOST_NAMES)}; then start it again.",
-        covers=_follows(topic),
+        subject=inputs[0] if inputs else topic.topic,
+        cause=cause,
+        proof=proof,
+        remedy=remedy,
+        covers=[topic.topic, *_follows(topic)] if inputs else _follows(topic),
     )
+
+
+def silent_inputs(evidence: NavEvidence, node: str) -> list[str]:
+    """Topics that a node listens to of which nothing comes, or which nobody publishes."""
+    silent = list[str]()
+    for topic in evidence.topics(*_INPUTS):
+        if not any(one.node == node for one in topic.subscribers):
+            continue
+        heard = (evidence.heard or {}).get(topic.topic)
+        if not topic.publishers or (heard and heard.is_silent):
+            silent.append(topic.topic)
+    return silent
 
 
 def _follows(topic: TopicEndpoints) -> list[str]:

@@ -213,10 +213,20 @@ def _covered(nodes: Sequence[str]) -> list[str]:
 
 def _unmanaged(evidence: NavEvidence, nodes: Sequence[str]) -> Iterator[NavFinding]:
     states = evidence.states or {}
+    gone = [node for node in nodes if node in evidence.graph.left.nodes]
+    if len(gone) > 1:
+        yield NavFinding(
+            rank="stops everything",
+            subject=gone[0],
+            cause=f"{len(gone)} nodes of Nav2 have left: {listed(gone, _MOST_NAMES)}.",
+            proof="They were there earlier in this session, and so was their manager, if any.",
+            remedy="Start Nav2 again; ros2_log_read may show why it ended.",
+            covers=_covered(gone)[1:],
+        )
     for node in nodes:
         state = states.get(node)
-        is_gone = node in evidence.graph.left.nodes
-        if not is_gone and state in (None, "active"):
+        is_gone = node in gone
+        if (is_gone and len(gone) > 1) or (not is_gone and state in (None, "active")):
             continue
         lines = [line for line in _lines(evidence, node) if line.level in ("ERROR", "FATAL")]
         hangs = f"{named(node)} hangs: it does not answer."
