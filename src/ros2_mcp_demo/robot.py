@@ -74,7 +74,11 @@ class Robot:
             self._executor.remove_node(part)
             self._spun.remove(part)
             self._parts.remove(part)
+            for waitable in [*part.waitables]:  # action servers, which a node does not destroy
+                getattr(waitable, "destroy", lambda: None)()
             part.destroy_node()
+            if machine := getattr(part, "_state_machine", None):  # of a lifecycle node; it keeps the node in the graph
+                machine.destroy_when_not_in_use()
         if self._stack.joined:
             self._parts += self._stack.joined
             self._spin(self._stack.joined)

@@ -74,7 +74,8 @@ class CollisionMonitor(Managed, LifecyclePart):
             return "invalid source"
         corners = np.array(json.loads(self.setting("PolygonStop.points")))
         angles = -math.pi + np.arange(len(ranges)) * (2 * math.pi / len(ranges))
-        x, y = ranges * np.cos(angles), ranges * np.sin(angles)
+        reach = np.where(np.isfinite(ranges), ranges, 1e3)
+        x, y = reach * np.cos(angles), reach * np.sin(angles)
         inside = (np.abs(x) < corners[:, 0].max()) & (np.abs(y) < corners[:, 1].max())
         return "PolygonStop" if int(inside.sum()) >= self.setting("PolygonStop.min_points") else None
 

@@ -90,30 +90,56 @@ def _both(*pairs):
 
 
 def _blind_behind(stack):
-    """The map knows nothing behind a line, and the costmap neither."""
-    robot = stack.base.robot
-    cells, (x, _) = robot.map
+    """The map knows nothing behind a line, and the planner may not go where nothing is known."""
+    cells, (x, _) = stack.base.robot.map
+    stack.hidden = cells[:, int((UNKNOWN_FROM_M - x) / 0.05) :].copy()
     cells[:, int((UNKNOWN_FROM_M - x) / 0.05) :] = -1
     stack.set("planner", "GridBased.allow_unknown", False)
     stack.map_server.publish()
 
 
+def _known_again(stack):
+    cells, (x, _) = stack.base.robot.map
+    cells[:, int((UNKNOWN_FROM_M - x) / 0.05) :] = stack.hidden
+    stack.set("planner", "GridBased.allow_unknown", True)
+    stack.map_server.publish()
+
+
 def _old_plugin(stack):
+    stack.navigation.reset()
     stack.planner.fails = (
         "Failed to create global planner. Exception: According to the loaded plugin descriptions the class "
         "nav2_navfn_planner/NavfnPlanner with base class type nav2_core::GlobalPlanner does not exist."
     )
     stack.set("planner", "GridBased.plugin", "nav2_navfn_planner/NavfnPlanner")
+    stack.navigation.bring_up()
+
+
+def _new_plugin(stack):
+    stack.planner.fails = ""
+    stack.set("planner", "GridBased.plugin", "nav2_navfn_planner::NavfnPlanner")
+    stack.navigation.bring_up()
+
+
+def _never_comes(stack):
+    stack.navigation.reset()
+    stack.set("navigation", "node_names", [*stack.navigation.setting("node_names"), "route_server"])
+    stack.navigation.bring_up()
+
+
+def _not_wanted(stack):
+    stack.set("navigation", "node_names", stack.navigation.setting("node_names")[:-1])
+    stack.navigation.bring_up()
+
+
+def _fed_again(stack):
+    stack.navigator.starved = False
+    stack.navigation.bring_up()
 
 
 def _renamed_scan(stack):
     stack.local_costmap.listen("scan")
     stack.set("local_costmap", "obstacle_layer.scan.topic", "scan")
-
-
-def _late_to_come(stack):
-    names = [*stack.navigation.setting("node_names"), "route_server"]
-    stack.set("navigation", "node_names", names)
 
 
 def _deaf_map(stack):
@@ -163,9 +189,9 @@ FAULTS = {
             "rolling_window": (False, True),
         },
     ),
-    "18 old plugin name": (_old_plugin, None),
-    "19 never comes": (_late_to_come, None),
-    "20 bond lost": (lambda stack: setattr(stack.navigator, "starved", True), None),
+    "18 old plugin name": (_old_plugin, _new_plugin),
+    "19 never comes": (_never_comes, _not_wanted),
+    "20 bond lost": (lambda stack: setattr(stack.navigator, "starved", True), _fed_again),
     "20 server died": _dies("planner"),
     "21 acknowledged too late": _parameter("navigator", "default_server_timeout", 1, 200),
     "23 sees itself": _attribute("lidar", "sees_itself", True, False),
@@ -174,7 +200,7 @@ FAULTS = {
         "controller",
         {"progress_checker.movement_time_allowance": (3.0, 10.0), "FollowPath.desired_linear_vel": (0.1, 0.4)},
     ),
-    "32 unknown space": (_blind_behind, None),
+    "32 unknown space": (_blind_behind, _known_again),
     "map is volatile": (
         _deaf_map,
         lambda stack: stack.map_server.publish_as(DurabilityPolicy.TRANSIENT_LOCAL),
@@ -216,8 +242,6 @@ def plant(stack, name):
 
 
 def heal(stack, name):
-    """Take it away."""
-    undo = FAULTS[name][1]
-    if undo is None:
-        raise ValueError(f"{name!r} is healed by a new start only")
-    undo(stack)
+    """Take it away, if that can be done without a new start."""
+    if undo := FAULTS[name][1]:
+        undo(stack)

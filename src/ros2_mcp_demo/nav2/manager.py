@@ -3,6 +3,8 @@
 # pyright: basic
 from __future__ import annotations
 
+from contextlib import suppress
+
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from std_srvs.srv import Trigger
 
@@ -16,11 +18,11 @@ STARTUP, PAUSE, RESUME, RESET, SHUTDOWN = range(5)
 class LifecycleManager(RobotPart):
     """`servers` are its nodes, in the order in which they are brought up."""
 
-    def __init__(self, name, robot, namespace, servers, service, *, also=()):
+    def __init__(self, name, robot, namespace, servers, service):
         super().__init__(name, robot, namespace)
         self.servers = list(servers)
-        names = [*(server.get_name() for server in self.servers), *also]
-        declare(self, {"node_names": names, "autostart": True, "bond_timeout": BOND_S})
+        self._names = {server: server.get_name() for server in self.servers}
+        declare(self, {"node_names": list(self._names.values()), "autostart": True, "bond_timeout": BOND_S})
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.is_up = False
         self._missed_at = None
@@ -45,23 +47,28 @@ class LifecycleManager(RobotPart):
 
     def bring_up(self):
         """Configure all, then activate all; end with the first that fails."""
-        missing = [name for name in self.setting("node_names") if name not in {one.get_name() for one in self.servers}]
+        missing = [name for name in self.setting("node_names") if name not in self._names.values()]
         if missing:
             self.get_logger().info(f"Waiting for service {missing[0]}/get_state...")
             return False
         for step in ("trigger_configure", "trigger_activate"):
             for server in self.servers:
-                getattr(server, step)()
+                if getattr(server, "is_gone", False):
+                    return False
+                with suppress(RuntimeError):  # it is configured, or active, already
+                    getattr(server, step)()
                 if server.fails:
-                    self.get_logger().error(f"Failed to change state for node: {server.get_name()}")
+                    self.get_logger().error(f"Failed to change state for node: {self._names[server]}")
                     self.get_logger().error("Failed to bring up all requested nodes. Aborting bringup.")
                     return False
         self.is_up = True
+        self.get_logger().info("Managed nodes are active")
         return True
 
     def pause(self):
         """Deactivate all."""
         self._all_down("trigger_deactivate")
+        self.get_logger().info("Managed nodes have been paused")
 
     def reset(self):
         """Deactivate and clean up all."""
@@ -69,7 +76,7 @@ class LifecycleManager(RobotPart):
         self._all_down("trigger_cleanup")
 
     def _take_down(self, lost):
-        text = f"SERVER {lost.get_name()} IS DOWN after not receiving a heartbeat for {BOND_S * 1000:.0f} ms"
+        text = f"SERVER {self._names[lost]} IS DOWN after not receiving a heartbeat for {BOND_S * 1000:.0f} ms"
         self.get_logger().error(f"CRITICAL FAILURE: {text}. Shutting down related nodes.")
         self.reset()
 
@@ -77,10 +84,8 @@ class LifecycleManager(RobotPart):
         self.is_up = False
         for server in reversed(self.servers):
             if not getattr(server, "is_gone", False):
-                try:
+                with suppress(RuntimeError):  # it is down already
                     getattr(server, step)()
-                except RuntimeError:  # it is down already
-                    continue
 
     def _is_active(self, _, response):
         response.success = self.is_up
@@ -89,10 +94,7 @@ class LifecycleManager(RobotPart):
     def _manage(self, request, response):
         response.success = True
         if request.command in (STARTUP, RESUME):
-            try:
-                response.success = self.bring_up()
-            except RuntimeError:  # some are already up
-                response.success = False
+            response.success = self.bring_up()
         elif request.command == PAUSE:
             self.pause()
         else:

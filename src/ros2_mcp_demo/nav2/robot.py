@@ -82,6 +82,7 @@ class Stack:
     """All parts of the robot by their names in `PARAMETERS`, for what is planted in them; `part` is any of them."""
 
     def __init__(self):
+        self.hidden = None
         self.parts = {}
         self.joined = []
         self.left = []
@@ -161,8 +162,7 @@ def late(simulation, namespace, parts):
 
     at_start(STACK)
     for manager in (made["localisation"], made["navigation"]):
-        if manager.setting("autostart"):
-            manager.bring_up()
+        manager.bring_up()
     return joining
 
 

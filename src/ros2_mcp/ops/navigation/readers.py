@@ -315,8 +315,14 @@ async def _grids(robot: Robot, graph: GraphSnapshot, action: str) -> Grids:
 
 
 async def _log(robot: Robot) -> Sequence[LogLine]:
-    request = LogRequest(since=f"{_LOG_S:.0f}", level="warn", limit=_LOG_LINES)
-    return (await read_log(robot, request, _LOG_BYTES)).lines
+    """Warnings and errors of all; of managers also that they have brought their nodes up: what was said before is over."""
+    since = f"{_LOG_S:.0f}"
+    warnings, ups = await asyncio.gather(
+        read_log(robot, LogRequest(since=since, level="warn", limit=_LOG_LINES), _LOG_BYTES),
+        read_log(robot, LogRequest(since=since, node="*lifecycle_manager*", pattern="anaged nodes"), _LOG_BYTES),
+    )
+    lines = {(line.time, line.node, line.text): line for line in (*warnings.lines, *ups.lines)}
+    return sorted(lines.values(), key=lambda line: line.time)
 
 
 async def _diagnostics(robot: Robot) -> Sequence[Diagnostic]:

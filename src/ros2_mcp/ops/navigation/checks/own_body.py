@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any, cast
 
 from ros2_mcp.model.text import named
-from ros2_mcp.ops.navigation.checks.check import MAP, NavCheck
+from ros2_mcp.ops.navigation.checks.check import SENSORS, NavCheck
 from ros2_mcp.ops.navigation.checks.collision_monitor import is_within
 from ros2_mcp.ops.navigation.evidence import SCAN, Heard, NavEvidence, NavFinding
 
@@ -43,6 +43,7 @@ def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
             proof=f"{len(found)} beams read {min(ranges):.2f} to {max(ranges):.2f} m in all of {len(one.messages)} scans; "
             f"{_outline_in_words(corners, radius_m)}.",
             remedy="Filter these angles out (laser_filters), raise range_min above that, or correct the outline.",
+            covers=evidence.of_role("collision_monitor"),
         )
 
 
@@ -91,4 +92,4 @@ def _outline_in_words(corners: Sequence[tuple[float, float]], radius_m: float) -
     return f"its outline is {max(xs) - min(xs):.2f} × {max(ys) - min(ys):.2f} m"
 
 
-CHECK = NavCheck(("frames", "heard", "parameters"), _find, MAP)
+CHECK = NavCheck(("frames", "heard", "parameters"), _find, SENSORS)

@@ -14,6 +14,8 @@ _LOCALISES = ("amcl", "map_server", "slam_toolbox")
 _LOST = re.compile(
     r"SERVER (\S+) IS DOWN|not received a heartbeat from (\S+?)\.?(?:\s|$)|(\S+) was unable to be reached"
 )
+_UP = re.compile(r"Managed nodes (are active|have been paused)|Pausing managed nodes", re.IGNORECASE)
+"""What a manager says when all is well again, or when it was told to pause: what it said before is over."""
 _IGNORED = re.compile(r"Message Filter dropping|missed its desired rate|desired rate of", re.IGNORECASE)
 """Lines of the first seconds, and a warning that is often false: no reasons."""
 _OLD_PLUGIN = re.compile(r"\w+/\w+")
@@ -83,7 +85,11 @@ def _waits(evidence: NavEvidence, nodes: Sequence[str], absent: Sequence[str], i
 def _lost(evidence: NavEvidence, manager: str, nodes: Sequence[str]) -> tuple[str, LogLine] | None:
     """The server whose heartbeat the manager missed, by its log: the last time that it did."""
     for line in reversed(evidence.log or ()):
-        if line.node.split("/")[-1] != manager.rsplit("/", maxsplit=1)[-1] or not (found := _LOST.search(line.text)):
+        if line.node.rpartition("/")[2] != manager.rpartition("/")[2]:
+            continue
+        if _UP.search(line.text):
+            return None
+        if not (found := _LOST.search(line.text)):
             continue
         name = next(filter(None, found.groups())).strip("/")
         server = next((node for node in nodes if node.rpartition("/")[2] == name.rpartition("/")[2]), "")
@@ -123,7 +129,7 @@ def _down(
             "Find out what starves it (load of the computer), or raise bond_timeout; then bring the stack up again."
         )
     elif first in hung:
-        remedy = f"End {named(first)} and start it again; then bring the stack up with {named(manager)}/manage_nodes."
+        remedy = f"Start {named(first)} again, and end it first if it still runs; then bring the stack up with {named(manager)}/manage_nodes."
     is_alone = not others and not lost
     return NavFinding(
         rank="stops everything",
@@ -202,8 +208,12 @@ def _old_plugins(evidence: NavEvidence, node: str) -> list[str]:
 
 
 def _lines(evidence: NavEvidence, node: str) -> list[LogLine]:
-    """What a node said at level WARN or above, without what says nothing."""
-    return [line for line in evidence.log or () if line.node == node and not _IGNORED.search(line.text)]
+    """What a node said at level WARN or above since its manager had all active last, without what says nothing."""
+    managers = [manager.rpartition("/")[2] for manager in evidence.managers if node in evidence.managed(manager)]
+    log = evidence.log or ()
+    ups = [n for n, line in enumerate(log) if line.node.rpartition("/")[2] in managers and _UP.search(line.text)]
+    since = ups[-1] if ups else 0
+    return [line for line in log[since:] if line.node == node and not _IGNORED.search(line.text)]
 
 
 def _covered(nodes: Sequence[str]) -> list[str]:
