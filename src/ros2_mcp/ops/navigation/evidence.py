@@ -59,6 +59,8 @@ class NavFinding:
     proof: str
     remedy: str
     covers: Collection[str] = field(default=(), metadata=HIDDEN)
+    place: int = field(default=0, metadata=HIDDEN)
+    """Of its check, in the chain of causes."""
 
     def __str__(self) -> str:
         return f"{self.cause} {self.proof}".strip()

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import pkgutil
 from collections.abc import Sequence
+from dataclasses import replace
 from importlib import import_module
 
 from ros2_mcp.ops.navigation.checks.check import NavCheck
@@ -40,7 +41,7 @@ def nav_findings_in(evidence: NavEvidence) -> list[NavFinding]:
             continue
         for finding in check.find(evidence):
             if finding.subject not in covered:
-                kept.setdefault((finding.subject, finding.cause), finding)
+                kept.setdefault((finding.subject, finding.cause), replace(finding, place=check.place))
                 covered.update(finding.covers)
     return sorted(kept.values(), key=lambda finding: RANKS.index(finding.rank))
 

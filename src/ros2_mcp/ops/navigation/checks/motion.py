@@ -106,8 +106,8 @@ def _limits(evidence: NavEvidence, chain: Chain) -> Iterator[NavFinding]:
             yield NavFinding(
                 rank="stops everything",
                 subject=node,
-                cause=f"{named(node)} lets nothing through: a greatest speed is 0.",
-                proof=f"{', '.join(off[:3])}.",
+                cause=f"{named(node)} has the limit {off[0]}: nothing gets through.",
+                proof=f"{len(off)} of its greatest speeds {'is' if len(off) == 1 else 'are'} 0.",
                 remedy="Set it to more than 0: ros2_parameter_set.",
             )
 

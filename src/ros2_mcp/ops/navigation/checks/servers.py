@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 from ros2_mcp.model.text import counted, listed, named
 from ros2_mcp.ops.log.read import LogLine
@@ -50,6 +51,12 @@ def _find(evidence: NavEvidence, *, of_localisation: bool) -> Iterator[NavFindin
 
 
 def _of_manager(evidence: NavEvidence, manager: str, nodes: Sequence[str]) -> Iterator[NavFinding]:
+    """What its own diagnostics say of it is the same fault."""
+    for finding in _by_manager(evidence, manager, nodes):
+        yield replace(finding, covers=[*finding.covers, *([manager] if finding.subject != manager else [])])
+
+
+def _by_manager(evidence: NavEvidence, manager: str, nodes: Sequence[str]) -> Iterator[NavFinding]:
     states = evidence.states or {}
     absent = [node for node in nodes if node not in states and node not in evidence.nodes]
     hung = [node for node in nodes if states.get(node) == ""]
