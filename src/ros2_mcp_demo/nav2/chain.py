@@ -12,6 +12,7 @@ import numpy as np
 import rclpy
 from geometry_msgs.msg import Twist, TwistStamped
 from nav_msgs.msg import Odometry
+from rclpy.context import Context
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import LaserScan
 
@@ -109,7 +110,7 @@ class Base(BaseController):
     def follow_stamped(self):
         """Leave /cmd_vel to a driver that listens for TwistStamped; a participant has one type for each topic."""
         self.destroy_subscription(self._listening)
-        context = rclpy.Context()
+        context = Context()
         rclpy.init(context=context, args=[])
         self._driver = rclpy.create_node("base_driver", context=context, namespace=self.get_namespace())
         self._driver.create_subscription(TwistStamped, "cmd_vel", lambda _: None, 10)

@@ -64,7 +64,8 @@ class Controller(Managed, ControllerServer):
     def __init__(self, robot, namespace, navigation, action, **parameters):
         super().__init__(robot, namespace, navigation)
         declare(self, parameters)
-        self._action, self._handle, self._drive = action, None, None
+        self._action, self._handle = action, None
+        self._drive: Any = None
         self._server = GoalServer(self, action, "follow_path", self._judge, self._begin)
 
     def tick(self, stamp):  # noqa: ARG002
