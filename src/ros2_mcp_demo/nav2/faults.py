@@ -7,6 +7,8 @@ causes in the list that `ros2_nav_check` was written by.
 # pyright: basic
 from __future__ import annotations
 
+import math
+
 from rclpy.qos import DurabilityPolicy
 
 from ..world import Pillar
@@ -95,6 +97,7 @@ def _blind_behind(stack):
     stack.hidden = cells[:, int((UNKNOWN_FROM_M - x) / 0.05) :].copy()
     cells[:, int((UNKNOWN_FROM_M - x) / 0.05) :] = -1
     stack.set("planner", "GridBased.allow_unknown", False)
+    stack.planner.unknown_from_m = UNKNOWN_FROM_M
     stack.map_server.publish()
 
 
@@ -102,6 +105,7 @@ def _known_again(stack):
     cells, (x, _) = stack.base.robot.map
     cells[:, int((UNKNOWN_FROM_M - x) / 0.05) :] = stack.hidden
     stack.set("planner", "GridBased.allow_unknown", True)
+    stack.planner.unknown_from_m = math.inf
     stack.map_server.publish()
 
 

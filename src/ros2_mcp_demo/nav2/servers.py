@@ -55,7 +55,17 @@ class Server(Managed, LifecyclePart):
 
 
 class Planner(Managed, PlannerServer):
-    """The planner; its costmap is published by the node of that costmap."""
+    """The planner; its costmap is published by the node of that costmap, and knows nothing from `unknown_from_m` on."""
+
+    unknown_from_m = math.inf
+
+    def _grid(self, stamp):
+        grid = super()._grid(stamp)
+        known = (self.unknown_from_m - grid.info.origin.position.x) / grid.info.resolution
+        for index in range(len(grid.data)) if known < grid.info.width else ():
+            if index % grid.info.width >= known:
+                grid.data[index] = -1
+        return grid
 
 
 class Controller(Managed, ControllerServer):

@@ -93,7 +93,7 @@ def said(agent: Agent, **arguments: Any) -> list[str]:
 
 def test_nothing_is_found_while_it_is_well_beside_decoys_and_the_answer_is_short(agent: Agent) -> None:
     assert said(agent) == []
-    assert len(agent.text("ros2_nav_check").encode()) <= 1500
+    assert len(agent.whole("ros2_nav_check", {}).content[0].text.encode()) <= 1500
     assert "Nav2: 9 of 9 active" in str(agent.call("ros2_robot")["stacks"])
 
 
@@ -124,7 +124,7 @@ def test_a_planted_cause_is_the_first_that_is_told_and_no_decoy_is(agent: Agent,
 def test_a_dead_server_is_one_finding_of_the_health_check(agent: Agent) -> None:
     """It died in the test before: nothing of it heals."""
     health = agent.call("ros2_health_check")
-    of_nav2 = [row for row in health["findings"] if "planner" in str(row) or "lifecycle" in str(row)]
+    of_nav2 = [row for row in health["findings"] if "planner" in row["problem"] or row["subject"] == "lifecycle"]
     assert len(of_nav2) == 1 and "/planner_server died" in of_nav2[0]["problem"], health["findings"]
     assert health["verdict"] == "CRITICAL"
 

@@ -69,7 +69,7 @@ async def check_navigation(robot: Robot, to: object = None, action: str = "") ->
             raise BadInput("ros2_nav_check looks at one place.", "Give one.")
         target = targets[0]
     robot.log.start()
-    evidence, not_read = await read_evidence(robot, NEEDS, target, action)
+    evidence, _ = await read_evidence(robot, NEEDS, target, action)
     if not evidence.is_nav2:
         raise await robot.graph.missing(
             "There is no Nav2: no bt_navigator, planner_server, controller_server or lifecycle manager is seen.",
@@ -81,7 +81,7 @@ async def check_navigation(robot: Robot, to: object = None, action: str = "") ->
         findings=findings[:_MOST],
         servers=servers_in_words(evidence),
         seen=_seen(evidence),
-        not_read=sorted({*not_read, *not_looked_at(evidence)}),
+        not_read=sorted(not_looked_at(evidence)),
     )
 
 

@@ -112,7 +112,7 @@ def _odometry(evidence: NavEvidence, frames: Frames) -> Iterator[NavFinding]:
         for child, edge in tree.edges.items()
     ):
         return
-    heard = [one for one in evidence.of(ODOMETRY) if one.count]
+    heard = [one for one in evidence.of(ODOMETRY) if one.count and one.newest is not None]
     for one in heard:
         message = one.newest
         parent, child = one.frame_id or "odom", str(message.child_frame_id).lstrip("/")

@@ -118,7 +118,7 @@ def _down(
     fate = (
         "died"
         if first in absent
-        else "hangs: it answers nothing"
+        else "died, or hangs: it answers nothing"
         if first in hung
         else "missed its heartbeat, and lives"
     )
