@@ -107,7 +107,7 @@ def _as_json_escapes(escape: re.Match[str]) -> str:
 
 
 def quoted(text: str, most: int = _MOST_QUOTED) -> str:
-    """Text of the robot within a sentence of ours: `«text»`, on one line, cut to `most` characters as they are shown."""
+    """Text of the robot within a sentence of ours: `«text»`, on one line, cut to `most` characters as shown."""
     line = _LINE_BREAKS.sub(" ⏎ ", text[: 2 * most].strip()).replace("\t", " ")
     line = line.replace("«", "‹").replace("»", "›")
     length = 0

@@ -32,6 +32,11 @@ def _as_object(to: Any) -> Any:
     raise _no_place(to)
 
 
+def _as_object_if_any(to: Any) -> Any:
+    """What is empty is not given: nothing acts here."""
+    return _as_object(to) if to else None
+
+
 def _no_place(to: object) -> PydanticCustomError:
     return PydanticCustomError(
         WHOLE_SENTENCE, '{given} is not a place: write {"x": 1, "y": 0} or its name.', {"given": excerpt(to)}
@@ -88,16 +93,17 @@ async def ros2_navigate(
 @tool(
     title="Why it does not navigate",
     risk="read",
-    group="motion",
-    beside={"ros2_navigate": "Before a goal, or when one fails."},
+    group="navigation",
+    by_default=False,
+    beside={"ros2_navigate": "Use it before ros2_navigate, or when that fails."},
     finds="why does the robot not move, Nav2 diagnosis, navigation stuck, check before driving",
 )
 async def ros2_nav_check(
     robot: Robot,
     to: Annotated[
         dict[str, Any] | None,
-        BeforeValidator(_as_object),
-        Field(description="A goal to look at, too: a place or a pose, as for ros2_navigate."),
+        BeforeValidator(_as_object_if_any),
+        Field(description="A goal to look at, too: its place or pose."),
     ] = None,
 ) -> NavChecked:
     """Find out why a robot with Nav2 does not navigate: reads only, sends no goal, moves nothing.

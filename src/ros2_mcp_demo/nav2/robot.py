@@ -14,8 +14,8 @@ from ..nodes.simulator import Simulator
 from ..simulation import Simulation
 from .chain import Base, CollisionMonitor, Ekf, Smoother
 from .localisation import Amcl, Costmap, LocalCostmap, MapServer
-from .manager import LifecycleManager
 from .servers import Behaviors, Controller, Planner, Server, TreeNavigator
+from .supervisor import Supervisor
 
 GOES_WITHOUT = (
     (optional.tf2_msgs, "/tf and /tf_static (no tf2_msgs)"),
@@ -155,14 +155,14 @@ def late(simulation, namespace, parts):
     drives = [
         made[name] for name in ("controller", "planner", "behaviors", "navigator", "smoother", "monitor", "docking")
     ]
-    made["localisation"] = LifecycleManager("lifecycle_manager_localization", simulation, namespace, localises, service)
-    made["navigation"] = LifecycleManager("lifecycle_manager_navigation", simulation, namespace, drives, service)
+    made["localisation"] = Supervisor("lifecycle_manager_localization", simulation, namespace, localises, service)
+    made["navigation"] = Supervisor("lifecycle_manager_navigation", simulation, namespace, drives, service)
     joining = [part for part in made.values() if part not in parts]
     from .faults import at_start
 
     at_start(STACK)
-    for manager in (made["localisation"], made["navigation"]):
-        manager.bring_up()
+    for supervisor in (made["localisation"], made["navigation"]):
+        supervisor.bring_up()
     return joining
 
 

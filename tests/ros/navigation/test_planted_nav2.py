@@ -37,7 +37,7 @@ CAUSES = {
     "lidar silent": "/scan is silent",
     "motors off": "motors are disabled",
     "paused": "whole stack is paused",
-    "13 static and moving": "odom is told twice: as moving by probably /amcl, and as static by probably /map_odom_static",
+    "13 static and moving": "odom is told twice: as moving by probably /amcl, and as static by .*/map_odom_static",
     "20 server died": "/planner_server died; /lifecycle_manager_navigation took 6 others down",
 }
 """Fault → what the first finding says; those that are not healed stand last."""

@@ -133,7 +133,8 @@ class Ros2Control:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Evidence:
     """All that was read. `servers` has the nodes of each service, `ros2_control` what controller managers say, by their
-    nodes, `robot` what else `ros2_robot` finds, `navigation` what `ros2_nav_check` does, `rivals` the topics of joint states that several publish.
+    nodes, `robot` what else `ros2_robot` finds, `navigation` what `ros2_nav_check` does, `rivals` the topics of joint
+    states that several publish.
     """
 
     graph: GraphSnapshot

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -24,7 +24,7 @@ class Finding:
     problem: str
     recommendation: str
     cause: str = field(default="", metadata=HIDDEN)
-    covers: Collection[str] = field(default=(), metadata=HIDDEN)
+    covers: Sequence[str] = field(default=(), metadata=HIDDEN)
     """Nodes and topics of which anything that is wrong only follows from this."""
 
 

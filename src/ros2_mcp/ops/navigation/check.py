@@ -87,7 +87,7 @@ async def check_navigation(robot: Robot, to: object = None, action: str = "") ->
 
 def servers_in_words(evidence: NavEvidence) -> str:
     """How many of Nav2's servers are active."""
-    managed = [node for manager in evidence.managers for node in evidence.managed(manager)]
+    managed = [node for supervisor in evidence.supervisors for node in evidence.managed(supervisor)]
     servers = list(dict.fromkeys(managed)) or [
         node for node in evidence.robots_nodes if node in (evidence.states or {})
     ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from typing import TYPE_CHECKING, Any, Literal, cast
@@ -35,7 +35,7 @@ ROLES = (
 """What Nav2's nodes are called, as launch files do; a prefix or a namespace may stand before it."""
 STALE_NS = 1_500_000_000
 """What moves is told ten times a second; once a second at the slowest, and a busy machine makes pauses."""
-_MANAGER = re.compile(r"lifecycle_manager(_\w+)?$")
+_SUPERVISOR = re.compile(r"lifecycle_manager(_\w+)?$")
 _TOOLS = re.compile(r"rosbag|record|foxglove|rviz|rqt|plotjuggler|^_ros2|ros2cli|ros2_mcp|teleop")
 """Nodes that listen to commands and carry none of them out."""
 
@@ -58,7 +58,7 @@ class NavFinding:
     cause: str
     proof: str
     remedy: str
-    covers: Collection[str] = field(default=(), metadata=HIDDEN)
+    covers: Sequence[str] = field(default=(), metadata=HIDDEN)
     place: int = field(default=0, metadata=HIDDEN)
     """Of its check, in the chain of causes."""
 
@@ -169,14 +169,14 @@ class NavEvidence:
         return [node for role in roles for node in self.nodes if is_of_role(node, role)]
 
     @property
-    def managers(self) -> list[str]:
-        """The lifecycle managers; without the node of its own that each has for its services."""
-        return [node for node in self.nodes if _MANAGER.search(node) and not node.endswith("_service_client")]
+    def supervisors(self) -> list[str]:
+        """The nodes that Nav2 calls lifecycle managers; without the node of its own that each has for its services."""
+        return [node for node in self.nodes if _SUPERVISOR.search(node) and not node.endswith("_service_client")]
 
-    def managed(self, manager: str) -> list[str]:
+    def managed(self, supervisor: str) -> list[str]:
         """The nodes that a manager brings up, in its order, with their full names."""
-        listed = self.value(manager, "node_names")
-        namespace = manager.rpartition("/")[0]
+        listed = self.value(supervisor, "node_names")
+        namespace = supervisor.rpartition("/")[0]
         names = cast("Sequence[object]", listed) if isinstance(listed, (list, tuple)) else ()
         return [str(name) if str(name).startswith("/") else f"{namespace}/{name}" for name in names]
 
@@ -184,12 +184,12 @@ class NavEvidence:
     def is_nav2(self) -> bool:
         """Whether anything of Nav2 is there, or was earlier in this session."""
         known = (*self.nodes, *self.graph.left.nodes)
-        return any(_MANAGER.search(node) or is_of_role(node, *ROLES[:3]) for node in known)
+        return any(_SUPERVISOR.search(node) or is_of_role(node, *ROLES[:3]) for node in known)
 
     @property
     def robots_nodes(self) -> list[str]:
         """Nodes of Nav2 itself."""
-        return [*self.managers, *self.of_role(*ROLES)]
+        return [*self.supervisors, *self.of_role(*ROLES)]
 
     # ── asking ───────────────────────────────────────────────────────────────────────────────────────────────────
 

@@ -130,7 +130,7 @@ class _Kept:
 
 async def _heard(robot: Robot, graph: GraphSnapshot) -> Mapping[str, Heard]:
     """What comes on topics of velocities, sensors, odometry and poses; only the stamps of clouds."""
-    whole = [name for name in _of_types(graph, *VELOCITIES)[:_MOST_VELOCITIES]]
+    whole = _of_types(graph, *VELOCITIES)[:_MOST_VELOCITIES]
     for kind, most in _MOST_OF_TYPE.items():
         whole += [name for name in _of_types(graph, kind) if "initial" not in name][:most]
     stamps = _of_types(graph, CLOUD, "sensor_msgs/msg/Range", "sensor_msgs/msg/Imu")[: 2 * _MOST_CLOUDS]
@@ -316,7 +316,7 @@ async def _grids(robot: Robot, graph: GraphSnapshot, action: str) -> Grids:
 
 
 async def _log(robot: Robot) -> Sequence[LogLine]:
-    """Warnings and errors of all; of managers also that they have brought their nodes up: what was said before is over."""
+    """Warnings and errors of all; of managers also that all were active: what was said before is over."""
     since = f"{_LOG_S:.0f}"
     warnings, ups = await asyncio.gather(
         read_log(robot, LogRequest(since=since, level="warn", limit=_LOG_LINES), _LOG_BYTES),

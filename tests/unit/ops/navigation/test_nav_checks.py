@@ -53,7 +53,10 @@ def both(name: str, *parts: TopicEndpoints) -> TopicEndpoints:
 
 
 def found(
-    *topics: TopicEndpoints, nodes: Sequence[str] = (), services: Mapping[str, Sequence[str]] | None = None, **parts: Any
+    *topics: TopicEndpoints,
+    nodes: Sequence[str] = (),
+    services: Mapping[str, Sequence[str]] | None = None,
+    **parts: Any,
 ) -> list[NavFinding]:
     """The findings where Nav2 runs, and these topics are there."""
     named = {end.node for one in topics for end in (*one.publishers, *one.subscribers)}
@@ -71,9 +74,7 @@ def made(*rows: tuple[str, str, Sequence[str], Sequence[str]]) -> list[TopicEndp
 
 
 def twist(ahead: float = 0.0) -> Any:
-    return SimpleNamespace(
-        linear=SimpleNamespace(x=ahead, y=0.0, z=0.0), angular=SimpleNamespace(x=0.0, y=0.0, z=0.0)
-    )
+    return SimpleNamespace(linear=SimpleNamespace(x=ahead, y=0.0, z=0.0), angular=SimpleNamespace(x=0.0, y=0.0, z=0.0))
 
 
 def odometry(ahead: float = 0.0, child: str = "base_link") -> Any:
@@ -130,8 +131,10 @@ def line(node: str, text: str, level: str = "ERROR", age_s: float = 5.0) -> LogL
     return LogLine(datetime.fromtimestamp(NOW_NS / 1e9 - age_s, timezone.utc).isoformat(), level, node, text)
 
 
-def managed(states: Mapping[str, str], *lines: LogLine, names: Sequence[str] = SERVERS, **more: Any) -> list[NavFinding]:
-    parameters = {MANAGER: {"node_names": [name.strip("/") for name in names], **more.pop("of_manager", {})}}
+def managed(
+    states: Mapping[str, str], *lines: LogLine, names: Sequence[str] = SERVERS, **more: Any
+) -> list[NavFinding]:
+    parameters = {MANAGER: {"node_names": [name.strip("/") for name in names], **more.pop("of_supervisor", {})}}
     return found(states=states, parameters={**parameters, **more.pop("parameters", {})}, log=list(lines), **more)
 
 
@@ -152,7 +155,9 @@ def test_a_chain_that_reaches_the_base_is_fine_with_docking_as_a_second_publishe
 
 
 def test_two_types_on_one_topic_never_meet() -> None:
-    base = both("/cmd_vel", topic("/cmd_vel", TWIST, ["/collision_monitor"], []), topic("/cmd_vel", STAMPED, [], ["/base"]))
+    base = both(
+        "/cmd_vel", topic("/cmd_vel", TWIST, ["/collision_monitor"], []), topic("/cmd_vel", STAMPED, [], ["/base"])
+    )
     (finding,) = found(*made(*CHAIN[:2]), base, topic(*CHAIN[3]))
     assert "/collision_monitor sends Twist, and /base listens for TwistStamped" in finding.cause
     assert (finding.rank, finding.subject) == ("stops everything", "/cmd_vel")
@@ -167,7 +172,9 @@ def test_an_output_that_nobody_reads_is_named_with_where_the_base_listens_though
 def test_a_multiplexer_that_lacks_the_input_is_named() -> None:
     mux = topic("/mux/navigation", TWIST, [], ["/twist_mux"])
     out = topic("/base/cmd_vel", TWIST, ["/twist_mux"], ["/base"])
-    (finding,) = found(*made(*CHAIN[:2]), topic("/cmd_vel", TWIST, ["/collision_monitor"], []), mux, out, topic(*CHAIN[3]))
+    (finding,) = found(
+        *made(*CHAIN[:2]), topic("/cmd_vel", TWIST, ["/collision_monitor"], []), mux, out, topic(*CHAIN[3])
+    )
     assert "/cmd_vel, which nobody reads; /twist_mux listens on /mux/navigation" in finding.cause
 
 
@@ -242,7 +249,7 @@ def test_a_node_that_never_comes_and_a_stack_that_was_never_started_are_told() -
     down = dict.fromkeys(SERVERS, "unconfigured")
     (waits,) = managed(down, names=[*SERVERS, "/route_server"])
     assert "waits for /route_server, which does not run" in waits.cause
-    (never,) = managed(down, of_manager={"autostart": False})
+    (never,) = managed(down, of_supervisor={"autostart": False})
     assert "not started" in never.cause and "autostart" in never.proof
 
 
@@ -261,7 +268,9 @@ def timed(**ages: float) -> dict[str, Heard]:
     kinds = {"scan": SCAN, "odom": ODOMETRY, "imu": "sensor_msgs/msg/Imu"}
     rows: dict[str, Heard] = {}
     for name, age_s in ages.items():
-        rows |= heard(f"/{name}", kinds[name], [f"/{name}_driver"], count=20, ages_s=[age_s, age_s + 0.02, age_s + 0.01])
+        rows |= heard(
+            f"/{name}", kinds[name], [f"/{name}_driver"], count=20, ages_s=[age_s, age_s + 0.02, age_s + 0.01]
+        )
     return rows
 
 
@@ -296,7 +305,10 @@ def parts_of(tree: Frames, flows: Mapping[str, Heard] = {}, **parameters: Mappin
 
 SCANS = heard("/scan", SCAN, ["/lidar"], [scan([2.0] * 60)] * 5, frame_id="laser")
 ODOMS = heard("/odom", ODOMETRY, ["/base"], [odometry()] * 20, frame_id="odom")
-READ = (topic("/scan", SCAN, ["/lidar"], ["/local_costmap/local_costmap", "/amcl"]), topic("/odom", ODOMETRY, ["/base"], []))
+READ = (
+    topic("/scan", SCAN, ["/lidar"], ["/local_costmap/local_costmap", "/amcl"]),
+    topic("/odom", ODOMETRY, ["/base"], []),
+)
 
 
 def test_frames_that_are_well_have_no_finding_though_amcl_stamps_ahead_and_static_stamps_are_old() -> None:
@@ -320,7 +332,9 @@ def test_a_silent_scan_is_named_and_not_the_transform_that_waits_for_it() -> Non
 
 def test_odometry_without_its_transform_names_the_switch() -> None:
     no_odom = frames(static=[("base_link", "laser")])
-    causes = told(found(*READ, **parts_of(no_odom, {**SCANS, **ODOMS}, diff_drive_controller={"enable_odom_tf": False})))
+    causes = told(
+        found(*READ, **parts_of(no_odom, {**SCANS, **ODOMS}, diff_drive_controller={"enable_odom_tf": False}))
+    )
     assert any("Nobody tells the transform from odom" in one and "enable_odom_tf" in one for one in causes)
 
 
@@ -400,7 +414,8 @@ def test_a_scan_that_fits_is_localised_however_uncertain_and_one_that_does_not_i
 
 
 def test_the_share_that_fits_follows_the_place() -> None:
-    hits = [(r * math.cos(a), r * math.sin(a)) for r, a in zip(in_room(), np.arange(120) * math.tau / 120 - math.pi)]
+    angles = np.arange(120) * math.tau / 120 - math.pi
+    hits = [(r * math.cos(a), r * math.sin(a)) for r, a in zip(in_room(), angles, strict=True)]
     assert share_that_fits(room(), hits, 0.0, 0.0, 0.0)[0] > 0.95
     assert share_that_fits(room(), hits, 0.5, 0.0, 0.0)[0] < 0.7
     assert share_that_fits(room(), hits, 50.0, 0.0, 0.0) == (0.0, 120)
@@ -422,12 +437,16 @@ def test_beams_that_always_end_inside_the_outline_are_the_robot_and_cover_the_mo
     assert "its polygon Stop (stop) is not free" in held.cause
     ranges[57] = 2.0  # a person walked through once
     passed = {**heard("/scan", SCAN, ["/lidar"], [scan(ranges), *[scan([2.0] * 120)] * 4], frame_id="laser"), **ODOMS}
-    assert found(*READ, nodes=["/collision_monitor"], **parts_of(WELL, passed, **outline, collision_monitor=monitor)) == []
+    assert (
+        found(*READ, nodes=["/collision_monitor"], **parts_of(WELL, passed, **outline, collision_monitor=monitor)) == []
+    )
 
 
 def test_a_source_of_the_monitor_that_nobody_publishes_is_told() -> None:
     monitor = {"observation_sources": ["cloud"], "cloud.topic": "/cloud", "source_timeout": 1.0}
-    (finding,) = found(*READ, nodes=["/collision_monitor"], **parts_of(WELL, {**SCANS, **ODOMS}, collision_monitor=monitor))
+    (finding,) = found(
+        *READ, nodes=["/collision_monitor"], **parts_of(WELL, {**SCANS, **ODOMS}, collision_monitor=monitor)
+    )
     assert "its source cloud has no publisher" in finding.cause and "source_timeout is 1 s" in finding.proof
 
 

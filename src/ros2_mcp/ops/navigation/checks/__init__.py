@@ -1,8 +1,8 @@
 """Why a robot with Nav2 does not navigate: one small file for each kind of cause.
 
 A module here is found by itself. It has `CHECK = NavCheck(needs, find, place)`: `needs` are the parts of the evidence
-that it judges, `find` yields a `NavFinding` for each cause, and none where all is well. A cause needs evidence that it is
-one: what may be so on a robot that drives is no finding.
+that it judges, `find` yields a `NavFinding` for each cause, and none where all is well. A cause needs evidence that it
+is one: what may be so on a robot that drives is no finding.
 """
 
 from __future__ import annotations

@@ -50,7 +50,7 @@ def _sources(
             subject=node,
             cause=cause,
             proof=proof,
-            remedy=f"Start what publishes {named(topic)}, correct {source}.topic, or take it out of observation_sources.",
+            remedy=f"Start what publishes {named(topic)}, correct {source}.topic, or take the source out.",
             covers=(topic,),
         )
 
@@ -77,9 +77,7 @@ def _held(evidence: NavEvidence, node: str, values: Mapping[str, Any], topics: S
 def _holding(evidence: NavEvidence, node: str, name: str, action: str, distances: Sequence[float]) -> NavFinding:
     proof = [f"collision_monitor_state: {action}, {named(name)}." if not distances else ""]
     if distances:
-        proof = [
-            f"{len(distances)} points of the scan are in polygon {named(name)}, the nearest {min(distances):.2f} m away."
-        ]
+        proof = [f"{len(distances)} points of the scan are in {named(name)}, the nearest {min(distances):.2f} m away."]
     for costmap in evidence.of_role("local_costmap"):
         for parameter, value in (evidence.parameters or {}).get(costmap, {}).items():
             is_blind = parameter.endswith("obstacle_min_range") and isinstance(value, (int, float)) and value > 0

@@ -32,7 +32,7 @@ _DEFAULTS: Mapping[str, Mapping[str, Any]] = {
 }
 _LEAST = 4
 _ALONE = ("local_costmap", "global_costmap")
-"""Nodes whose defaults nobody means: 5 × 5 m, cells of 0.1 m, a robot of 0.1 m. Of the others only another name tells."""
+"""Nodes whose defaults nobody means: 5 × 5 m, cells of 0.1 m, a robot of 0.1 m. Of others only another name tells."""
 
 
 def _find(evidence: NavEvidence) -> Iterator[NavFinding]:

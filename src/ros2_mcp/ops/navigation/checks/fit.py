@@ -46,7 +46,7 @@ def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
             subject="localisation",
             cause="Localisation is lost: the scan does not fit the map where the robot believes to be.",
             proof=f"{share:.0%} of {count} beams end within {_NEAR_M} m of what the map has there.{told}",
-            remedy="Give it an initial pose (/initialpose) where the robot really is; a map of another place needs a new one.",
+            remedy="Give it an initial pose (/initialpose) where the robot really is; or load the map of this place.",
         )
     elif share is None and deviation is not None and deviation > _WIDE_M:
         yield NavFinding(

@@ -1,4 +1,4 @@
-"""The goal: outside of the costmap, occupied, in unknown space that the planner may not enter, or without a free path."""
+"""The goal: outside of the costmap, occupied, in unknown space that the planner may not enter, or without a path."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
         if refused:
             yield _of_goal(
                 f"The goal {at} lies in unknown space, and the planner may not enter it.",
-                f"Its cell on {on} is unknown, {_unknown_around(evidence)} of those within {_BAND_M} m too; {refused[0]}.",
+                f"Its cell on {on} is unknown, as are {_unknown_around(evidence)} of those around; {refused[0]}.",
                 f"Choose a goal on known ground, explore there first, or set allow_unknown to true. {nearest}",
             )
     elif cost >= OCCUPIED:
@@ -59,7 +59,7 @@ def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
         if reach is not None and not reach.is_reached:
             yield _of_goal(
                 f"There is no free path from the robot to the goal {at} on {on}.",
-                f"The nearest reachable place is ({reach.x_m:.2f}, {reach.y_m:.2f}), {reach.short_m:.2f} m short of it.",
+                f"The nearest reachable place is ({reach.x_m:.2f}, {reach.y_m:.2f}), {reach.short_m:.2f} m short.",
                 "Open the path, or choose a goal on this side; if the obstacle is gone, clear the costmap.",
             )
 

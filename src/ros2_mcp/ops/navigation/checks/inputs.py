@@ -1,4 +1,4 @@
-"""What Nav2 hears the world with: sensors that are silent, that are published elsewhere, or whose points are ignored."""
+"""What Nav2 sees the world with: sensors that are silent, are published elsewhere, or whose points are ignored."""
 
 from __future__ import annotations
 
@@ -135,8 +135,8 @@ def _heights(evidence: NavEvidence) -> Iterator[NavFinding]:
             yield NavFinding(
                 rank="makes it worse",
                 subject=node,
-                cause=f"{named(node)} ignores all of {named(heard.topic)}: the scanner is mounted outside of the heights "
-                "that it takes in.",
+                cause=f"{named(node)} ignores all of {named(heard.topic)}: the scanner is mounted outside of the "
+                "heights that it takes in.",
                 proof=f"It stands at {mount.pose.translation[2]:.2f} m; min and max_obstacle_height of {named(source)} "
                 f"are {least:g} and {most:g} m.",
                 remedy=f"Set {source}.max_obstacle_height and min_obstacle_height around the scanner's height.",

@@ -63,7 +63,7 @@ def _waits(evidence: NavEvidence, amcl: str) -> Iterator[NavFinding]:
         subject=_EDGE,
         cause=f"{named(amcl)} was never told where the robot is: it waits for /initialpose.",
         proof=" ".join(proof),
-        remedy="Publish the robot's pose on /initialpose (ros2_topic_publish), or set set_initial_pose and initial_pose.",
+        remedy="Publish the robot's pose on /initialpose (ros2_topic_publish), or set set_initial_pose to true.",
     )
 
 

@@ -40,7 +40,7 @@ def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
             yield NavFinding(
                 rank=rank,
                 subject=topic.topic,
-                cause=f"The {what} does not reach {who}: {listed(nodes_of(volatile), 2)} publishes {where} as volatile.",
+                cause=f"The {what} never reaches {who}: {listed(nodes_of(volatile), 2)} publishes {where} as volatile.",
                 proof=f"{how[:1].upper()}{how[1:]}, which a volatile publisher never serves."
                 if wants
                 else "A volatile publisher sends nothing to those who subscribe after it was published.",

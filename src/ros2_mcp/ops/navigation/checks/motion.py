@@ -1,4 +1,4 @@
-"""Commands that have no effect: another node that sends, a base that does not move, limits of 0, a component's fault."""
+"""Commands that have no effect: another node sends, the base does not move, a limit is 0, a component has a fault."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
         yield from _stands(evidence, chain)
 
 
-def _is_nav2(evidence: NavEvidence, node: str, chain: Chain) -> bool:
+def _is_nav2(node: str, chain: Chain) -> bool:
     roles = ("controller_server", "behavior_server", "docking_server", "velocity_smoother", "collision_monitor")
     return node in chain.nodes or is_of_role(node, *roles)
 
@@ -56,9 +56,9 @@ def _rivals(evidence: NavEvidence, chain: Chain) -> Iterator[NavFinding]:
         topic = evidence.topic(heard.topic)
         if not any(one.node in chain.nodes for one in topic.subscribers) or heard.count < _LEAST:
             continue
-        foreign = [node for node in nodes_of(topic.publishers) if not _is_nav2(evidence, node, chain)]
+        foreign = [node for node in nodes_of(topic.publishers) if not _is_nav2(node, chain)]
         foreign = [node for node in foreign if not any(one.node == node and one.ours for one in topic.publishers)]
-        ours = [node for node in nodes_of(topic.publishers) if _is_nav2(evidence, node, chain)]
+        ours = [node for node in nodes_of(topic.publishers) if _is_nav2(node, chain)]
         writers = {writer for _, _, writer in heard.messages if writer}
         if not foreign or (ours and len(writers) < 2 and (evidence.goal_runs or _comes_before(evidence, ours, heard))):
             continue

@@ -38,9 +38,9 @@ def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
         yield NavFinding(
             rank="stops everything",
             subject=one.topic,
-            cause=f"The lidar sees the robot itself: beams {min(angles):.0f} to {max(angles):.0f}° of {named(one.topic)} "
-            "always end inside its outline.",
-            proof=f"{len(found)} beams read {min(ranges):.2f} to {max(ranges):.2f} m in all of {len(one.messages)} scans; "
+            cause=f"The lidar sees the robot itself: beams {min(angles):.0f} to {max(angles):.0f}° of "
+            f"{named(one.topic)} always end inside its outline.",
+            proof=f"{len(found)} beams read {min(ranges):.2f} to {max(ranges):.2f} m in {len(one.messages)} scans; "
             f"{_outline_in_words(corners, radius_m)}.",
             remedy="Filter these angles out (laser_filters), raise range_min above that, or correct the outline.",
             covers=evidence.of_role("collision_monitor"),

@@ -35,51 +35,51 @@ def of_navigation(evidence: NavEvidence) -> Iterator[NavFinding]:
 
 
 def _find(evidence: NavEvidence, *, of_localisation: bool) -> Iterator[NavFinding]:
-    managed = {manager: nodes for manager in evidence.managers if (nodes := evidence.managed(manager))}
-    for manager, nodes in managed.items():
+    managed = {supervisor: nodes for supervisor in evidence.supervisors if (nodes := evidence.managed(supervisor))}
+    for supervisor, nodes in managed.items():
         if any(is_of_role(node, *_LOCALISES) for node in nodes) == of_localisation:
-            yield from _of_manager(evidence, manager, nodes)
-    of_managers = {node for nodes in managed.values() for node in nodes}
+            yield from _of_supervisor(evidence, supervisor, nodes)
+    supervised = {node for nodes in managed.values() for node in nodes}
     alone = [
         node
         for node in (*evidence.of_role(*ROLES), *evidence.graph.left.nodes)
-        if node not in of_managers and is_of_role(node, *ROLES) and is_of_role(node, *_LOCALISES) == of_localisation
+        if node not in supervised and is_of_role(node, *ROLES) and is_of_role(node, *_LOCALISES) == of_localisation
     ]
     yield from _unmanaged(evidence, alone)
     if not of_localisation and not managed:
         yield from _missing(evidence)
 
 
-def _of_manager(evidence: NavEvidence, manager: str, nodes: Sequence[str]) -> Iterator[NavFinding]:
+def _of_supervisor(evidence: NavEvidence, supervisor: str, nodes: Sequence[str]) -> Iterator[NavFinding]:
     """What its own diagnostics say of it is the same fault."""
-    for finding in _by_manager(evidence, manager, nodes):
-        yield replace(finding, covers=[*finding.covers, *([manager] if finding.subject != manager else [])])
+    for finding in _by_supervisor(evidence, supervisor, nodes):
+        yield replace(finding, covers=[*finding.covers, *([supervisor] if finding.subject != supervisor else [])])
 
 
-def _by_manager(evidence: NavEvidence, manager: str, nodes: Sequence[str]) -> Iterator[NavFinding]:
+def _by_supervisor(evidence: NavEvidence, supervisor: str, nodes: Sequence[str]) -> Iterator[NavFinding]:
     states = evidence.states or {}
     absent = [node for node in nodes if node not in states and node not in evidence.nodes]
     hung = [node for node in nodes if states.get(node) == ""]
     idle = [node for node in nodes if states.get(node) not in (None, "", "active")]
     if not (absent or hung or idle):
         return
-    lost = _lost(evidence, manager, nodes)
+    lost = _lost(evidence, supervisor, nodes)
     if lost or ((absent or hung) and not _waits(evidence, nodes, absent, idle)):
-        yield _down(evidence, manager, nodes, lost, absent, hung, idle)
+        yield _down(evidence, supervisor, nodes, lost, absent, hung, idle)
         return
     if absent:
         first = absent[0]
         yield NavFinding(
             rank="stops everything",
             subject=first,
-            cause=f"{named(manager)} waits for {named(first)}, which does not run: it has brought nothing up.",
+            cause=f"{named(supervisor)} waits for {named(first)}, which does not run: it has brought nothing up.",
             proof=f"node_names has {counted(len(nodes), 'node')}; nobody offers {named(first)}/get_state, and "
             f"{counted(len(idle), 'other')} {'is' if len(idle) == 1 else 'are'} not active.",
-            remedy=f"Start {named(first)}, or take it out of node_names of {named(manager)}.",
+            remedy=f"Start {named(first)}, or take it out of node_names of {named(supervisor)}.",
             covers=_covered(nodes),
         )
         return
-    yield _not_brought_up(evidence, manager, nodes, idle)
+    yield _not_brought_up(evidence, supervisor, nodes, idle)
 
 
 def _waits(evidence: NavEvidence, nodes: Sequence[str], absent: Sequence[str], idle: Sequence[str]) -> bool:
@@ -89,10 +89,10 @@ def _waits(evidence: NavEvidence, nodes: Sequence[str], absent: Sequence[str], i
     return bool(never) and not active and bool(idle)
 
 
-def _lost(evidence: NavEvidence, manager: str, nodes: Sequence[str]) -> tuple[str, LogLine] | None:
+def _lost(evidence: NavEvidence, supervisor: str, nodes: Sequence[str]) -> tuple[str, LogLine] | None:
     """The server whose heartbeat the manager missed, by its log: the last time that it did."""
     for line in reversed(evidence.log or ()):
-        if line.node.rpartition("/")[2] != manager.rpartition("/")[2]:
+        if line.node.rpartition("/")[2] != supervisor.rpartition("/")[2]:
             continue
         if _UP.search(line.text):
             return None
@@ -107,7 +107,7 @@ def _lost(evidence: NavEvidence, manager: str, nodes: Sequence[str]) -> tuple[st
 
 def _down(
     evidence: NavEvidence,
-    manager: str,
+    supervisor: str,
     nodes: Sequence[str],
     lost: tuple[str, LogLine] | None,
     absent: Sequence[str],
@@ -123,20 +123,21 @@ def _down(
         else "missed its heartbeat, and lives"
     )
     others = [node for node in idle if node != first]
-    took = f"; {named(manager)} took {counted(len(others), 'other')} down" if others else ""
+    took = f"; {named(supervisor)} took {counted(len(others), 'other')} down" if others else ""
     age_s = line_age_s(evidence, lost[1]) if lost else None
     since = f" since {age_s:.0f} s" if age_s is not None and age_s < _SLOW_S else ""
     lines = [line for line in _lines(evidence, first) if line.level in ("ERROR", "FATAL")]
     proof = [f"{named(first)} {_seen(evidence, first)}."]
     proof += [f"{said(lost[1])}."] if lost else []
     proof += [f"Before that {said(lines[-1])}."] if lines and not lost else []
-    remedy = f"Start {named(first)} again (its log says why it ended), then bring the stack up with {named(manager)}/manage_nodes."
+    up = f"then bring the stack up with {named(supervisor)}/manage_nodes"
+    remedy = f"Start {named(first)} again (its log says why it ended), {up}."
     if first not in absent and first not in hung:
         remedy = (
             "Find out what starves it (load of the computer), or raise bond_timeout; then bring the stack up again."
         )
     elif first in hung:
-        remedy = f"Start {named(first)} again, and end it first if it still runs; then bring the stack up with {named(manager)}/manage_nodes."
+        remedy = f"Start {named(first)} again, and end it first if it still runs; {up}."
     is_alone = not others and not lost
     return NavFinding(
         rank="stops everything",
@@ -157,7 +158,7 @@ def _seen(evidence: NavEvidence, node: str) -> str:
     return "has left the graph" if node in evidence.graph.left.nodes else "is not in the graph"
 
 
-def _not_brought_up(evidence: NavEvidence, manager: str, nodes: Sequence[str], idle: Sequence[str]) -> NavFinding:
+def _not_brought_up(evidence: NavEvidence, supervisor: str, nodes: Sequence[str], idle: Sequence[str]) -> NavFinding:
     states = evidence.states or {}
     unconfigured = [node for node in idle if states[node] in ("unconfigured", "finalized")]
     first = (unconfigured or idle)[0]
@@ -171,15 +172,15 @@ def _not_brought_up(evidence: NavEvidence, manager: str, nodes: Sequence[str], i
     if is_all and not own and not old:
         same = {states[node] for node in idle}
         paused = same == {"inactive"}
-        autostart = evidence.value(manager, "autostart")
+        autostart = evidence.value(supervisor, "autostart")
         how = "paused, or never activated" if paused else "not started"
-        said_so = f" autostart of {named(manager)} is false." if autostart is False else ""
+        said_so = f" autostart of {named(supervisor)} is false." if autostart is False else ""
         return NavFinding(
             rank="stops everything",
-            subject=manager,
+            subject=supervisor,
             cause=f"The whole stack is {how}: none of its {len(nodes)} servers is active.",
             proof=f"{listed(list(nodes), _MOST_NAMES)}: {', '.join(sorted(same))}.{said_so}",
-            remedy=f"Bring it up: {named(manager)}/manage_nodes with command {'2 (RESUME)' if paused else '0 (STARTUP)'}.",
+            remedy=f"Call {named(supervisor)}/manage_nodes with command {'2 (RESUME)' if paused else '0 (STARTUP)'}.",
             covers=_covered(nodes),
         )
     waits = (
@@ -188,7 +189,7 @@ def _not_brought_up(evidence: NavEvidence, manager: str, nodes: Sequence[str], i
         else ""
     )
     waits = f"; the {len(after)} others only wait" if after and is_all else waits
-    proof = [f"{said(own[0])}."] if own else [f"It is {states[first]}, the first in the order of {named(manager)}."]
+    proof = [f"{said(own[0])}."] if own else [f"It is {states[first]}, the first in the order of {named(supervisor)}."]
     proof += [f"The plugin {old[0]} has the form of an older distribution, with / instead of ::."] if old else []
     return NavFinding(
         rank="stops everything",
@@ -197,7 +198,7 @@ def _not_brought_up(evidence: NavEvidence, manager: str, nodes: Sequence[str], i
         proof=" ".join(proof),
         remedy="Correct what its log says, and bring the stack up again."
         if own or old
-        else f"Activate it with ros2_lifecycle_change; or bring all up with {named(manager)}/manage_nodes.",
+        else f"Activate it with ros2_lifecycle_change; or bring all up with {named(supervisor)}/manage_nodes.",
         covers=[node for node in _covered(nodes) if node != first],
     )
 
@@ -216,9 +217,11 @@ def _old_plugins(evidence: NavEvidence, node: str) -> list[str]:
 
 def _lines(evidence: NavEvidence, node: str) -> list[LogLine]:
     """What a node said at level WARN or above since its manager had all active last, without what says nothing."""
-    managers = [manager.rpartition("/")[2] for manager in evidence.managers if node in evidence.managed(manager)]
+    supervisors = [
+        supervisor.rpartition("/")[2] for supervisor in evidence.supervisors if node in evidence.managed(supervisor)
+    ]
     log = evidence.log or ()
-    ups = [n for n, line in enumerate(log) if line.node.rpartition("/")[2] in managers and _UP.search(line.text)]
+    ups = [n for n, line in enumerate(log) if line.node.rpartition("/")[2] in supervisors and _UP.search(line.text)]
     since = ups[-1] if ups else 0
     return [line for line in log[since:] if line.node == node and not _IGNORED.search(line.text)]
 

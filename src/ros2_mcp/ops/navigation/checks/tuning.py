@@ -91,8 +91,8 @@ def _progress(evidence: NavEvidence) -> Iterator[NavFinding]:
                     rank="stops some goals",
                     subject=node,
                     cause="The progress checker asks for more than the robot may drive: goals end with no progress.",
-                    proof=f"{float(radius):g} m in {float(allowed):g} s is asked ({asked:.2f} m/s), {min(fastest):g} m/s "
-                    "is allowed.",
+                    proof=f"{float(radius):g} m in {float(allowed):g} s is asked ({asked:.2f} m/s), "
+                    f"{min(fastest):g} m/s is allowed.",
                     remedy=f"Lower {name}, or raise {checker}.movement_time_allowance.",
                 )
             elif time_s := _turning_s(values, f"{checker}.plugin", float(allowed)):
@@ -100,7 +100,7 @@ def _progress(evidence: NavEvidence) -> Iterator[NavFinding]:
                     rank="stops some goals",
                     subject=node,
                     cause="The progress checker gives up while the robot turns on the spot.",
-                    proof=f"Half a turn takes {time_s:.1f} s at its fastest; {float(allowed):g} s without moving are allowed.",
+                    proof=f"Half a turn takes {time_s:.1f} s at least; {float(allowed):g} s are allowed.",
                     remedy="Use PoseProgressChecker, which counts turning, or raise movement_time_allowance.",
                 )
 

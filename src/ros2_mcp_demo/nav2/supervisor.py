@@ -15,7 +15,7 @@ BOND_S = 4.0
 STARTUP, PAUSE, RESUME, RESET, SHUTDOWN = range(5)
 
 
-class LifecycleManager(RobotPart):
+class Supervisor(RobotPart):
     """`servers` are its nodes, in the order in which they are brought up."""
 
     def __init__(self, name, robot, namespace, servers, service):
