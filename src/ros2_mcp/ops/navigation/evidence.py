@@ -138,6 +138,14 @@ class Grids:
     costs_topic: str = ""
 
 
+class States(dict[str, str]):
+    """Lifecycle states by node ("": it did not answer); `answered_s` is how long each took to answer, at best."""
+
+    def __init__(self, states: Mapping[str, str], answered_s: Mapping[str, float]) -> None:
+        super().__init__(states)
+        self.answered_s = answered_s
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NavEvidence:
     """All that was read; what was not is None, and a check that needs it is not run.

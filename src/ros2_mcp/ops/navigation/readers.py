@@ -9,6 +9,7 @@ import asyncio
 import logging
 from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from time import monotonic
 from typing import Any
 
 import anyio
@@ -34,6 +35,7 @@ from ros2_mcp.ops.navigation.evidence import (
     Heard,
     NavEvidence,
     Need,
+    States,
 )
 from ros2_mcp.ops.navigation.situation import costmap_of
 from ros2_mcp.ops.navigation.targets import Target
@@ -241,23 +243,28 @@ async def _values(robot: Robot, node: str, wanted: Sequence[str]) -> Mapping[str
     return dict(zip(wanted, values, strict=False))
 
 
-async def _states(robot: Robot, graph: GraphSnapshot) -> Mapping[str, str]:
-    """The lifecycle states of all nodes that have one; "" of those that do not answer."""
+async def _states(robot: Robot, graph: GraphSnapshot) -> States:
+    """The lifecycle states of all nodes that have one; "" of those that do not answer, asked twice."""
     nodes = [name.rpartition("/")[0] for name, types in (graph.services or {}).items() if _GET_STATE in types]
     limit = asyncio.Semaphore(_AT_A_TIME)
+    states, answered_s = dict[str, str](), dict[str, float]()
 
-    async def asked(node: str) -> str | None:
+    async def asked(node: str) -> None:
         async with limit:
+            began_at = monotonic()
             try:
-                answer = await ask_node(robot, node, _GET_STATE, {}, timeout_s=_ANSWER_S, wait_s=_ANSWER_S / 2)
-                return str((await robot.fields_of(answer))["current_state"]["label"])
-            except NotFound:
-                return "" if node in (graph.nodes or ()) else None
-            except RobotError:
-                return ""
+                answer = await ask_node(robot, node, _GET_STATE, {}, timeout_s=_ANSWER_S, wait_s=_ANSWER_S)
+            except RobotError as error:
+                if not isinstance(error, NotFound) or node in (graph.nodes or ()):
+                    states.setdefault(node, "")
+                return
+            answered_s[node] = min(monotonic() - began_at, answered_s.get(node, _ANSWER_S))
+            states[node] = str((await robot.fields_of(answer))["current_state"]["label"])
 
-    found = await asyncio.gather(*map(asked, nodes))
-    return {node: state for node, state in zip(nodes, found, strict=True) if state is not None}
+    await asyncio.gather(*map(asked, nodes))
+    # Again: a node may be busy for a second, and the first question waits for its service to be matched.
+    await asyncio.gather(*map(asked, nodes))
+    return States(states, answered_s)
 
 
 # ── the rest ─────────────────────────────────────────────────────────────────────────────────────────────────────

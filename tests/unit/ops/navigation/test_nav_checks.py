@@ -15,7 +15,7 @@ from ros2_mcp.ops.log.read import LogLine
 from ros2_mcp.ops.measure.diagnostics import Diagnostic
 from ros2_mcp.ops.navigation.checks import CHECKS, nav_findings_in
 from ros2_mcp.ops.navigation.checks.fit import share_that_fits
-from ros2_mcp.ops.navigation.evidence import Frames, Goal, Grids, Heard, NavEvidence, NavFinding
+from ros2_mcp.ops.navigation.evidence import Frames, Goal, Grids, Heard, NavEvidence, NavFinding, States
 from ros2_mcp.ops.sources.source import GraphSnapshot
 from ros2_mcp.ops.space.tellers import Tellers
 from ros2_mcp.robot import TopicEndpoints
@@ -295,6 +295,8 @@ def test_the_minority_runs_on_another_time_or_all_on_one_that_stands() -> None:
     clock = topic("/clock", "rosgraph_msgs/msg/Clock", ["/gazebo"], [])
     by_wall = {"/ekf": {"use_sim_time": False}, **{f"/n{number}": {"use_sim_time": True} for number in range(9)}}
     assert "/ekf runs on wall time" in told(found(clock, heard={}, frames=WELL, parameters=by_wall))[0]
+    display = {"/rviz2": {"use_sim_time": False}, **{f"/n{number}": {"use_sim_time": True} for number in range(3)}}
+    assert found(clock, heard={}, frames=WELL, parameters=display) == []
     stands = {"/ekf": {"use_sim_time": True}, "/n": {"use_sim_time": False}}
     assert "nobody publishes /clock" in told(found(heard={}, frames=WELL, parameters=stands))[0]
 
@@ -483,6 +485,16 @@ def test_a_progress_that_cannot_be_made_and_a_time_out_without_time_are_told() -
     late = line("/bt_navigator", "Timed out while waiting for action server to acknowledge goal request", "WARN")
     said = told(found(parameters={}, log=[late], heard={}))
     assert "Timed out while waiting" in said[0]
+
+
+def test_a_server_that_answers_far_slower_than_the_others_is_told_against_the_time_out() -> None:
+    wants = {"/bt_navigator": {"default_server_timeout": 20}}
+    others = {f"/n{number}": 0.004 for number in range(5)}
+    late = States(ACTIVE, {**others, "/planner_server": 0.09})
+    (finding,) = found(parameters=wants, log=(), heard={}, states=late)
+    assert "/planner_server takes 90 ms" in finding.proof and "default_server_timeout is 20 ms" in finding.proof
+    loaded = States(ACTIVE, {**dict.fromkeys(others, 0.08), "/planner_server": 0.09})
+    assert found(parameters=wants, log=(), heard={}, states=loaded) == []
 
 
 def test_a_missed_rate_is_measured_and_the_warning_alone_is_nothing() -> None:

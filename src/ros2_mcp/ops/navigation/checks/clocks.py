@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 
 from ros2_mcp.model.text import listed, named
 from ros2_mcp.ops.navigation.checks.check import CLOCKS, NavCheck
-from ros2_mcp.ops.navigation.evidence import NavEvidence, NavFinding
+from ros2_mcp.ops.navigation.evidence import NavEvidence, NavFinding, is_tool
 
 _CLOCK = "/clock"
 _BEHIND_S, _AHEAD_S = 0.5, 0.2
@@ -29,7 +29,7 @@ def _simulated(evidence: NavEvidence) -> Iterator[NavFinding]:
     simulated, by_wall = list[str](), list[str]()
     for node, values in (evidence.parameters or {}).items():
         value = values.get("use_sim_time")
-        if node not in clocks and isinstance(value, bool):
+        if node not in clocks and not is_tool(node) and isinstance(value, bool):
             (simulated if value else by_wall).append(node)
     if simulated and not clocks:
         yield NavFinding(

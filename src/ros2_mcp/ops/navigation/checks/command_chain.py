@@ -37,11 +37,11 @@ class Chain:
     base: list[str] = field(default_factory=list[str])
 
 
-def chain_of(evidence: NavEvidence) -> Chain:
-    """The chain from Nav2's controller on, by endpoints that can match."""
+def chain_of(evidence: NavEvidence, controller: str = "") -> Chain:
+    """The chain from Nav2's controller on, or from all of several robots, by endpoints that can match."""
     chain = Chain()
     topics = evidence.topics(*VELOCITIES)
-    waiting = evidence.of_role("controller_server")
+    waiting = [controller] if controller else evidence.of_role("controller_server")
     while waiting:
         node = waiting.pop(0)
         if node in chain.nodes:
@@ -75,15 +75,13 @@ def _takes(publisher: Endpoint, subscriber: Endpoint) -> bool:
 
 
 def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
-    chain = chain_of(evidence)
-    if not chain.nodes:
-        return
     bases = bases_of(evidence)
-    reached = [node for node in chain.base if not bases or node in bases]
-    if reached or not chain.ends:
-        return
-    for topic, publisher in chain.ends:
-        yield from _end(evidence, topic, publisher, chain)
+    for controller in evidence.of_role("controller_server"):
+        chain = chain_of(evidence, controller)
+        if any(not bases or node in bases for node in chain.base):
+            continue
+        for topic, publisher in chain.ends:
+            yield from _end(evidence, topic, publisher, chain)
 
 
 def _end(evidence: NavEvidence, topic: TopicEndpoints, publisher: Endpoint, chain: Chain) -> Iterator[NavFinding]:

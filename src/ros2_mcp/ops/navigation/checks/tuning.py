@@ -13,6 +13,8 @@ from ros2_mcp.ops.navigation.evidence import VELOCITIES, NavEvidence, NavFinding
 _ACKNOWLEDGE = r"timed out while waiting for action server to acknowledge"
 _SHORT_MS = 10.0
 """Nav2's default of 20 ms is short on a loaded computer; less is no time for an answer."""
+_LEAST_SERVERS, _TIMES_SLOWER, _SLOW_S = 4, 5.0, 0.05
+"""On a loaded computer all are slow; one that is five times as slow as the others is so by itself."""
 _RECENT_S = 300.0
 _MISSED = 0.6
 _LEAST = 8
@@ -27,14 +29,18 @@ def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
 
 
 def _acknowledged(evidence: NavEvidence) -> Iterator[NavFinding]:
+    slow = _slow(evidence)
     lines = [line for line in evidence.lines(_ACKNOWLEDGE) if (line_age_s(evidence, line) or 0.0) < _RECENT_S]
     for node in evidence.of_role("bt_navigator"):
         timeout_ms = evidence.value(node, "default_server_timeout")
         is_short = isinstance(timeout_ms, (int, float)) and not isinstance(timeout_ms, bool) and timeout_ms < _SHORT_MS
-        if not lines and not is_short:
+        is_slower = isinstance(timeout_ms, (int, float)) and bool(slow) and slow[1] * 1000 > 2 * float(timeout_ms)
+        if not (lines or is_short or is_slower):
             continue
         told = f"default_server_timeout is {timeout_ms:g} ms." if isinstance(timeout_ms, (int, float)) else ""
         heard = f"{said(lines[-1])}, {len(lines)} times." if lines else ""
+        if slow and is_slower:
+            heard += f" {named(slow[0])} takes {slow[1] * 1000:.0f} ms to answer a question, the others less."
         yield NavFinding(
             rank="stops some goals",
             subject=node,
@@ -42,6 +48,17 @@ def _acknowledged(evidence: NavEvidence) -> Iterator[NavFinding]:
             proof=" ".join(filter(None, (heard, told))),
             remedy="Raise default_server_timeout of bt_navigator (such as 200 ms) and wait_for_service_timeout.",
         )
+
+
+def _slow(evidence: NavEvidence) -> tuple[str, float] | None:
+    """A server that takes much longer to answer than the others do, at best of two times; and how long, in s."""
+    times: Mapping[str, float] = getattr(evidence.states, "answered_s", {})
+    if len(times) < _LEAST_SERVERS:
+        return None
+    usual_s = sorted(times.values())[len(times) // 2]
+    node = max(evidence.of_role("planner_server", "controller_server"), key=lambda one: times.get(one, 0.0), default="")
+    slowest_s = times.get(node, 0.0)
+    return (node, slowest_s) if slowest_s > max(_TIMES_SLOWER * usual_s, _SLOW_S) else None
 
 
 def _rate(evidence: NavEvidence) -> Iterator[NavFinding]:
