@@ -24,6 +24,7 @@ def main():
     parser.add_argument("--seed", type=int, default=7, help="of all noise (default %(default)s)")
     parser.add_argument("--namespace", default="", help="put all nodes and topics under this name")
     parser.add_argument("--rate", type=_rate, default=50.0, help="steps a second, 10 to 100 (default %(default)s)")
+    parser.add_argument("--faults", default="", help="of the robot nav2: names to plant, separated by semicolons")
     parser.add_argument("--until-stdin-closes", action="store_true", help="end when standard input does")
     options = parser.parse_args()
     signalled = threading.Event()
@@ -33,12 +34,16 @@ def main():
     from .robot import Robot
 
     chosen = named(options.robot)
+    if options.faults:
+        from .nav2.faults import PLANTED
+
+        PLANTED.extend(options.faults.split(";"))
     robot = Robot(chosen, options.seed, options.namespace, options.rate)
     missing = "; left out: " + ", ".join(left_out(chosen)) if left_out(chosen) else ""
     sys.stdout.write(f"robot ready: {robot.node_count} nodes, seed {options.seed}{missing}\n")
     sys.stdout.flush()
     try:
-        robot.run(lambda: signalled.is_set() or (options.until_stdin_closes and _stdin_has_ended()))
+        robot.run(lambda: signalled.is_set() or (options.until_stdin_closes and _stdin_has_ended(chosen)))
     finally:
         signal.setitimer(signal.ITIMER_REAL, LEAVES_S)
         robot.close()
@@ -51,12 +56,23 @@ def _rate(text):
     return rate
 
 
-def _stdin_has_ended():
+def _stdin_has_ended(chosen):
+    """Whether it has; lines that come, `plant NAME` or `heal NAME`, are followed by a robot that has faults."""
     try:
         readable, _, _ = select.select([0], [], [], 0)
-        return bool(readable) and os.read(0, 4096) == b""
+        if not readable:
+            return False
+        text = os.read(0, 4096)
     except OSError:
         return True
+    for line in text.decode().splitlines() if hasattr(chosen, "STACK") else ():
+        from .nav2 import faults
+
+        verb, _, name = line.partition(" ")
+        {"plant": faults.plant, "heal": faults.heal}[verb](chosen.STACK, name)
+        sys.stdout.write(f"{line}: done\n")
+        sys.stdout.flush()
+    return text == b""
 
 
 if __name__ == "__main__":

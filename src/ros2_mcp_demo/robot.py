@@ -34,6 +34,7 @@ class Robot:
         experimental = optional.module("rclpy.experimental")
         self._executor = getattr(experimental, "EventsExecutor", SingleThreadedExecutor)()
         self._spun = []
+        self._stack = getattr(robot, "STACK", None)
         self._spin(self._parts)
 
     @property
@@ -48,6 +49,7 @@ class Robot:
             if self._late and time.monotonic() >= look_at:
                 look_at = time.monotonic() + LATE_EVERY_S
                 self._join(self._late())
+            self._change()
             self._simulation.step(self._period)
             stamp = self._clock.now().to_msg()
             for part in self._parts:
@@ -63,6 +65,24 @@ class Robot:
         for part in self._parts:
             part.destroy_node()
         try_shutdown()
+
+    def _change(self):
+        """Take in what was planted meanwhile, and let go what has died."""
+        if self._stack is None:
+            return
+        for part in self._stack.left:
+            self._executor.remove_node(part)
+            self._spun.remove(part)
+            self._parts.remove(part)
+            for waitable in [*part.waitables]:  # action servers, which a node does not destroy
+                getattr(waitable, "destroy", lambda: None)()
+            part.destroy_node()
+            if machine := getattr(part, "_state_machine", None):  # of a lifecycle node; it keeps the node in the graph
+                machine.destroy_when_not_in_use()
+        if self._stack.joined:
+            self._parts += self._stack.joined
+            self._spin(self._stack.joined)
+        self._stack.joined, self._stack.left = [], []
 
     def _join(self, parts):
         """Take in nodes that were not there at the start."""

@@ -15,7 +15,19 @@ from ros2_mcp.settings import Settings
 from ros2_mcp.tools import TOOLS
 from support.source import ROOT
 
-LESS = ("measure", "programs", "pictures", "services", "actions", "parameters", "memory", "space", "motion", "view")
+LESS = (
+    "measure",
+    "programs",
+    "pictures",
+    "services",
+    "actions",
+    "parameters",
+    "memory",
+    "space",
+    "motion",
+    "view",
+    "navigation",
+)
 OUT_OF_DATE = "run: python docs/generate.py, look at the difference, and commit it"
 
 

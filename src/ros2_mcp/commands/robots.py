@@ -8,6 +8,7 @@ ROBOTS: Mapping[str, Sequence[str]] = {
     "rover": ("tf2_msgs", "ros2_mcp_demo_interfaces"),
     "arm": ("tf2_msgs",),
     "drone": ("tf2_msgs", "geographic_msgs"),
+    "nav2": ("tf2_msgs", "ros2_mcp_demo_interfaces"),
 }
 """Each robot's name, and the packages below `ros2_mcp_demo/interfaces` that are built before it starts.
 
@@ -17,6 +18,7 @@ LATER: Mapping[str, Sequence[str]] = {
     "rover": ("nav2_msgs", "map_msgs"),  # the latter for what changes in costmaps of other robots
     "arm": ("control_msgs",),
     "drone": ("geographic_msgs", "mavros_msgs"),
+    "nav2": ("nav2_msgs", "map_msgs"),
 }
 """Those that are built while the robot runs already: its nodes that need them join then, so that nobody waits.
 

@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from ros2_mcp.model.graph import TopicEndpoints
+
 NAVIGATE = "nav2_msgs/action/NavigateToPose"
 COMPUTE_PATH = "nav2_msgs/action/ComputePathToPose"
 FOLLOW_WAYPOINTS = "nav2_msgs/action/FollowWaypoints"
@@ -58,6 +60,12 @@ NAVIGATION_NODES = (
     *("waypoint_follower", "lifecycle_manager_navigation", "lifecycle_manager_localization", "slam_toolbox"),
 )
 """What Nav2's nodes are called."""
+
+
+def is_drawn_by_nav2(topic: TopicEndpoints) -> bool:
+    """Whether only Nav2's own nodes publish it: clouds and markers of its costmaps, for people, are no sensors."""
+    nodes = {one.node for one in topic.publishers}
+    return bool(nodes) and all(not set(node.split("/")).isdisjoint(NAVIGATION_NODES) for node in nodes)
 
 
 @dataclass(frozen=True, slots=True)

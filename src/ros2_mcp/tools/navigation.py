@@ -9,6 +9,7 @@ from pydantic_core import PydanticCustomError
 
 from ros2_mcp.model.nav2 import COMPUTE_PATH, MANAGE, NAVIGATE
 from ros2_mcp.model.text import excerpt
+from ros2_mcp.ops.navigation.check import NavChecked, check_navigation
 from ros2_mcp.ops.navigation.localize import POSE_ESTIMATE, NavLocalized, localize
 from ros2_mcp.ops.navigation.navigate import Navigated, navigate
 from ros2_mcp.ops.navigation.places import PlaceKept, PlaceList, PlaceRequest, list_places, set_place
@@ -31,6 +32,11 @@ def _as_object(to: Any) -> Any:
     if isinstance(to, str):
         return {"place": to}
     raise _no_place(to)
+
+
+def _as_object_if_any(to: Any) -> Any:
+    """What is empty is not given: nothing acts here."""
+    return _as_object(to) if to else None
 
 
 def _no_place(to: object) -> PydanticCustomError:
@@ -97,6 +103,30 @@ async def ros2_navigate(
         stuck_s=stop_when_stuck_s or None,
         report=report,
     )
+
+
+@tool(
+    title="Why it does not navigate",
+    risk="read",
+    group="navigation",
+    by_default=False,
+    beside={"ros2_navigate": "Use it before ros2_navigate, or when that fails."},
+    finds="why does the robot not move, Nav2 diagnosis, navigation stuck, check before driving",
+)
+async def ros2_nav_check(
+    robot: Robot,
+    to: Annotated[
+        dict[str, Any] | None,
+        BeforeValidator(_as_object_if_any),
+        Field(description="A goal to look at, too: its place or pose."),
+    ] = None,
+) -> NavChecked:
+    """Find out why a robot with Nav2 does not navigate: reads only, sends no goal, moves nothing.
+
+    Looks at the command chain to the wheels, clocks, frames, servers, sensors, map, localisation and settings. Each
+    finding has its cause, the proof in numbers and a remedy, the worst first.
+    """
+    return await check_navigation(robot, to)
 
 
 @tool(

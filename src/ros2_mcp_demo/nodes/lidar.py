@@ -12,9 +12,14 @@ from sensor_msgs.msg import LaserScan
 from ..simulation import BEAMS, RANGE_MAX, RANGE_MIN
 from .part import ERROR, OK, WARN, RobotPart
 
+OWN_BEAMS, OWN_RANGE = slice(0, 13), 0.13
+"""Where a part of the robot is that the scanner sees, and how far away, in m."""
+
 
 class Lidar(RobotPart):
-    """The driver of the laser scanner."""
+    """The driver of the laser scanner. `sees_itself`: a part of the robot is in its way, behind it."""
+
+    sees_itself = False
 
     def __init__(self, robot, namespace):
         super().__init__("lidar", robot, namespace)
@@ -31,6 +36,8 @@ class Lidar(RobotPart):
             self.robot.ranges = None
         elif self.is_due(rate):
             self.robot.ranges = self.robot.scan(self.setting("noise_stddev"))
+            if self.sees_itself:
+                self.robot.ranges[OWN_BEAMS] = OWN_RANGE
             self._publisher.publish(self._message(stamp, rate))
 
     def diagnosis(self):

@@ -129,11 +129,12 @@ class Navigation:
 class PlannerServer(LifecyclePart):
     """Serves /compute_path_to_pose, and publishes the global costmap."""
 
-    def __init__(self, robot, namespace, navigation, action, clearing):
+    def __init__(self, robot, namespace, navigation, action, clearing, costmap=None):
+        """`costmap` is the publisher of the global costmap, where that has a node of its own."""
         super().__init__("planner_server", robot, namespace)
         self.declare_number("max_planning_time", 5.0, 0.0, 60.0, "A search that takes longer fails [s]")
         self._navigation, self._action = navigation, action
-        self._costmap = self.create_latched_publisher(OccupancyGrid, "global_costmap/costmap")
+        self._costmap = costmap or self.create_latched_publisher(OccupancyGrid, "global_costmap/costmap")
         self._plans = self.create_publisher(Path, "plan", 10)
         self._server = GoalServer(self, action, "compute_path_to_pose", self._judge, self._begin)
         self.create_service(clearing, "global_costmap/clear_entirely_global_costmap", self._clear)

@@ -82,7 +82,7 @@ PLANTED = {
     "goal outside of the building": (nothing(), {"x": -2.05, "y": 0.0}, "occupied|touch"),
     "goal in a frame that there is not": (nothing(), {"x": 1.0, "y": 0.0, "frame": "mapp"}, "frame mapp"),
     "scanner is dead": (silence("/lidar", "enabled"), FREE, "/scan is silent"),
-    "localisation is dead": (silence("/localization", "enabled"), FREE, "robot's place is unknown"),
+    "localisation is dead": (silence("/localization", "enabled"), FREE, "map → odom is not told any more"),
     "navigator is not active": (lifecycle("/bt_navigator"), FREE, "/bt_navigator is inactive"),
     "planner is not active": (lifecycle("/planner_server"), FREE, "/planner_server is inactive"),
     "controller is not active": (lifecycle("/controller_server"), FREE, "/controller_server is inactive"),
@@ -120,7 +120,7 @@ def test_a_planted_failure_is_told_with_its_cause(agent, name):
 
 
 def test_something_that_falls_silent_on_the_way_is_told(agent):
-    for node, cause in (("/lidar", "/scan is silent"), ("/localization", "robot's place is unknown")):
+    for node, cause in (("/lidar", "/scan is silent"), ("/localization", "map → odom is not told any more")):
         try_to_go(agent, {"x": 0.0, "y": 0.0})
         driving = agent.begin("ros2_navigate", to=[{"x": -1.5, "y": -2.0}], timeout_s=60)
         until(lambda: is_driving(agent))

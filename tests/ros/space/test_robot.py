@@ -102,7 +102,7 @@ FACTS: dict[str, dict[str, str | list[str]]] = {
             r"gripper_joint 0.08 \(no unit\)",
         ],
         "controllers": [],
-        "stacks": ["Nav2"],
+        "stacks": ["Nav2: 3 of 3 active"],
         "frames": r"map → odom → base_link; 7 in all",
         "unhealthy": [],
     },

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
+from ros2_mcp.model.nav2 import is_drawn_by_nav2
 from ros2_mcp.model.qos import Endpoint
 from ros2_mcp.ops.measure.diagnostics import DiagnosticTable
 from ros2_mcp.ops.measure.flow import Silence
@@ -22,6 +23,7 @@ from ros2_mcp.robot import TopicEndpoints
 if TYPE_CHECKING:
     from ros2_mcp.ops.measure.finite import Finite
     from ros2_mcp.ops.measure.rivals import Rivals
+    from ros2_mcp.ops.navigation.evidence import NavFinding
     from ros2_mcp.ops.topics.arrivals import Ages
 
 MAX_NAMES = 30
@@ -129,7 +131,8 @@ class Ros2Control:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Evidence:
     """All that was read. `servers` has the nodes of each service, `ros2_control` what controller managers say, by their
-    nodes, `robot` what else `ros2_robot` finds, `rivals` the topics of joint states that several publish.
+    nodes, `robot` what else `ros2_robot` finds, `navigation` what `ros2_nav_check` does, `rivals` the topics of joint
+    states that several publish.
     """
 
     graph: GraphSnapshot
@@ -148,9 +151,10 @@ class Evidence:
     parameters: Mapping[str, Sequence[Parameter]] | None = None
     servers: Mapping[str, Sequence[str]] | None = None
     robot: Sequence[str] | None = None
+    navigation: Sequence[NavFinding] | None = None
 
 
-Need = Literal["frames", "lifecycle", "ros2_control", "parameters", "servers", "robot"]
+Need = Literal["frames", "lifecycle", "ros2_control", "parameters", "servers", "robot", "navigation"]
 """Parts of the evidence that are read only where a check asks for them."""
 
 
@@ -169,7 +173,7 @@ def streams(topic: TopicEndpoints) -> bool:
     if STEADY_TYPES.intersection(topic.types):
         return True
     is_stream = STREAM_TYPES.intersection(topic.types) and not topic.topic.endswith(_OPTIONAL_TRANSPORT)
-    return bool(is_stream) and not is_latched(topic)
+    return bool(is_stream) and not is_latched(topic) and not is_drawn_by_nav2(topic)
 
 
 def is_latched(topic: TopicEndpoints) -> bool:

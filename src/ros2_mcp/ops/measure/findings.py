@@ -24,10 +24,14 @@ class Finding:
     problem: str
     recommendation: str
     cause: str = field(default="", metadata=HIDDEN)
+    covers: Sequence[str] = field(default=(), metadata=HIDDEN)
+    """Nodes and topics of which anything that is wrong only follows from this."""
 
 
 def joined(findings: Sequence[Finding]) -> list[Finding]:
     """The findings, the critical ones first, and those of one node as one finding of that node."""
+    covered = {name for finding in findings for name in finding.covers}
+    findings = [one for one in findings if one.covers or not {one.cause, one.subject} & covered]
     by_cause: dict[str, list[Finding]] = {}
     for number, finding in enumerate(sorted(findings, key=lambda finding: finding.severity)):
         by_cause.setdefault(finding.cause or f"#{number}", []).append(finding)

@@ -16,6 +16,9 @@ from ros2_mcp.model import names
 from ros2_mcp.model.errors import NoTransform, RobotError, UnknownInterface
 from ros2_mcp.model.text import quoted
 from ros2_mcp.ops.measure.evidence import Need, Ros2Control
+from ros2_mcp.ops.navigation.checks import NEEDS, nav_findings_in
+from ros2_mcp.ops.navigation.evidence import NavEvidence, NavFinding
+from ros2_mcp.ops.navigation.readers import read_evidence
 from ros2_mcp.ops.nodes.lifecycle import LifecycleState
 from ros2_mcp.ops.nodes.lifecycle import states as lifecycle_states
 from ros2_mcp.ops.nodes.parameters import Parameter, all_of
@@ -55,6 +58,7 @@ async def read(
             "parameters": lambda: _parameters(robot, graph),
             "servers": lambda: _servers(robot, graph),
             "robot": lambda: unhealthy_besides(robot, source),
+            "navigation": lambda: _navigation(robot, graph),
         }
     found: dict[str, Any] = {}
     missed: list[str] = []
@@ -117,6 +121,13 @@ async def _servers(robot: Robot, graph: GraphSnapshot) -> Mapping[str, Sequence[
         for service in services:
             found.setdefault(service, []).append(node)
     return found
+
+
+async def _navigation(robot: Robot, graph: GraphSnapshot) -> Sequence[NavFinding]:
+    """Nothing is read of a robot without Nav2."""
+    if not NavEvidence(graph=graph).is_nav2:
+        return ()
+    return nav_findings_in((await read_evidence(robot, NEEDS))[0])
 
 
 def _nodes(graph: GraphSnapshot, *, once: bool = False) -> list[str]:

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from ros2_mcp.model.aside import aside
 from ros2_mcp.model.costs import OCCUPIED, TOUCHING, Reach, cost_in_words
+from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.nav2 import CODES, in_words, server_of
 from ros2_mcp.model.text import listed, named, quoted
 from ros2_mcp.ops.log.read import LogLine
+from ros2_mcp.ops.navigation.checks import NEEDS, nav_findings_in
+from ros2_mcp.ops.navigation.checks.check import CHAIN, GOAL, LOCALISER, SERVERS, TUNING
+from ros2_mcp.ops.navigation.evidence import RANKS, NavFinding
+from ros2_mcp.ops.navigation.readers import read_evidence
 from ros2_mcp.ops.navigation.situation import Situation, is_of_navigation, line_in_words, look_around
 from ros2_mcp.ops.navigation.targets import Target
 from ros2_mcp.ops.navigation.whereabouts import in_frame, why_not_in_frame
@@ -23,6 +29,10 @@ if TYPE_CHECKING:
 _MOST_LINES = 6
 """Of the log in an answer: the last words of those that failed."""
 _TF_CODES = {102, 202, 302, 401, 702, 712, 722, 732, 9002, 9102}
+_PLANNING = {203, 204, 205, 206, 208, 303, 304, 305, 306, 308}
+"""The planner has judged the start, the goal or the way: what the costmap says of them goes before the wheels."""
+_UNSAID = {0, 1, 2, 9000, 9003}
+"""The navigator gave up, and no server says why."""
 _NO_PROGRESS = {104, 105, 106, 108}
 _NO_VALID_CONTROL = 106
 _COSTMAP_LATE = {107}
@@ -73,6 +83,8 @@ class _Findings:
     helps: list[str] = field(default_factory=list[str])
 
     def add(self, cause: str, helps: str = "") -> None:
+        if any(cause in known for known in self.causes):  # a check has told it, with its proof
+            return
         self.causes.append(cause)
         if helps and helps not in self.helps:
             self.helps.append(helps)
@@ -80,7 +92,11 @@ class _Findings:
 
 async def explain(robot: Robot, action: str, target: Target, failure: Failure, since_s: float) -> Explanation:
     """Looks for the cause of a failure that has just happened; takes up to some seconds. Raises no `RobotError`."""
-    situation = await look_around(robot, "map" if target.frame != "odom" else target.frame, since_s, action)
+    frame = "map" if target.frame != "odom" else target.frame
+    situation, findings = await asyncio.gather(
+        look_around(robot, frame, since_s, action), _findings(robot, target, action)
+    )
+    situation = replace(situation, findings=findings)
     grid, where = situation.grid, situation.where
     goal: tuple[float, float] | None = None
     reach: Reach | None = None
@@ -92,6 +108,14 @@ async def explain(robot: Robot, action: str, target: Target, failure: Failure, s
             reach = await aside(grid.cells.size, grid.reach, here, goal)
         why_not = "" if goal else await why_not_in_frame(robot, target.frame, grid.frame_id)
     return judged(situation, target, failure, goal, reach, why_not)
+
+
+async def _findings(robot: Robot, target: Target, action: str) -> Sequence[NavFinding]:
+    try:
+        evidence, _ = await read_evidence(robot, NEEDS, target, action)
+    except RobotError:
+        return ()
+    return nav_findings_in(evidence)
 
 
 def judged(
@@ -112,12 +136,20 @@ def judged(
     if grid and where.x_m is not None and where.y_m is not None and grid.frame_id == where.frame:
         start_cost = grid.value(where.x_m, where.y_m)
     found = _Findings()
+    is_of_planning = failure.code in _PLANNING
+    _checked(found, situation, before=CHAIN if is_of_planning else GOAL)
     _servers(found, situation)
     is_goal_known = goal is not None or grid is None
     _localisation(found, situation, target, failure, is_goal_known=is_goal_known, why_not=why_not)
     if grid and goal and failure.code not in _NO_PROGRESS | _COSTMAP_LATE | _TF_CODES:
         _places(found, situation, grid, goal, (start_cost, goal_cost), reach)
     _sensors(found, situation, failure)
+    if is_of_planning:
+        _checked(found, situation, before=GOAL)
+    if failure.code in _NO_PROGRESS | _UNSAID and not found.causes:
+        for finding in situation.findings:
+            if finding.place == TUNING:
+                found.add(str(finding), finding.remedy)
     _motion(found, situation, failure)
     known = CODES.get(failure.code)
     if known and known.name != "UNKNOWN" and not found.causes:
@@ -153,8 +185,18 @@ def error_in_words(code: int, text: str) -> str:
     return ": ".join(filter(None, (in_words(code), quoted(text) if text else "")))
 
 
+def _checked(found: _Findings, situation: Situation, *, before: int) -> None:
+    """What the checks found: the causes that stop every goal, by their place in the chain; the others beside."""
+    for finding in situation.findings:
+        if finding.rank != RANKS[0]:
+            if finding.place != GOAL and str(finding) not in found.beside:
+                found.beside.append(str(finding))
+        elif finding.place < before and str(finding) not in found.causes:
+            found.add(str(finding), finding.remedy)
+
+
 def _servers(found: _Findings, situation: Situation) -> None:
-    if situation.inactive:
+    if situation.inactive and not any(one.place in (LOCALISER, SERVERS) for one in situation.findings):
         found.add(
             f"not every server of Nav2 is active: {'; '.join(situation.inactive)}.",
             "Activate them: ros2_lifecycle_change, or Nav2's lifecycle manager.",
@@ -165,7 +207,7 @@ def _localisation(
     found: _Findings, situation: Situation, target: Target, failure: Failure, *, is_goal_known: bool, why_not: str
 ) -> None:
     where = situation.where
-    if where.trouble:
+    if where.trouble and not any(one.place <= SERVERS for one in situation.findings):
         found.add(
             f"the robot's place is unknown: {where.trouble.rstrip('.')}.",
             "Start localisation, or give it an initial pose; ros2_tf_lookup shows when the transform exists.",
@@ -174,10 +216,6 @@ def _localisation(
         found.add(
             f"there is no transform from the goal's frame {named(target.frame)} to the map. {why_not}".rstrip(),
             "Give the pose in map; ros2_tf_tree shows the frames.",
-        )
-    if situation.uncertain:
-        found.add(
-            f"{situation.uncertain}.", "Give localisation an initial pose, or let the robot turn where it sees walls."
         )
     if failure.code in _TF_CODES and not found.causes:
         found.add("a transform was missing or late for the server that failed; now it exists.", "Try again.")
@@ -225,9 +263,10 @@ def _places(
 
 
 def _sensors(found: _Findings, situation: Situation, failure: Failure) -> None:
-    if situation.silent:
+    silent = [topic for topic in situation.silent if not any(topic in str(one) for one in situation.findings)]
+    if silent:
         found.add(
-            f"{listed(situation.silent, 3)} {'is' if len(situation.silent) == 1 else 'are'} silent.",
+            f"{listed(silent, 3)} {'is' if len(silent) == 1 else 'are'} silent.",
             "Restart the driver of that sensor; ros2_health_check shows its state.",
         )
     elif failure.code in _COSTMAP_LATE:
@@ -257,7 +296,7 @@ def _motion(found: _Findings, situation: Situation, failure: Failure) -> None:
     if is_near:
         found.add(f"{str(local)[0].lower()}{str(local)[1:]}.", "Remove the obstacle, or clear the costmap.")
     says_why = failure.code == _NO_VALID_CONTROL and failure.text
-    if not (said or others or situation.silent or says_why or base.limits or base.sends or is_near):
+    if not (found.causes or said or others or situation.silent or says_why or base.limits or base.sends or is_near):
         near = [f"{local}."] if local and local.away_m is not None else []
         why = "the robot was commanded to drive but made no progress; no component reports why."
         found.add(" ".join([why, *near, *base.others]))

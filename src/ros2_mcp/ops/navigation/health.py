@@ -1,4 +1,4 @@
-"""How a navigation that is under way is doing, and what may yet hold it up: in sentences, in about two seconds."""
+"""How a navigation that is under way is doing, and what may yet hold it up: in sentences, in about three seconds."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.graph import TopicRow
 from ros2_mcp.model.text import listed, named
 from ros2_mcp.ops.navigation.base import base_of
+from ros2_mcp.ops.navigation.checks import NEEDS, nav_findings_in
+from ros2_mcp.ops.navigation.readers import read_evidence
 from ros2_mcp.ops.navigation.situation import Local, costmap_of, inactive_servers, local_of, sensors_of
 from ros2_mcp.ops.navigation.targets import MAP_FRAME
 from ros2_mcp.ops.navigation.whereabouts import whereabouts
@@ -16,6 +18,8 @@ from ros2_mcp.robot import Robot
 
 _PART_S = 2.0
 """For each part, all at the same time: sensors are listened to for 1.5 s, and who waits for a robot waits no longer."""
+_FINDINGS_S = 4.5
+"""For the checks of `ros2_nav_check`, which listen for 2 s."""
 _OLD_COSTMAP_S = 5.0
 """Nav2 publishes it once a second, some robots every other second."""
 _LONGEST_AGE_S = 1e6
@@ -35,15 +39,17 @@ async def health_of(robot: Robot, action: str) -> list[str]:
         _within(_sensors(robot, topics), "The sensors"),
         _within(_servers(robot), "The servers of Nav2"),
         _within(_base(robot), "The base"),
+        _within(_found(robot, action), "What may hold it up", _FINDINGS_S),
     )
-    return [line for lines in parts for line in lines]
+    *others, found = parts
+    return [*found, *(line for lines in others for line in lines)]
 
 
-async def _within(part: Awaitable[list[str]], what: str) -> list[str]:
+async def _within(part: Awaitable[list[str]], what: str, within_s: float = _PART_S) -> list[str]:
     try:
-        return await asyncio.wait_for(part, _PART_S)
+        return await asyncio.wait_for(part, within_s)
     except asyncio.TimeoutError:
-        return [f"{what} could not be determined within {_PART_S:g} s."]
+        return [f"{what} could not be determined within {within_s:g} s."]
     except RobotError as error:
         return [f"{what} could not be determined: {error.message}"]
 
@@ -76,9 +82,13 @@ async def _local(robot: Robot, topics: Sequence[TopicRow], action: str) -> list[
 
 
 async def _sensors(robot: Robot, topics: Sequence[TopicRow]) -> list[str]:
-    quiet, uncertain = await sensors_of(robot, topics)
-    lines = [f"{listed(quiet, 3)} {'is' if len(quiet) == 1 else 'are'} silent."] if quiet else []
-    return [*lines, *([f"{uncertain[0].upper()}{uncertain[1:]}."] if uncertain else [])]
+    quiet = await sensors_of(robot, topics)
+    return [f"{listed(quiet, 3)} {'is' if len(quiet) == 1 else 'are'} silent."] if quiet else []
+
+
+async def _found(robot: Robot, action: str) -> list[str]:
+    evidence, _ = await read_evidence(robot, NEEDS, None, action)
+    return [str(finding) for finding in nav_findings_in(evidence)]
 
 
 async def _servers(robot: Robot) -> list[str]:

@@ -10,13 +10,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from time import monotonic
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.model.aside import aside, load
 from ros2_mcp.model.costs import cost_in_words
 from ros2_mcp.model.errors import BadData, RobotError, TimedOut
 from ros2_mcp.model.graph import TopicRow
-from ros2_mcp.model.nav2 import COSTMAP, COSTMAP_UPDATE, GRID_UPDATE, NAVIGATION_NODES
+from ros2_mcp.model.nav2 import COSTMAP, COSTMAP_UPDATE, GRID_UPDATE, NAVIGATION_NODES, is_drawn_by_nav2
 from ros2_mcp.model.pictures import OCCUPANCY_GRID
 from ros2_mcp.model.text import LOG_LINE, named, quoted
 from ros2_mcp.ops.log.read import Log, LogLine, LogRequest
@@ -24,12 +24,11 @@ from ros2_mcp.ops.log.read import read as read_log
 from ros2_mcp.ops.measure.diagnostics import Diagnostic, read_diagnostics
 from ros2_mcp.ops.navigation.base import Base, base_of
 from ros2_mcp.ops.navigation.costmaps import chosen_costmaps, costmap_now, updates_of
+from ros2_mcp.ops.navigation.evidence import NavFinding
 from ros2_mcp.ops.navigation.whereabouts import Whereabouts, whereabouts
 from ros2_mcp.ops.nodes.lifecycle import states
-from ros2_mcp.ops.sources.from_before import FromBefore
 from ros2_mcp.ops.sources.live import Live
 from ros2_mcp.robot import Robot
-from ros2_mcp_common.finite import not_finite
 
 if TYPE_CHECKING:
     from ros2_mcp.world.costmap import CostGrid
@@ -43,11 +42,8 @@ _LOG_BEFORE_S = 1.0
 _MOST_LINES = 60
 _MOST_SENSORS = 6
 _SENSOR_TYPES = ("sensor_msgs/msg/LaserScan", "sensor_msgs/msg/PointCloud2", "nav_msgs/msg/Odometry")
-_POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 _AHEAD_DEG = 20.0
 """So far to either side is ahead: half of the sector that a laser's meaning calls front."""
-_UNCERTAIN_M = 0.3
-"""A standard deviation with which nobody finds doorways; that of AMCL is 0.05 to 0.2 m once it has settled."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,8 +72,8 @@ class Situation:
 
     `inactive` are Nav2's nodes that are not active, each with its state; `silent` topics of sensors or odometry that
     have publishers and said nothing; `local` is what the local costmap has around the robot, `base` who else commands
-    the base and what holds it; `uncertain` says how uncertain localisation is, if it is. `absent` are sentences
-    on what could not be looked at.
+    the base and what holds it. `findings` are those of `ros2_nav_check`, which judges what both tell; `absent` are
+    sentences on what could not be looked at.
     """
 
     where: Whereabouts
@@ -85,11 +81,11 @@ class Situation:
     grid_topic: str = ""
     inactive: Sequence[str] = ()
     silent: Sequence[str] = ()
-    uncertain: str = ""
     diagnostics: Sequence[Diagnostic] = ()
     lines: Sequence[LogLine] = ()
     local: Local | None = None
     base: Base = field(default=Base())
+    findings: Sequence[NavFinding] = ()
     absent: Sequence[str] = field(default=())
 
 
@@ -99,7 +95,7 @@ async def look_around(robot: Robot, frame: str, since_s: float, action: str = ""
     rows = await _or(robot.graph.topics(), (), absent, "The topics")
     topics = list(rows)
     beside = asyncio.gather(local_of(robot, topics, action), base_of(robot))
-    where, (grid, grid_topic, ages), inactive, (quiet, uncertain), table, log = await asyncio.gather(
+    where, (grid, grid_topic, ages), inactive, quiet, table, log = await asyncio.gather(
         whereabouts(robot, frame),
         costmap_of(robot, topics, action, within_s=_SENSORS_S),
         inactive_servers(robot),
@@ -118,7 +114,6 @@ async def look_around(robot: Robot, frame: str, since_s: float, action: str = ""
         grid_topic=grid_topic,
         inactive=inactive,
         silent=quiet,
-        uncertain=uncertain,
         diagnostics=[row for row in table.rows if row.level != "OK"] if table else (),
         lines=_different(log.lines) if log else (),
         local=local,
@@ -242,14 +237,13 @@ async def inactive_servers(robot: Robot) -> list[str]:
     ]
 
 
-async def sensors_of(robot: Robot, topics: Sequence[TopicRow]) -> tuple[list[str], str]:
-    """The topics of sensors and odometry that say nothing, and how uncertain localisation says that it is."""
+async def sensors_of(robot: Robot, topics: Sequence[TopicRow]) -> list[str]:
+    """The topics of sensors and odometry that say nothing; what Nav2 draws of its own costmaps is none."""
     known = [row.name for row in topics if row.publishers and set(row.types) & set(_SENSOR_TYPES)]
-    poses = [row.name for row in topics if row.publishers and _POSE in row.types and "initial" not in row.name]
-    heard = await asyncio.gather(*(_hears(robot, name) for name in known[:_MOST_SENSORS]))
-    said = await asyncio.gather(*(_uncertainty(robot, name) for name in poses[:2]))
-    quiet = [name for name, comes in zip(known, heard, strict=False) if not comes]
-    return quiet, next((text for text in said if text), "")
+    present = await asyncio.gather(*map(robot.graph.endpoints, known[:_MOST_SENSORS]))
+    known = [one.topic for one in present if not is_drawn_by_nav2(one)]
+    heard = await asyncio.gather(*(_hears(robot, name) for name in known))
+    return [name for name, comes in zip(known, heard, strict=True) if not comes]
 
 
 async def _hears(robot: Robot, topic: str) -> bool:
@@ -262,25 +256,6 @@ async def _hears(robot: Robot, topic: str) -> bool:
     except RobotError:
         return True  # of what cannot be listened to nothing is known
     return False
-
-
-async def _uncertainty(robot: Robot, topic: str) -> str:
-    try:
-        async with robot.listen(topic, keep="latest") as listening:
-            samples = await listening.take(_SENSORS_S)
-            if not samples:
-                return ""
-            message = cast("Any", robot.values.decode(listening.type, samples[-1]))
-            is_old = listening.is_from_before(samples[-1])
-    except RobotError:
-        return ""
-    if why := not_finite(message, "pose"):
-        return f"localisation is unknown: of {named(topic)}, {why}"
-    age = f" ({FromBefore.of(1, samples[-1].source_ns, robot.now_ns()).age})" if is_old else ""
-    variance = max(float(message.pose.covariance[0]), float(message.pose.covariance[7]))
-    if not variance > _UNCERTAIN_M**2:
-        return ""
-    return f"localisation is uncertain: {named(topic)} gives a standard deviation of {variance**0.5:.2f} m{age}"
 
 
 async def _log(robot: Robot, since_s: float) -> Log:

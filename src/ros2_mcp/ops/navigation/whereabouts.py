@@ -54,13 +54,17 @@ async def whereabouts(robot: Robot, frame: str) -> Whereabouts:
     except RobotError as error:
         return Whereabouts(frame, trouble=str(error))
     x_m, y_m, _ = found.pose.translation
-    age_s = None if found.stamp_ns is None else (robot.now_ns() - found.stamp_ns) / 1e9
-    if age_s is not None and abs(age_s) > _OTHER_CLOCK_S:
-        received_ns = min((edge.last_received_ns for edge in found.edges if edge.moving), default=0)
-        age_s = (robot.now_ns() - received_ns) / 1e9 if received_ns else None
+    moving = [edge for edge in found.edges if edge.moving]
+    # By receipt: AMCL stamps a second ahead, on purpose, and what is stamped by another clock says nothing.
+    late_s = [edge.lag_ns / 1e9 for edge in moving]
+    ages = [
+        (robot.now_ns() - edge.last_received_ns) / 1e9 + (lag_s if 0 < lag_s < _OTHER_CLOCK_S else 0.0)
+        for edge, lag_s in zip(moving, late_s, strict=True)
+    ]
+    age_s = max(ages, default=None)
     trouble = ""
     if age_s is not None and age_s > STALE_S:
-        oldest = min((edge for edge in found.edges if edge.moving), key=lambda edge: edge.stamps[-1])
+        oldest = moving[ages.index(age_s)]
         trouble = (
             f"the transform from {named(frame)} to {named(base)} is {age_s:.1f} s old: that of "
             f"{named(oldest.child)} is not sent any more"

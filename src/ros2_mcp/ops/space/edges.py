@@ -231,7 +231,8 @@ def _when_told(tree: FrameTree, edge: Edge, at_ns: int, publisher: str, *, is_ot
     if not edge.moving:
         return []
     silent_ns = at_ns - edge.last_received_ns
-    age_ns, ahead_ns = at_ns - edge.stamps[-1] - tree.clock_ns, tree.clock_ns - edge.lag_ns
+    # What is stamped ahead, as AMCL does, is as old as its receipt.
+    age_ns, ahead_ns = max(at_ns - edge.stamps[-1] - tree.clock_ns, silent_ns), tree.clock_ns - edge.lag_ns
     # On a slow simulation it comes more seldom than it is stamped, in bursts more often.
     slowest_hz = min(filter(None, (edge.rate_hz, edge.received_hz)), default=0.0)
     limit_ns = max(_LEAST_STALE_NS, _PERIODS * (1e9 / slowest_hz if slowest_hz else 0))

@@ -53,7 +53,7 @@ from ros2_mcp.ops.space.sensors import (
     sensors_of,
     view_in_words,
 )
-from ros2_mcp.ops.space.stacks import stacks_of
+from ros2_mcp.ops.space.stacks import nav2_active, stacks_of, with_active
 from ros2_mcp.ops.space.standing_time import standing_time
 from ros2_mcp.ops.space.states import states_of
 from ros2_mcp.robot import Robot
@@ -111,6 +111,7 @@ class _Seen:
     footprint: Sequence[tuple[float, float, float]] = ()
     footprint_frame: str = ""
     managed: Mapping[str, Sequence[Mapping[str, Any]]] = field(default_factory=dict[str, Sequence[Mapping[str, Any]]])
+    nav2: str = ""
     reports: list[str] = field(default_factory=list[str])
     rates: Mapping[str, str] = field(default_factory=dict[str, str])
     states: Mapping[str, str] = field(default_factory=dict[str, str])
@@ -400,6 +401,7 @@ async def _published_footprint(source: Source, seen: _Seen) -> None:
 
 
 async def _managed(robot: Robot, source: Source, seen: _Seen) -> None:
+    seen.nav2 = await nav2_active(robot, source, seen.graph)
     if source.is_live:
         try:
             seen.managed = await listed_controllers(robot, seen.graph)
@@ -435,7 +437,7 @@ def _everything(source: Source, seen: _Seen) -> RobotInBrief:
         footprint=footprint_in_words(seen.urdf, seen.tree, base, seen.footprint, seen.footprint_frame),
         place=place,
         frames=_frames_in_words(seen, base),
-        stacks=stacks,
+        stacks=with_active(stacks, seen.nav2),
         unhealthy=[*trouble, *_unhealthy(source, seen)],
         command_inputs=_lines(inputs),
         other_actions=_lines(other_actions(seen.graph, inputs)),

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ros2_mcp.model.graph import TopicEndpoints
+from ros2_mcp.model.nav2 import is_drawn_by_nav2
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.sources.source import GraphSnapshot
 from ros2_mcp.ops.space.body import MountInWords
@@ -76,7 +77,7 @@ def ranked(graph: GraphSnapshot) -> Sequence[tuple[TopicEndpoints, str]]:
     """The topics of sensors with their types: of each kind the first one before the second of any, for who sees only
     some; the kinds in the order of `SENSORS`. A compressed copy of a picture is no sensor of its own.
     """
-    published = [one for one in graph.topics.values() if one.publishers]
+    published = [one for one in graph.topics.values() if one.publishers and not is_drawn_by_nav2(one)]
     pictures = {one.topic for one in published if _IMAGE in one.types}
     of_kind: dict[str, list[TopicEndpoints]] = {kind: [] for kind in SENSORS}
     for one in sorted(published, key=lambda one: one.topic):

@@ -2,7 +2,18 @@
 
 from __future__ import annotations
 
-from ros2_mcp.ops.sources.source import GraphSnapshot
+import asyncio
+from collections.abc import Sequence
+
+from ros2_mcp.model.errors import RobotError
+from ros2_mcp.model.nav2 import NAVIGATION_NODES
+from ros2_mcp.ops.nodes.own_services import ask_node
+from ros2_mcp.ops.sources.source import GraphSnapshot, Source
+from ros2_mcp.robot import Robot
+
+_GET_STATE = "lifecycle_msgs/srv/GetState"
+_ANSWER_S = 1.0
+"""A node that spins answers within milliseconds."""
 
 
 def stacks_of(graph: GraphSnapshot) -> list[str]:
@@ -22,3 +33,26 @@ def stacks_of(graph: GraphSnapshot) -> list[str]:
         )
         if is_there
     ]
+
+
+async def nav2_active(robot: Robot, source: Source, graph: GraphSnapshot) -> str:
+    """Such as `7 of 7 active`; empty of a recording, and where Nav2 has no lifecycle nodes."""
+    offered = [name.rpartition("/")[0] for name, types in (graph.services or {}).items() if _GET_STATE in types]
+    nodes = [node for node in offered if node.rpartition("/")[2] in (*NAVIGATION_NODES, "docking_server")]
+    if not source.is_live or not nodes:
+        return ""
+
+    async def is_active(node: str) -> bool:
+        try:
+            answer = await ask_node(robot, node, _GET_STATE, {}, timeout_s=_ANSWER_S, wait_s=_ANSWER_S / 2)
+            return (await robot.fields_of(answer))["current_state"]["label"] == "active"
+        except RobotError:
+            return False
+
+    active = await asyncio.gather(*map(is_active, nodes))
+    return f"{sum(active)} of {len(nodes)} active"
+
+
+def with_active(stacks: Sequence[str], active: str) -> list[str]:
+    """The names of the stacks, Nav2 with how many of its servers are active."""
+    return [f"Nav2: {active}" if stack == "Nav2" and active else stack for stack in stacks]

@@ -10,6 +10,8 @@ from ros2_mcp.model.nav2 import CODES, in_words, server_of
 from ros2_mcp.ops.log.read import LogLine
 from ros2_mcp.ops.measure.diagnostics import Diagnostic
 from ros2_mcp.ops.navigation.base import Base
+from ros2_mcp.ops.navigation.checks.check import CHAIN, LOCALISER, MAP, TUNING
+from ros2_mcp.ops.navigation.evidence import NavFinding
 from ros2_mcp.ops.navigation.explain import Failure, judged
 from ros2_mcp.ops.navigation.situation import Local, Situation, around
 from ros2_mcp.ops.navigation.targets import Target
@@ -76,7 +78,6 @@ def line(node, text, level="ERROR"):
         ({"code": 102}, "a transform was missing or late", "Try again"),
         ({"code": 207}, "Planning took too long", "nearer goal"),
         ({"code": 105}, "made no progress; no component reports why", "motors"),
-        ({"code": 208, "uncertain": "localisation is uncertain: 1 m"}, "Localisation is uncertain", "initial pose"),
         ({"code": 4711, "has_grid": False}, "No cause was found", "ros2_log_read"),
     ],
 )
@@ -142,6 +143,30 @@ def test_costs_and_feasibility_are_told_whatever_the_cause_is():
     assert free.is_feasible and "free path" in free.feasibility
     lost = explained(206, where=LOST)
     assert lost.is_feasible is None and "unknown" in lost.start_cost
+
+
+def finding(cause, place, rank="stops everything", **more):
+    given = {"subject": cause, "proof": "", "remedy": "mend it", **more}
+    return NavFinding(rank=rank, cause=cause, place=place, **given)
+
+
+def test_what_the_checks_found_is_the_cause_and_a_planner_that_has_judged_goes_before_the_wheels():
+    off = finding("The motors are off.", CHAIN)
+    assert explained(105, findings=[off]).cause == "The motors are off."
+    assert explained(105, findings=[off]).helps[0] == "mend it"
+    blocked = explained(208, (3.5, 1.5), findings=[off])
+    assert "no free path" in blocked.cause and any("motors" in line for line in blocked.health)
+    lost = finding("There is no map.", MAP)
+    assert explained(204, (9.0, 0.5), findings=[finding("No localiser runs.", LOCALISER)]).cause == "No localiser runs."
+    assert explained(102, findings=[lost]).cause == "There is no map."
+
+
+def test_what_only_makes_it_worse_is_told_beside_and_a_short_time_out_is_the_cause_where_no_server_has_one():
+    worse = finding("The rate is missed.", TUNING, "makes it worse")
+    assert "no free path" in explained(208, (3.5, 1.5), findings=[worse]).cause
+    early = finding("/bt_navigator gives up before the servers can answer.", TUNING, "stops some goals")
+    assert "gives up before" in explained(0, findings=[early]).cause
+    assert "is occupied" in explained(206, (3.05, 0.55), findings=[early]).cause
 
 
 def test_words_of_the_robot_are_quoted():

@@ -23,7 +23,10 @@ _MEANS = {
 
 def _find(evidence: Evidence) -> Iterator[Finding]:
     by_state: dict[str, list[str]] = {}
+    of_nav2 = {name for found in evidence.navigation or () for name in (found.subject, *found.covers)}
     for node in evidence.lifecycle or ():
+        if node.node in of_nav2:
+            continue
         if node.error:
             yield Finding("warning", node.node, f"Its lifecycle state is not known: {node.error}", _FAILED, node.node)
         elif node.state != "active":

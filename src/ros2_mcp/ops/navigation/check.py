@@ -1,0 +1,120 @@
+"""`ros2_nav_check`: why the robot does not navigate, before a goal is sent. It only reads."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+from ros2_mcp.model.errors import BadInput
+from ros2_mcp.model.text import counted, named
+from ros2_mcp.ops.navigation.checks import NEEDS, nav_findings_in, not_looked_at
+from ros2_mcp.ops.navigation.checks.command_chain import chain_of
+from ros2_mcp.ops.navigation.checks.fit import deviation_m
+from ros2_mcp.ops.navigation.evidence import ODOMETRY, SCAN, NavEvidence, NavFinding
+from ros2_mcp.ops.navigation.known_places import places_of
+from ros2_mcp.ops.navigation.readers import read_evidence
+from ros2_mcp.ops.navigation.targets import targets_of
+from ros2_mcp.ops.results.results import IF_ANY, SAID
+from ros2_mcp.robot import Robot
+
+Verdict = Literal["FINE", "STOPPED", "SOME GOALS FAIL", "IMPAIRED"]
+_VERDICTS: dict[str, Verdict] = {
+    "stops everything": "STOPPED",
+    "stops some goals": "SOME GOALS FAIL",
+    "makes it worse": "IMPAIRED",
+}
+_MOST = 8
+"""Findings in full: who has more than that begins with the first."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NavChecked:
+    """What keeps the robot from navigating, the worst first; each with its cause, its proof and a remedy.
+
+    `FINE` means that nothing was found in what was looked at. `seen` has the figures on which that stands, `not_read`
+    what could not be looked at.
+    """
+
+    verdict: Verdict = field(metadata=SAID)
+    findings: Sequence[NavFinding] = field(metadata=SAID)
+    servers: str = field(metadata=SAID)
+    seen: Sequence[str] = field(metadata=SAID)
+    not_read: Sequence[str] = field(metadata={**IF_ANY, **SAID})
+
+    def summary(self) -> list[str]:
+        """The verdict, a line for each finding, and what was seen."""
+        what = "nothing found that keeps the robot from navigating" if not self.findings else "why, the worst first"
+        lines = [f"{self.verdict}: {what}."]
+        for number, one in enumerate(self.findings, 1):
+            lines.append(f"{number}. {one.rank}: {one.cause} Proof: {one.proof} Remedy: {one.remedy}")
+        lines.append(" ".join([f"{self.servers}.", *(f"{line}." for line in self.seen)]))
+        if self.not_read:
+            lines.append(f"Not looked at: {', '.join(self.not_read)}.")
+        return lines
+
+
+async def check_navigation(robot: Robot, to: object = None, action: str = "") -> NavChecked:
+    """Reads what the checks need, all at the same time, and judges; sends no goal.
+
+    Raises:
+        BadInput: for a place that is written wrongly, or several.
+        NotFound: for a place that is not known, or where there is no Nav2.
+        LinkError: if there is no bridge.
+    """
+    target = None
+    if to is not None:
+        targets = targets_of(to, places_of(robot))
+        if len(targets) != 1:
+            raise BadInput("ros2_nav_check looks at one place.", "Give one.")
+        target = targets[0]
+    robot.log.start()
+    evidence, _ = await read_evidence(robot, NEEDS, target, action)
+    if not evidence.is_nav2:
+        raise await robot.graph.missing(
+            "There is no Nav2: no bt_navigator, planner_server, controller_server or lifecycle manager is seen.",
+            "Start Nav2; ros2_list_nodes shows what runs.",
+        )
+    findings = nav_findings_in(evidence)
+    return NavChecked(
+        verdict=_VERDICTS[findings[0].rank] if findings else "FINE",
+        findings=findings[:_MOST],
+        servers=servers_in_words(evidence),
+        seen=_seen(evidence),
+        not_read=sorted(not_looked_at(evidence)),
+    )
+
+
+def servers_in_words(evidence: NavEvidence) -> str:
+    """How many of Nav2's servers are active."""
+    managed = [node for supervisor in evidence.supervisors for node in evidence.managed(supervisor)]
+    servers = list(dict.fromkeys(managed)) or [
+        node for node in evidence.robots_nodes if node in (evidence.states or {})
+    ]
+    if evidence.states is None or not servers:
+        return "Nav2: the states of its servers are not known"
+    active = [node for node in servers if evidence.states.get(node) == "active"]
+    return f"Nav2: {len(active)} of {len(servers)} active"
+
+
+def _seen(evidence: NavEvidence) -> list[str]:
+    """The figures on which it stands that nothing is wrong."""
+    lines: list[str] = []
+    flows = [f"{named(one.topic)} {one.rate_hz:.3g} Hz" for one in evidence.of(SCAN, ODOMETRY)[:4] if one.count]
+    if flows:
+        lines.append(", ".join(flows))
+    if frames := evidence.frames:
+        ages = [
+            f"{named(edge.moving[-1].parent)} → {named(edge.child)} {frames.silent_ns(edge) / 1e9:.1f} s ago"
+            for edge in frames.tree.edges.values()
+            if edge.moving and edge.moving[-1].parent.rpartition("/")[2] in ("map", "odom")
+        ]
+        lines += [f"Last told: {', '.join(ages[:3])}"] if ages else []
+    chain = chain_of(evidence)
+    if chain.nodes:
+        lines.append(f"Commands: {' → '.join(named(node) for node in chain.nodes[:6])}")
+    if (deviation := deviation_m(evidence)) is not None:
+        lines.append(f"Localisation's own deviation: {deviation:.2f} m")
+    if evidence.parameters is not None:
+        lines.append(f"Parameters of {counted(len(evidence.parameters), 'node')} read")
+    return lines

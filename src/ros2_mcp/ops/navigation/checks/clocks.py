@@ -1,0 +1,121 @@
+"""Time: computers whose clocks differ, and nodes that run on another time than the others."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from ros2_mcp.model.text import listed, named
+from ros2_mcp.ops.navigation.checks.check import CLOCKS, NavCheck
+from ros2_mcp.ops.navigation.evidence import NavEvidence, NavFinding, is_tool
+
+_CLOCK = "/clock"
+_BEHIND_S, _AHEAD_S = 0.5, 0.2
+"""Beyond what networks and drivers delay; no delay stamps ahead, but for AMCL, which does so on purpose."""
+_STEADY_S = 0.4
+"""A clock is off by the same each time; a delay varies."""
+_OTHER_TIME_S = 1e6
+_LEAST = 3
+_MOST_NAMES = 6
+_SYNC = "Synchronise the clocks of the robot's computers (chrony or NTP); if they agree, its driver stamps late."
+
+
+def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
+    yield from _simulated(evidence)
+    yield from _offsets(evidence)
+
+
+def _simulated(evidence: NavEvidence) -> Iterator[NavFinding]:
+    clocks = {one.node for one in evidence.topic(_CLOCK).publishers}
+    simulated, by_wall = list[str](), list[str]()
+    for node, values in (evidence.parameters or {}).items():
+        value = values.get("use_sim_time")
+        if node not in clocks and not is_tool(node) and isinstance(value, bool):
+            (simulated if value else by_wall).append(node)
+    if simulated and not clocks:
+        yield NavFinding(
+            rank="stops everything",
+            subject=simulated[0],
+            cause=f"{listed(simulated, _MOST_NAMES)} {'runs' if len(simulated) == 1 else 'run'} on simulated time, "
+            "which stands still: nobody publishes /clock.",
+            proof=f"use_sim_time is true at {listed(simulated, _MOST_NAMES)}, and false at {len(by_wall)} others.",
+            remedy="Set use_sim_time to false on a real robot, or start what publishes /clock.",
+            covers=("map → odom", "odom → base"),
+        )
+    elif simulated and by_wall:
+        fewer, more = sorted((by_wall, simulated), key=len)
+        runs = "wall time" if fewer is by_wall else "simulated time"
+        yield NavFinding(
+            rank="stops everything",
+            subject=fewer[0],
+            cause=f"{listed(fewer, _MOST_NAMES)} {'runs' if len(fewer) == 1 else 'run'} on {runs}, the others do not.",
+            proof=f"use_sim_time is {str(fewer is simulated).lower()} there, and {str(more is simulated).lower()} at "
+            f"{len(more)} nodes.",
+            remedy="Give all nodes the same use_sim_time, and start them again.",
+            covers=("map → odom", "odom → base"),
+        )
+
+
+def _offsets(evidence: NavEvidence) -> Iterator[NavFinding]:
+    """Stamps that are off by the same each time, on some topics and transforms and not on others."""
+    offsets = dict(_of_topics(evidence))
+    offsets |= _of_transforms(evidence)
+    plain = {what: s for what, s in offsets.items() if abs(s) < _OTHER_TIME_S}
+    off = {what: s for what, s in plain.items() if s > _BEHIND_S or s < -_AHEAD_S}
+    is_alike = len(off) == len(plain) > 1 and max(off.values()) - min(off.values()) < _STEADY_S
+    if not off or is_alike:  # alike: it is the clock of this bridge, which need not be the robot's
+        return
+    groups: list[dict[str, float]] = []
+    for what, seconds in sorted(off.items(), key=lambda pair: pair[1]):
+        if groups and seconds - max(groups[-1].values()) < _STEADY_S:
+            groups[-1][what] = seconds
+        else:
+            groups.append({what: seconds})
+    fine = [what for what in plain if what not in off]
+    for group in groups:
+        middle = sorted(group.values())[len(group) // 2]
+        way = "behind" if middle > 0 else "ahead of"
+        beside = f", and not so {listed(fine, 3)}" if fine else ""
+        yield NavFinding(
+            rank="stops everything",
+            subject=next(iter(group)),
+            cause=f"The stamps of {listed(list(group), _MOST_NAMES)} are {abs(middle):.2f} s {way} the others, always: "
+            "the clocks differ.",
+            proof=f"Receipt minus stamp is {middle:+.2f} s, the least of {len(group)} series{beside}.",
+            remedy=_SYNC,
+            covers=[*group, *_follows(group)],
+        )
+
+
+def _follows(group: Mapping[str, float]) -> list[str]:
+    is_of_base = any("odom" in what for what in group)
+    return ["odom → base", "map → odom"] if is_of_base else ["map → odom"]
+
+
+def _of_topics(evidence: NavEvidence) -> Iterator[tuple[str, float]]:
+    for topic, heard in (evidence.heard or {}).items():
+        if len(heard.ages_s) < _LEAST:
+            continue
+        least, most = min(heard.ages_s), max(heard.ages_s)
+        # A machine with much to do delays some of them; a clock makes all of them old.
+        if most - least < _STEADY_S or least < -_AHEAD_S or least > _BEHIND_S:
+            yield topic, least if least > -_AHEAD_S else most
+
+
+def _of_transforms(evidence: NavEvidence) -> dict[str, float]:
+    """The newest stamps of moving transforms against their receipt; a localiser may stamp ahead."""
+    found: dict[str, float] = {}
+    if not evidence.frames:
+        return found
+    for edge in evidence.frames.tree.edges.values():
+        if len(edge.moving) < _LEAST or evidence.frames.is_stale(edge):
+            continue
+        lags = [(told.received_ns - told.stamp_ns) / 1e9 for told in edge.moving[-30:]]
+        parent = edge.moving[-1].parent
+        name = f"{named(parent)} → {named(edge.child)}"
+        if edge.child.rpartition("/")[2] == "odom" and -2.5 < min(lags) < 0:
+            continue
+        found[name] = min(lags) if min(lags) > -_AHEAD_S else max(lags)
+    return found
+
+
+CHECK = NavCheck(("parameters", "heard", "frames"), _find, CLOCKS)

@@ -1,0 +1,162 @@
+"""The collision monitor: it holds the robot for something, or for a source that is late or never there."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, cast
+
+from ros2_mcp.model.text import named
+from ros2_mcp.ops.navigation.checks.check import CHAIN, NavCheck
+from ros2_mcp.ops.navigation.evidence import SCAN, Frames, NavEvidence, NavFinding, resolved
+
+_STATE = "nav2_msgs/msg/CollisionMonitorState"
+_ACTIONS = ("nothing", "stop", "slowdown", "approach", "limit")
+_SOURCE_TIMEOUT_S = 2.0
+"""Nav2's default."""
+_LEAST_POINTS = 4
+
+
+def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
+    for node in evidence.of_role("collision_monitor"):
+        values = (evidence.parameters or {}).get(node, {})
+        sources = _texts(values.get("observation_sources"))
+        topics = {source: resolved(node, str(values.get(f"{source}.topic", "") or f"/{source}")) for source in sources}
+        yield from _sources(evidence, node, values, topics)
+        yield from _held(evidence, node, values, list(topics.values()))
+
+
+def _sources(
+    evidence: NavEvidence, node: str, values: Mapping[str, Any], topics: Mapping[str, str]
+) -> Iterator[NavFinding]:
+    """A source that is needed and does not come makes it stop."""
+    for source, topic in topics.items():
+        if values.get(f"{source}.enabled") is False:
+            continue
+        limit = values.get(f"{source}.source_timeout", values.get("source_timeout", _SOURCE_TIMEOUT_S))
+        limit_s = float(limit) if isinstance(limit, (int, float)) else _SOURCE_TIMEOUT_S
+        heard = (evidence.heard or {}).get(topic)
+        if not evidence.topic(topic).publishers:
+            cause = f"{named(node)} holds the robot: its source {named(source)} has no publisher."
+            proof = f"Nobody publishes {named(topic)}; source_timeout is {limit_s:g} s."
+        elif limit_s and heard and heard.ages_s and min(heard.ages_s) > limit_s:
+            cause = f"{named(node)} holds the robot: its source {named(source)} is older than it allows."
+            proof = f"{named(topic)} is {min(heard.ages_s):.2f} s old when it comes; source_timeout is {limit_s:g} s."
+        else:
+            continue
+        yield NavFinding(
+            rank="stops everything",
+            subject=node,
+            cause=cause,
+            proof=proof,
+            remedy=f"Start what publishes {named(topic)}, correct {source}.topic, or take the source out.",
+            covers=(topic,),
+        )
+
+
+def _held(evidence: NavEvidence, node: str, values: Mapping[str, Any], topics: Sequence[str]) -> Iterator[NavFinding]:
+    state = next((one.newest for one in evidence.of(_STATE) if node in one.nodes and one.newest is not None), None)
+    if state is not None and int(state.action_type) in (1, 3):
+        name = str(state.polygon_name)
+        near = _in_polygon(evidence, values, name, topics)
+        yield _holding(evidence, node, name, _ACTIONS[int(state.action_type)], near)
+        return
+    if state is not None:
+        return
+    for name in _texts(values.get("polygons")):
+        action = str(values.get(f"{name}.action_type", "")).lower()
+        if action != "stop" or values.get(f"{name}.enabled") is False:
+            continue
+        least = values.get(f"{name}.min_points", values.get(f"{name}.max_points", _LEAST_POINTS))
+        points = _in_polygon(evidence, values, name, topics)
+        if len(points) >= (int(least) if isinstance(least, (int, float)) else _LEAST_POINTS):
+            yield _holding(evidence, node, name, action, points)
+
+
+def _holding(evidence: NavEvidence, node: str, name: str, action: str, distances: Sequence[float]) -> NavFinding:
+    proof = [f"collision_monitor_state: {action}, {named(name)}." if not distances else ""]
+    if distances:
+        proof = [f"{len(distances)} points of the scan are in {named(name)}, the nearest {min(distances):.2f} m away."]
+    for costmap in evidence.of_role("local_costmap"):
+        for parameter, value in (evidence.parameters or {}).get(costmap, {}).items():
+            is_blind = parameter.endswith("obstacle_min_range") and isinstance(value, (int, float)) and value > 0
+            if is_blind and (not distances or min(distances) < float(value)):
+                proof.append(f"The costmap ignores all below {float(value):g} m ({parameter}), and plans through it.")
+    return NavFinding(
+        rank="stops everything",
+        subject=node,
+        cause=f"{named(node)} holds the robot: its polygon {named(name)} ({action}) is not free.",
+        proof=" ".join(filter(None, proof)),
+        remedy="Remove what stands there; if that is the robot itself, make the polygon smaller or filter the scan.",
+    )
+
+
+def _in_polygon(evidence: NavEvidence, values: Mapping[str, Any], name: str, topics: Sequence[str]) -> list[float]:
+    """How far from the base the points of the scans are that lie within a polygon or circle, in m."""
+    frames = evidence.frames
+    base = str(values.get("base_frame_id") or (frames.tree.base if frames else ""))
+    if not frames or not base:
+        return []
+    corners, radius = _corners(values.get(f"{name}.points")), values.get(f"{name}.radius")
+    found: list[float] = []
+    for topic in topics:
+        heard = (evidence.heard or {}).get(topic)
+        if heard is None or heard.type != SCAN or not heard.messages:
+            continue
+        for x, y in hits_in(frames, base, heard.messages[-1][1]):
+            away = math.hypot(x, y)
+            is_in = (
+                away < float(radius) if isinstance(radius, (int, float)) and not corners else is_within(corners, x, y)
+            )
+            if is_in:
+                found.append(away)
+    return sorted(found)
+
+
+def hits_in(frames: Frames, base: str, scan: Any) -> list[tuple[float, float]]:
+    """Where the beams of a scan ended at something, in the frame of the base."""
+    from ros2_mcp.model.errors import BadData
+    from ros2_mcp.world.scans import moved, scan_points
+
+    mount = frames.tree.newest(base, str(scan.header.frame_id).lstrip("/"))
+    if mount is None:
+        return []
+    try:
+        points = moved(scan_points(scan).hits, mount.pose)
+    except BadData:
+        return []
+    return [(float(x), float(y)) for x, y in points[:, :2].tolist()]
+
+
+def is_within(corners: Sequence[tuple[float, float]], x: float, y: float) -> bool:
+    """Whether a point is inside a polygon."""
+    inside = False
+    for (x1, y1), (x2, y2) in zip(corners, [*corners[1:], *corners[:1]], strict=True):
+        if (y1 > y) != (y2 > y) and x < (x2 - x1) * (y - y1) / (y2 - y1) + x1:
+            inside = not inside
+    return inside
+
+
+def _corners(value: Any) -> list[tuple[float, float]]:
+    """Points as Nav2 takes them: a text with a list of pairs, or (before Jazzy) one list of numbers."""
+    if isinstance(value, str):
+        try:
+            read = json.loads(value)
+        except ValueError:
+            return []
+        try:
+            return [(float(x), float(y)) for x, y in read]
+        except (TypeError, ValueError):
+            return []
+    if isinstance(value, (list, tuple)):
+        numbers = [float(one) for one in cast("Sequence[Any]", value) if isinstance(one, (int, float))]
+        return list(zip(numbers[::2], numbers[1::2], strict=False))
+    return []
+
+
+def _texts(value: Any) -> list[str]:
+    return [str(one) for one in cast("Sequence[Any]", value)] if isinstance(value, (list, tuple)) else []
+
+
+CHECK = NavCheck(("parameters", "heard", "frames"), _find, CHAIN)

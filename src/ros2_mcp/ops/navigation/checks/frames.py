@@ -1,0 +1,233 @@
+"""Frames: a transform that died on the way, that nobody tells, that two tell, or whose frames are called otherwise."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from ros2_mcp.model.names import may_be_one
+from ros2_mcp.model.text import listed, named
+from ros2_mcp.ops.navigation.checks.check import FRAMES, NavCheck
+from ros2_mcp.ops.navigation.checks.inputs import silent_inputs
+from ros2_mcp.ops.navigation.evidence import ODOMETRY, SCAN, Frames, NavEvidence, NavFinding, is_of_role
+from ros2_mcp.ops.navigation.targets import MAP_FRAME
+from ros2_mcp.ops.space.tellers import GONE
+from ros2_mcp.robot.transforms import TF, TF_STATIC
+
+if TYPE_CHECKING:
+    from ros2_mcp.world.frame_edges import Edge
+
+_BASES = ("base_link", "base_footprint")
+_NAMES_OF_FRAMES = ("robot_base_frame", "base_frame_id", "global_frame", "odom_frame_id", "local_frame")
+_ROLES = (
+    *("local_costmap", "global_costmap", "bt_navigator", "behavior_server", "collision_monitor", "amcl"),
+    *("docking_server", "slam_toolbox"),
+)
+_TELLS_TF = ("enable_odom_tf", "publish_odom_tf", "publish_tf", "odom_tf", "broadcast_tf")
+_MOST_NAMES = 4
+
+
+def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
+    frames = evidence.frames
+    if frames is None:
+        return
+    if not frames.tree.frames:
+        yield NavFinding(
+            rank="stops everything",
+            subject="odom → base",
+            cause="There are no transforms at all.",
+            proof=f"Nothing came on {TF} and {TF_STATIC} in {frames.listened_s:.1f} s.",
+            remedy="Start robot_state_publisher and the base; check ROS_DOMAIN_ID, and the namespace of /tf.",
+            covers=("map → odom",),
+        )
+        return
+    for edge in frames.tree.edges.values():
+        if edge.two_parents or edge.on_both or len(edge.writers) > 1:
+            yield _two_owners(frames, edge)
+    yield from _odometry(evidence, frames)
+    for edge in frames.tree.edges.values():
+        if frames.is_stale(edge) and _is_needed(edge):
+            yield _stale(evidence, frames, edge)
+    yield from _names(evidence, frames)
+
+
+def _is_base(frame: str) -> bool:
+    return frame.rpartition("/")[2] in _BASES
+
+
+def _is_needed(edge: Edge) -> bool:
+    last = edge.child.rpartition("/")[2]
+    return (
+        last == "odom"
+        or last in _BASES
+        or bool(edge.newest and edge.newest.parent.rpartition("/")[2] in ("odom", MAP_FRAME))
+    )
+
+
+def _name(edge: Edge) -> str:
+    """As other checks call the two that navigation stands on."""
+    if edge.child.rpartition("/")[2] == "odom":
+        return "map → odom"
+    if _is_base(edge.child) and edge.newest and edge.newest.parent.rpartition("/")[2] == "odom":
+        return "odom → base"
+    return f"{named(edge.newest.parent)} → {named(edge.child)}" if edge.newest else named(edge.child)
+
+
+def _two_owners(frames: Frames, edge: Edge) -> NavFinding:
+    parents = edge.parents
+    static_by = frames.tellers.on(TF_STATIC, edge, parents[0]) or " or ".join(frames.owners.get(TF_STATIC, ()))
+    is_static_too = bool(edge.static) and bool(edge.moving)
+    who = frames.tellers.of(edge) or listed(list(frames.owners.get(TF, ())), _MOST_NAMES)
+    if is_static_too:
+        moving = frames.tellers.on(TF, edge, edge.moving[-1].parent) or " or ".join(frames.owners.get(TF, ()))
+        cause = f"{named(edge.child)} is told twice: as moving by {moving}, and as static by {static_by}."
+        remedy = "End the static one (static_transform_publisher)."
+        if GONE in static_by:
+            remedy = "Its publisher has gone: start the nodes again that heard it, as they keep it."
+    elif edge.two_parents:
+        cause = f"{named(edge.child)} has two parents: {listed(parents, 3)}."
+        told = [f"{named(parent)}{frames.tellers.by_whom(edge, parent)}" for parent in parents]
+        remedy = f"End one of both: {' or '.join(told)}."
+    else:
+        cause = f"The transform {_name(edge)} is told by two nodes."
+        remedy = f"Switch it off at one of both ({who}): two localisers, or simulator and EKF."
+    apart = edge.apart
+    far = f" What they tell is {apart[0]:.2g} m and {apart[1]:.2g}° apart." if apart else ""
+    return NavFinding(
+        rank="makes it worse"
+        if GONE in static_by or not (_is_needed(edge) or edge.two_parents)
+        else "stops everything",
+        subject=_name(edge),
+        cause=cause,
+        proof=f"It is told by {who}.{far}",
+        remedy=remedy,
+    )
+
+
+def _odometry(evidence: NavEvidence, frames: Frames) -> Iterator[NavFinding]:
+    """Odometry comes, and nobody tells the transform that goes with it."""
+    tree = frames.tree
+    if any(
+        _is_base(child) and edge.newest and edge.newest.parent != child and not _is_fixed(edge)
+        for child, edge in tree.edges.items()
+    ):
+        return
+    heard = [one for one in evidence.of(ODOMETRY) if one.count and one.newest is not None]
+    for one in heard:
+        message = one.newest
+        parent, child = one.frame_id or "odom", str(message.child_frame_id).lstrip("/")
+        if child in tree.edges and tree.find(parent, child):
+            return
+    if not heard:
+        return
+    one = heard[0]
+    off = _switched_off(evidence)
+    yield NavFinding(
+        rank="stops everything",
+        subject="odom → base",
+        cause="Nobody tells the transform from odom to the base.",
+        proof=f"{named(one.topic)} comes at {one.rate_hz:.3g} Hz from {listed(one.nodes, 2)}, and in "
+        f"{frames.listened_s:.1f} s no transform of its frames. {'; '.join(off[:3])}{'.' if off else ''}".rstrip(),
+        remedy="Set enable_odom_tf (publish_tf) of the base or the EKF to true, or start an EKF.",
+        covers=("map → odom",),
+    )
+
+
+def _switched_off(evidence: NavEvidence) -> list[str]:
+    """Parameters by which a node is told to tell no transform."""
+    return [
+        f"{name} of {named(node)} is false"
+        for node, values in (evidence.parameters or {}).items()
+        for name, value in values.items()
+        if value is False and name.rpartition(".")[2] in _TELLS_TF
+    ]
+
+
+def _is_fixed(edge: Edge) -> bool:
+    """A base below another part of the robot, as base_footprint → base_link, is no odometry."""
+    return bool(edge.newest and _is_base(edge.newest.parent))
+
+
+def _stale(evidence: NavEvidence, frames: Frames, edge: Edge) -> NavFinding:
+    silent_s = frames.silent_ns(edge) / 1e9
+    owner = frames.tellers.of(edge).removeprefix("probably ")
+    inputs = silent_inputs(evidence, owner) if owner.startswith("/") else []
+    is_gone = "gone" in owner
+    cause = f"The transform {_name(edge)} is not told any more"
+    cause += f": {owner}." if is_gone else f"; {owner} publishes it." if owner else "."
+    proof = f"The last one came {silent_s:.1f} s ago."
+    off = _switched_off(evidence) if _name(edge) == "odom → base" else []
+    if off and any(one.count for one in evidence.of(ODOMETRY)):
+        cause = "Odometry comes, and nobody tells the transform from odom to the base."
+        proof += f" {'; '.join(off[:3])}."
+    elif inputs:
+        cause = f"{cause[:-1]}, and what it waits for is silent: {listed(inputs, 3)}."
+    elif owner.startswith("/") and not is_gone:
+        proof += " The node is still there." if owner in evidence.nodes else " The node has left."
+    fine = [one.topic for one in evidence.of(SCAN) if one.count]
+    proof += f" {listed(fine, 2)} comes." if fine else ""
+    remedy = f"First find out why {inputs[0]} is silent." if inputs else "Start its publisher again, and read its log."
+    remedy = "Set it to true again." if off else remedy
+    return NavFinding(
+        rank="stops everything",
+        subject=_name(edge),
+        cause=cause,
+        proof=proof,
+        remedy=remedy,
+        covers=["map → odom", *inputs] if _name(edge) == "odom → base" else inputs,
+    )
+
+
+def _names(evidence: NavEvidence, frames: Frames) -> Iterator[NavFinding]:
+    """Frames that Nav2's nodes are set to, or that are in the headers of sensors, and that no transform has."""
+    known = set(frames.tree.frames)
+    wanted: dict[str, list[str]] = {}
+    for node in evidence.of_role(*_ROLES):
+        for name in _NAMES_OF_FRAMES:
+            value = evidence.value(node, name)
+            frame = value.lstrip("/") if isinstance(value, str) else ""
+            if frame and frame not in known and frame not in (MAP_FRAME, "odom"):
+                wanted.setdefault(frame, []).append(f"{name} of {node}")
+    for frame, who in wanted.items():
+        yield NavFinding(
+            rank="stops everything",
+            subject=frame,
+            cause=f"Nav2 wants the frame {named(frame)}, which no transform has"
+            f"{f'; there is {near}' if (near := _near(frame, known)) else ''}.",
+            proof=f"It is {listed(who, _MOST_NAMES)}; {len(known)} frames were told in {frames.listened_s:.1f} s.",
+            remedy=f"Set it to {near or 'a frame that there is'}, or publish a static transform for it.",
+            covers=("map → odom", "odom → base") if frame.rpartition("/")[2] in _BASES else (),
+        )
+    for one in evidence.of(SCAN, "sensor_msgs/msg/PointCloud2"):
+        is_read = any(is_of_role(end.node, *_ROLES) for end in evidence.topic(one.topic).subscribers)
+        if one.frame_id and one.frame_id not in known and is_read and one.frame_id not in wanted:
+            near = _near(one.frame_id, known)
+            yield NavFinding(
+                rank="stops everything",
+                subject=one.topic,
+                cause=f"{named(one.topic)} is in the frame {named(one.frame_id)}, which no transform has"
+                f"{f'; there is {near}' if near else ''}.",
+                proof=f"{one.count} messages have it in their header; {len(known)} frames are told.",
+                remedy=f"Set the driver's frame_id to {near}."
+                if near
+                else "Publish a static transform from the base to it.",
+                covers=("map → odom",),
+            )
+
+
+def _near(frame: str, known: set[str]) -> str:
+    """The frame that is probably meant."""
+    if frame.rpartition("/")[2] in _BASES:
+        for base in sorted(known):
+            if _is_base(base):
+                return base
+    same = [other for other in sorted(known) if other.rpartition("/")[2] == frame.rpartition("/")[2]]
+    word = frame.rpartition("/")[2].split("_")[0]
+    like = same or [other for other in sorted(known) if may_be_one(frame, other)]
+    like = like or [
+        other for other in sorted(known) if len(word) > 2 and other.rpartition("/")[2].split("_")[0] == word
+    ]
+    return like[0] if like else ""
+
+
+CHECK = NavCheck(("frames", "heard", "parameters"), _find, FRAMES)

@@ -1,0 +1,70 @@
+"""Nobody says where the robot is in the map: no localiser, one that is not active, or one that waits for a pose."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+from ros2_mcp.model.text import listed, named
+from ros2_mcp.ops.navigation.checks.check import LOCALISER, NavCheck
+from ros2_mcp.ops.navigation.evidence import GRID, POSE, NavEvidence, NavFinding
+from ros2_mcp.ops.navigation.targets import MAP_FRAME
+
+_CALLED = re.compile(r"amcl|mcl|slam|locali[sz]|cartographer|rtabmap|hector|ndt|lio|ekf|ukf|ground_truth|map_odom")
+_EDGE = "map → odom"
+
+
+def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
+    frames = evidence.frames
+    if not frames:
+        return
+    is_told = any(
+        edge.child.rpartition("/")[2] == "odom" or (edge.newest and edge.newest.parent.rpartition("/")[2] == MAP_FRAME)
+        for edge in frames.tree.edges.values()
+    )
+    amcl = evidence.of_role("amcl")
+    if is_told or any(not evidence.is_active(node) for node in amcl):
+        return  # of one that is not active the servers' check says why
+    if amcl:
+        yield from _waits(evidence, amcl[0])
+        return
+    known = [node for node in evidence.nodes if _CALLED.search(node.rpartition("/")[2])]
+    if known:
+        return  # it runs, and the frames' check says what of it lacks
+    yield NavFinding(
+        rank="stops everything",
+        subject=_EDGE,
+        cause="No localiser runs: nobody says where the robot is in the map.",
+        proof=f"None of {len(evidence.nodes)} nodes is AMCL, SLAM or the like, and the frame map has no transform in "
+        f"{frames.listened_s:.1f} s.",
+        remedy="Start AMCL with a map, or slam_toolbox.",
+    )
+
+
+def _waits(evidence: NavEvidence, amcl: str) -> Iterator[NavFinding]:
+    poses = [one for one in evidence.of(POSE) if amcl in one.nodes]
+    if any(one.newest is not None for one in poses):
+        return
+    said = evidence.lines("initial pose", "amcl")
+    asks = evidence.value(amcl, "set_initial_pose")
+    map_there = any(topic.publishers for topic in evidence.topics(GRID))
+    heard = [one for one in (evidence.heard or {}).values() if one.type.endswith("LaserScan") and one.count]
+    proof = [
+        f"It is active, {listed([one.topic for one in heard], 2)} comes, and it has told no pose and no transform."
+    ]
+    if asks is not None:
+        proof.append(f"set_initial_pose is {str(asks).lower()}.")
+    if said:
+        proof.append(f"Its log: «{said[-1].text}».")
+    if not heard or not map_there:
+        return  # it waits for a scan or a map, which is told of these
+    yield NavFinding(
+        rank="stops everything",
+        subject=_EDGE,
+        cause=f"{named(amcl)} was never told where the robot is: it waits for /initialpose.",
+        proof=" ".join(proof),
+        remedy="Publish the robot's pose on /initialpose (ros2_topic_publish), or set set_initial_pose to true.",
+    )
+
+
+CHECK = NavCheck(("frames", "heard", "states"), _find, LOCALISER)

@@ -1,0 +1,51 @@
+"""The map, and masks: published by nobody, or in a way that those who come later never get them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from ros2_mcp.model.text import listed, named
+from ros2_mcp.ops.navigation.checks.check import MAP, NavCheck
+from ros2_mcp.ops.navigation.evidence import GRID, NavEvidence, NavFinding, is_of_role, nodes_of
+
+_INFO = "nav2_msgs/msg/CostmapFilterInfo"
+_READERS = ("global_costmap", "local_costmap", "amcl")
+_MOST_NAMES = 4
+
+
+def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
+    for topic in evidence.topics(GRID, _INFO):
+        readers = [one for one in topic.subscribers if is_of_role(one.node, *_READERS)]
+        if not readers:
+            continue
+        is_map = topic.topic.rpartition("/")[2] == "map"
+        what, where = "map" if is_map else "mask", named(topic.topic)
+        who = listed(nodes_of(readers), _MOST_NAMES)
+        rank = "stops everything" if is_map else "makes it worse"
+        if not topic.publishers:
+            gone = evidence.graph.left.topics.get(topic.topic, ())
+            told = f"{listed(list(gone), 2)} published it earlier, and has left." if gone else ""
+            yield NavFinding(
+                rank=rank,
+                subject=topic.topic,
+                cause=f"There is no {what}: nobody publishes {where}, for which {who} waits.",
+                proof=told or "Without one the costmap has its default size, and goals seem to lie outside of it.",
+                remedy="Start map_server with a map (and its lifecycle manager), or slam_toolbox.",
+            )
+            continue
+        volatile = [one for one in topic.publishers if one.qos.durability == "volatile"]
+        if len(volatile) == len(topic.publishers):
+            wants = [one for one in readers if one.qos.durability == "transient_local"]
+            how = f"{listed(nodes_of(wants), _MOST_NAMES)} asks for transient_local" if wants else "who comes later"
+            yield NavFinding(
+                rank=rank,
+                subject=topic.topic,
+                cause=f"The {what} never reaches {who}: {listed(nodes_of(volatile), 2)} publishes {where} as volatile.",
+                proof=f"{how[:1].upper()}{how[1:]}, which a volatile publisher never serves."
+                if wants
+                else "A volatile publisher sends nothing to those who subscribe after it was published.",
+                remedy="Publish it with durability transient_local, as map_server does.",
+            )
+
+
+CHECK = NavCheck((), _find, MAP)

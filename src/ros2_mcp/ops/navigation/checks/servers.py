@@ -1,0 +1,286 @@
+"""Nav2's servers: which one failed first, in the order in which their manager brings them up, and what it said."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+from ros2_mcp.model.text import counted, listed, named
+from ros2_mcp.ops.log.read import LogLine
+from ros2_mcp.ops.navigation.checks.check import SERVERS, NavCheck
+from ros2_mcp.ops.navigation.evidence import ROLES, NavEvidence, NavFinding, is_of_role, line_age_s, said
+
+_LOCALISES = ("amcl", "map_server", "slam_toolbox")
+_LOST = re.compile(
+    r"SERVER (\S+) IS DOWN|not received a heartbeat from (\S+?)\.?(?:\s|$)|(\S+) was unable to be reached"
+)
+_UP = re.compile(r"Managed nodes (are active|have been paused)|Pausing managed nodes", re.IGNORECASE)
+"""What a manager says when all is well again, or when it was told to pause: what it said before is over."""
+_IGNORED = re.compile(r"Message Filter dropping|missed its desired rate|desired rate of", re.IGNORECASE)
+"""Lines of the first seconds, and a warning that is often false: no reasons."""
+_OLD_PLUGIN = re.compile(r"\w+/\w+")
+_MOST_NAMES = 8
+_SLOW_S = 900.0
+
+
+def of_localisation(evidence: NavEvidence) -> Iterator[NavFinding]:
+    """What is wrong with the servers that say where the robot is."""
+    yield from _find(evidence, of_localisation=True)
+
+
+def of_navigation(evidence: NavEvidence) -> Iterator[NavFinding]:
+    """What is wrong with all others."""
+    yield from _find(evidence, of_localisation=False)
+
+
+def _find(evidence: NavEvidence, *, of_localisation: bool) -> Iterator[NavFinding]:
+    managed = {supervisor: nodes for supervisor in evidence.supervisors if (nodes := evidence.managed(supervisor))}
+    for supervisor, nodes in managed.items():
+        if any(is_of_role(node, *_LOCALISES) for node in nodes) == of_localisation:
+            yield from _of_supervisor(evidence, supervisor, nodes)
+    supervised = {node for nodes in managed.values() for node in nodes}
+    alone = [
+        node
+        for node in (*evidence.of_role(*ROLES), *evidence.graph.left.nodes)
+        if node not in supervised and is_of_role(node, *ROLES) and is_of_role(node, *_LOCALISES) == of_localisation
+    ]
+    yield from _unmanaged(evidence, alone)
+    if not of_localisation and not managed:
+        yield from _missing(evidence)
+
+
+def _of_supervisor(evidence: NavEvidence, supervisor: str, nodes: Sequence[str]) -> Iterator[NavFinding]:
+    """What its own diagnostics say of it is the same fault."""
+    for finding in _by_supervisor(evidence, supervisor, nodes):
+        yield replace(finding, covers=[*finding.covers, *([supervisor] if finding.subject != supervisor else [])])
+
+
+def _by_supervisor(evidence: NavEvidence, supervisor: str, nodes: Sequence[str]) -> Iterator[NavFinding]:
+    states = evidence.states or {}
+    absent = [node for node in nodes if node not in states and node not in evidence.nodes]
+    hung = [node for node in nodes if states.get(node) == ""]
+    idle = [node for node in nodes if states.get(node) not in (None, "", "active")]
+    if not (absent or hung or idle):
+        return
+    lost = _lost(evidence, supervisor, nodes)
+    if lost or ((absent or hung) and not _waits(evidence, nodes, absent, idle)):
+        yield _down(evidence, supervisor, nodes, lost, absent, hung, idle)
+        return
+    if absent:
+        first = absent[0]
+        yield NavFinding(
+            rank="stops everything",
+            subject=first,
+            cause=f"{named(supervisor)} waits for {named(first)}, which does not run: it has brought nothing up.",
+            proof=f"node_names has {counted(len(nodes), 'node')}; nobody offers {named(first)}/get_state, and "
+            f"{counted(len(idle), 'other')} {'is' if len(idle) == 1 else 'are'} not active.",
+            remedy=f"Start {named(first)}, or take it out of node_names of {named(supervisor)}.",
+            covers=_covered(nodes),
+        )
+        return
+    yield _not_brought_up(evidence, supervisor, nodes, idle)
+
+
+def _waits(evidence: NavEvidence, nodes: Sequence[str], absent: Sequence[str], idle: Sequence[str]) -> bool:
+    """Whether the manager was never able to bring up its nodes, as one of them never came."""
+    never = [node for node in absent if node not in evidence.graph.left.nodes]
+    active = [node for node in nodes if (evidence.states or {}).get(node) == "active"]
+    return bool(never) and not active and bool(idle)
+
+
+def _lost(evidence: NavEvidence, supervisor: str, nodes: Sequence[str]) -> tuple[str, LogLine] | None:
+    """The server whose heartbeat the manager missed, by its log: the last time that it did."""
+    for line in reversed(evidence.log or ()):
+        if line.node.rpartition("/")[2] != supervisor.rpartition("/")[2]:
+            continue
+        if _UP.search(line.text):
+            return None
+        if not (found := _LOST.search(line.text)):
+            continue
+        name = next(filter(None, found.groups())).strip("/")
+        server = next((node for node in nodes if node.rpartition("/")[2] == name.rpartition("/")[2]), "")
+        if server:
+            return server, line
+    return None
+
+
+def _down(
+    evidence: NavEvidence,
+    supervisor: str,
+    nodes: Sequence[str],
+    lost: tuple[str, LogLine] | None,
+    absent: Sequence[str],
+    hung: Sequence[str],
+    idle: Sequence[str],
+) -> NavFinding:
+    first = lost[0] if lost else [*absent, *hung][0]
+    fate = (
+        "died"
+        if first in absent
+        else "died, or hangs: it answers nothing"
+        if first in hung
+        else "missed its heartbeat, and lives"
+    )
+    others = [node for node in idle if node != first]
+    took = f"; {named(supervisor)} took {counted(len(others), 'other')} down" if others else ""
+    age_s = line_age_s(evidence, lost[1]) if lost else None
+    since = f" since {age_s:.0f} s" if age_s is not None and age_s < _SLOW_S else ""
+    lines = [line for line in _lines(evidence, first) if line.level in ("ERROR", "FATAL")]
+    proof = [f"{named(first)} {_seen(evidence, first)}."]
+    proof += [f"{said(lost[1])}."] if lost else []
+    proof += [f"Before that {said(lines[-1])}."] if lines and not lost else []
+    up = f"then bring the stack up with {named(supervisor)}/manage_nodes"
+    remedy = f"Start {named(first)} again (its log says why it ended), {up}."
+    if first not in absent and first not in hung:
+        remedy = (
+            "Find out what starves it (load of the computer), or raise bond_timeout; then bring the stack up again."
+        )
+    elif first in hung:
+        remedy = f"Start {named(first)} again, and end it first if it still runs; {up}."
+    is_alone = not others and not lost
+    return NavFinding(
+        rank="stops everything",
+        subject=first,
+        cause=f"{named(first)} {fate}." if is_alone else f"Nav2 is down{since}: {named(first)} {fate}{took}.",
+        proof=" ".join(proof),
+        remedy=remedy,
+        covers=[node for node in _covered(nodes) if node != first],
+    )
+
+
+def _seen(evidence: NavEvidence, node: str) -> str:
+    state = (evidence.states or {}).get(node)
+    if state == "":
+        return "is in the graph, and does not answer"
+    if state:
+        return f"is {state}"
+    return "has left the graph" if node in evidence.graph.left.nodes else "is not in the graph"
+
+
+def _not_brought_up(evidence: NavEvidence, supervisor: str, nodes: Sequence[str], idle: Sequence[str]) -> NavFinding:
+    states = evidence.states or {}
+    unconfigured = [node for node in idle if states[node] in ("unconfigured", "finalized")]
+    first = (unconfigured or idle)[0]
+    errors = [line for node in idle for line in _lines(evidence, node) if line.level in ("ERROR", "FATAL")]
+    own = [line for line in _lines(evidence, first) if line.level in ("ERROR", "FATAL")] or errors[:1]
+    if own and not _lines(evidence, first):
+        first = next((node for node in idle if own[0] in _lines(evidence, node)), first)
+    after = [node for node in idle if node != first]
+    is_all = len(idle) == len(nodes)
+    old = _old_plugins(evidence, first)
+    if is_all and not own and not old:
+        same = {states[node] for node in idle}
+        paused = same == {"inactive"}
+        autostart = evidence.value(supervisor, "autostart")
+        how = "paused, or never activated" if paused else "not started"
+        said_so = f" autostart of {named(supervisor)} is false." if autostart is False else ""
+        return NavFinding(
+            rank="stops everything",
+            subject=supervisor,
+            cause=f"The whole stack is {how}: none of its {len(nodes)} servers is active.",
+            proof=f"{listed(list(nodes), _MOST_NAMES)}: {', '.join(sorted(same))}.{said_so}",
+            remedy=f"Call {named(supervisor)}/manage_nodes with command {'2 (RESUME)' if paused else '0 (STARTUP)'}.",
+            covers=_covered(nodes),
+        )
+    waits = (
+        f"; {counted(len(after), 'other')} only {'waits' if len(after) == 1 else 'wait'}"
+        if after and not is_all
+        else ""
+    )
+    waits = f"; the {len(after)} others only wait" if after and is_all else waits
+    proof = [f"{said(own[0])}."] if own else [f"It is {states[first]}, the first in the order of {named(supervisor)}."]
+    proof += [f"The plugin {old[0]} has the form of an older distribution, with / instead of ::."] if old else []
+    return NavFinding(
+        rank="stops everything",
+        subject=first,
+        cause=f"{named(first)} is {states[first]}{' since it failed to come up' if own or old else ''}{waits}.",
+        proof=" ".join(proof),
+        remedy="Correct what its log says, and bring the stack up again."
+        if own or old
+        else f"Activate it with ros2_lifecycle_change; or bring all up with {named(supervisor)}/manage_nodes.",
+        covers=[node for node in _covered(nodes) if node != first],
+    )
+
+
+def _old_plugins(evidence: NavEvidence, node: str) -> list[str]:
+    """Plugins of a node whose names have the slash that newer distributions refuse, where others have ::."""
+    values = {
+        name: value for name, value in (evidence.parameters or {}).get(node, {}).items() if isinstance(value, str)
+    }
+    return [
+        f"{value} ({name})"
+        for name, value in values.items()
+        if name.endswith("plugin") and _OLD_PLUGIN.fullmatch(value)
+    ]
+
+
+def _lines(evidence: NavEvidence, node: str) -> list[LogLine]:
+    """What a node said at level WARN or above since its manager had all active last, without what says nothing."""
+    supervisors = [
+        supervisor.rpartition("/")[2] for supervisor in evidence.supervisors if node in evidence.managed(supervisor)
+    ]
+    log = evidence.log or ()
+    ups = [n for n, line in enumerate(log) if line.node.rpartition("/")[2] in supervisors and _UP.search(line.text)]
+    since = ups[-1] if ups else 0
+    return [line for line in log[since:] if line.node == node and not _IGNORED.search(line.text)]
+
+
+def _covered(nodes: Sequence[str]) -> list[str]:
+    """What follows from nodes that are down."""
+    return [*nodes, *(["map → odom"] if any(is_of_role(node, "amcl", "slam_toolbox") for node in nodes) else [])]
+
+
+def _unmanaged(evidence: NavEvidence, nodes: Sequence[str]) -> Iterator[NavFinding]:
+    states = evidence.states or {}
+    gone = [node for node in nodes if node in evidence.graph.left.nodes]
+    if len(gone) > 1:
+        yield NavFinding(
+            rank="stops everything",
+            subject=gone[0],
+            cause=f"{len(gone)} nodes of Nav2 have left: {listed(gone, _MOST_NAMES)}.",
+            proof="They were there earlier in this session, and so was their manager, if any.",
+            remedy="Start Nav2 again; ros2_log_read may show why it ended.",
+            covers=_covered(gone)[1:],
+        )
+    for node in nodes:
+        state = states.get(node)
+        is_gone = node in gone
+        if (is_gone and len(gone) > 1) or (not is_gone and state in (None, "active")):
+            continue
+        lines = [line for line in _lines(evidence, node) if line.level in ("ERROR", "FATAL")]
+        hangs = f"{named(node)} hangs: it does not answer."
+        yield NavFinding(
+            rank="stops everything",
+            subject=node,
+            cause=f"{named(node)} has left." if is_gone else hangs if state == "" else f"{named(node)} is {state}.",
+            proof=f"{said(lines[-1])}." if lines else f"It {_seen(evidence, node)}; no manager has it in node_names.",
+            remedy="Start it again." if is_gone or state == "" else "Activate it: ros2_lifecycle_change.",
+            covers=_covered([node])[1:],
+        )
+
+
+def _missing(evidence: NavEvidence) -> Iterator[NavFinding]:
+    """A server that the navigator needs, and that was never seen: dead before this session, and its manager too."""
+    offered = {
+        name.rpartition("/_action/")[0] for name in evidence.graph.services or () if "/_action/send_goal" in name
+    }
+    if not evidence.of_role("bt_navigator"):
+        return
+    for role, action in (("planner_server", "compute_path_to_pose"), ("controller_server", "follow_path")):
+        is_offered = any(name.rpartition("/")[2] == action for name in offered)
+        if (
+            not evidence.of_role(role)
+            and not is_offered
+            and not any(is_of_role(one, role) for one in evidence.graph.left.nodes)
+        ):
+            yield NavFinding(
+                rank="stops everything",
+                subject=role,
+                cause=f"There is no {role}: nobody offers {action}, which bt_navigator calls.",
+                proof=f"No node of that name among {len(evidence.nodes)}, and no lifecycle manager.",
+                remedy=f"Start {role}, and its lifecycle manager.",
+            )
+
+
+CHECK = NavCheck(("states", "parameters", "log"), of_navigation, SERVERS)

@@ -1,0 +1,138 @@
+"""Settings that abort goals: time-outs that are too short, a rate that is missed, a progress that is never made."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from ros2_mcp.model.text import named
+from ros2_mcp.ops.navigation.checks.check import TUNING, NavCheck
+from ros2_mcp.ops.navigation.evidence import VELOCITIES, NavEvidence, NavFinding, is_zero, line_age_s, said
+
+_ACKNOWLEDGE = r"timed out while waiting for action server to acknowledge"
+_SHORT_MS = 10.0
+"""Nav2's default of 20 ms is short on a loaded computer; less is no time for an answer."""
+_LEAST_SERVERS, _TIMES_SLOWER, _SLOW_S = 4, 5.0, 0.05
+"""On a loaded computer all are slow; one that is five times as slow as the others is so by itself."""
+_RECENT_S = 300.0
+_MISSED = 0.6
+_LEAST = 8
+_FASTEST = ("max_vel_x", "max_speed_xy", "desired_linear_vel", "vx_max", "max_linear_speed")
+_TURNS = ("max_vel_theta", "wz_max", "rotate_to_heading_angular_vel")
+
+
+def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
+    yield from _acknowledged(evidence)
+    yield from _rate(evidence)
+    yield from _progress(evidence)
+
+
+def _acknowledged(evidence: NavEvidence) -> Iterator[NavFinding]:
+    slow = _slow(evidence)
+    lines = [line for line in evidence.lines(_ACKNOWLEDGE) if (line_age_s(evidence, line) or 0.0) < _RECENT_S]
+    for node in evidence.of_role("bt_navigator"):
+        timeout_ms = evidence.value(node, "default_server_timeout")
+        is_short = isinstance(timeout_ms, (int, float)) and not isinstance(timeout_ms, bool) and timeout_ms < _SHORT_MS
+        is_slower = isinstance(timeout_ms, (int, float)) and bool(slow) and slow[1] * 1000 > 2 * float(timeout_ms)
+        if not (lines or is_short or is_slower):
+            continue
+        told = f"default_server_timeout is {timeout_ms:g} ms." if isinstance(timeout_ms, (int, float)) else ""
+        heard = f"{said(lines[-1])}, {len(lines)} times." if lines else ""
+        if slow and is_slower:
+            heard += f" {named(slow[0])} takes {slow[1] * 1000:.0f} ms to answer a question, the others less."
+        yield NavFinding(
+            rank="stops some goals",
+            subject=node,
+            cause=f"{named(node)} gives up before the servers can answer.",
+            proof=" ".join(filter(None, (heard, told))),
+            remedy="Raise default_server_timeout of bt_navigator (such as 200 ms) and wait_for_service_timeout.",
+        )
+
+
+def _slow(evidence: NavEvidence) -> tuple[str, float] | None:
+    """A server that takes much longer to answer than the others do, at best of two times; and how long, in s."""
+    times: Mapping[str, float] = getattr(evidence.states, "answered_s", {})
+    if len(times) < _LEAST_SERVERS:
+        return None
+    usual_s = sorted(times.values())[len(times) // 2]
+    node = max(evidence.of_role("planner_server", "controller_server"), key=lambda one: times.get(one, 0.0), default="")
+    slowest_s = times.get(node, 0.0)
+    return (node, slowest_s) if slowest_s > max(_TIMES_SLOWER * usual_s, _SLOW_S) else None
+
+
+def _rate(evidence: NavEvidence) -> Iterator[NavFinding]:
+    """Measured while it drives: the warning of that text alone is often false."""
+    for node in evidence.of_role("controller_server"):
+        wanted_hz = evidence.value(node, "controller_frequency")
+        for one in evidence.of(*VELOCITIES):
+            if list(one.nodes) != [node] or not isinstance(wanted_hz, (int, float)) or one.count < _LEAST:
+                continue
+            times = [received_ns for received_ns, message, _ in one.messages if not is_zero(message)]
+            if len(times) < _LEAST:
+                continue
+            rate_hz = (len(times) - 1) / max((times[-1] - times[0]) / 1e9, 1e-3)
+            if rate_hz < _MISSED * float(wanted_hz):
+                yield NavFinding(
+                    rank="makes it worse",
+                    subject=node,
+                    cause=f"{named(node)} misses its rate.",
+                    proof=f"{rate_hz:.1f} of {float(wanted_hz):g} Hz on {named(one.topic)}.",
+                    remedy="Lower controller_frequency, or give the controller fewer samples or a smaller costmap.",
+                )
+
+
+def _progress(evidence: NavEvidence) -> Iterator[NavFinding]:
+    """More is asked of the robot in a time than it may drive in that time."""
+    for node in evidence.of_role("controller_server"):
+        values: Mapping[str, Any] = (evidence.parameters or {}).get(node, {})
+        fastest = [
+            float(value)
+            for name, value in values.items()
+            if name.rpartition(".")[2] in _FASTEST and isinstance(value, (int, float)) and value > 0
+        ]
+        for smoother in evidence.of_role("velocity_smoother"):
+            limits = evidence.value(smoother, "max_velocity")
+            if isinstance(limits, (list, tuple)) and limits and float(limits[0]) > 0:  # type: ignore[arg-type]
+                fastest.append(float(limits[0]))  # type: ignore[arg-type]
+        for name, radius in values.items():
+            checker, _, last = name.rpartition(".")
+            if last != "required_movement_radius" or not isinstance(radius, (int, float)):
+                continue
+            allowed = values.get(f"{checker}.movement_time_allowance")
+            if not isinstance(allowed, (int, float)) or not allowed or not fastest:
+                continue
+            asked = float(radius) / float(allowed)
+            if asked >= min(fastest):
+                yield NavFinding(
+                    rank="stops some goals",
+                    subject=node,
+                    cause="The progress checker asks for more than the robot may drive: goals end with no progress.",
+                    proof=f"{float(radius):g} m in {float(allowed):g} s is asked ({asked:.2f} m/s), "
+                    f"{min(fastest):g} m/s is allowed.",
+                    remedy=f"Lower {name}, or raise {checker}.movement_time_allowance.",
+                )
+            elif time_s := _turning_s(values, f"{checker}.plugin", float(allowed)):
+                yield NavFinding(
+                    rank="stops some goals",
+                    subject=node,
+                    cause="The progress checker gives up while the robot turns on the spot.",
+                    proof=f"Half a turn takes {time_s:.1f} s at least; {float(allowed):g} s are allowed.",
+                    remedy="Use PoseProgressChecker, which counts turning, or raise movement_time_allowance.",
+                )
+
+
+def _turning_s(values: Mapping[str, Any], plugin: str, allowed_s: float) -> float:
+    """How long half a turn takes, where that is longer than allowed and turning is no progress; else 0."""
+    if "Pose" in str(values.get(plugin, "")):
+        return 0.0
+    fastest = [
+        float(value)
+        for name, value in values.items()
+        if name.rpartition(".")[2] in _TURNS and isinstance(value, (int, float)) and value > 0
+    ]
+    time_s = math.pi / max(fastest) if fastest else 0.0
+    return time_s if time_s > allowed_s else 0.0
+
+
+CHECK = NavCheck(("parameters", "log", "heard"), _find, TUNING)

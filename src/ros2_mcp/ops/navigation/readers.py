@@ -1,0 +1,348 @@
+"""Reads what the checks of navigation need of a robot: each part once, all at the same time, and nothing acts.
+
+A part that cannot be read, or not in time, is None and is told; it takes nothing from the others.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from time import monotonic
+from typing import Any
+
+import anyio
+
+from ros2_mcp.model import names, parameters
+from ros2_mcp.model.aside import aside, load
+from ros2_mcp.model.errors import BadData, NotFound, RobotError
+from ros2_mcp.model.samples import Sample, header_stamp_ns
+from ros2_mcp.ops.log.read import LogLine, LogRequest
+from ros2_mcp.ops.log.read import read as read_log
+from ros2_mcp.ops.measure.diagnostics import Diagnostic, read_diagnostics
+from ros2_mcp.ops.navigation.evidence import (
+    CLOUD,
+    GRID,
+    ODOMETRY,
+    POSE,
+    SCAN,
+    SENSORS,
+    VELOCITIES,
+    Frames,
+    Goal,
+    Grids,
+    Heard,
+    NavEvidence,
+    Need,
+    States,
+)
+from ros2_mcp.ops.navigation.situation import costmap_of
+from ros2_mcp.ops.navigation.targets import Target
+from ros2_mcp.ops.navigation.whereabouts import in_frame, why_not_in_frame
+from ros2_mcp.ops.nodes.own_services import ask_node
+from ros2_mcp.ops.sources.live import Live
+from ros2_mcp.ops.sources.source import Capture, GraphSnapshot, Stream
+from ros2_mcp.robot import Robot
+from ros2_mcp.robot.seen import is_of_robot
+from ros2_mcp.robot.transforms import LISTENS
+from ros2_mcp.values.writers import Writers
+
+LISTENED_S = 2.0
+"""A slow laser turns five times a second, AMCL sends its transform ten times; what stalls shows within."""
+_GIVEN_UP_S = 8.0
+"""For a part as a whole. On a quiet machine all are there within three seconds; on a busy one a late answer is better
+than none."""
+_ANSWER_S = 1.2
+"""For one node: one that spins answers within milliseconds."""
+_AT_A_TIME = 8
+_MOST_NODES = 60
+"""Nodes that are asked: the questions should not weigh on the robot."""
+_MOST_OF_TYPE: Mapping[str, int] = {SCAN: 4, ODOMETRY: 4, POSE: 3, "nav2_msgs/msg/CollisionMonitorState": 2}
+_MOST_VELOCITIES, _MOST_CLOUDS = 14, 4
+_MOST_MESSAGES = 12
+"""Scans and the like that are decoded, the first and the last ones; of velocities and odometry all are."""
+_FRAMES_S = 1.8
+_LOG_S, _LOG_LINES, _LOG_BYTES = 900.0, 300, 60_000
+"""What Nav2's servers said while they came up may explain it: as far as it is kept."""
+_LIST, _GET = "rcl_interfaces/srv/ListParameters", "rcl_interfaces/srv/GetParameters"
+_GET_STATE = "lifecycle_msgs/srv/GetState"
+_CLOCK_PARAMETER = "use_sim_time"
+_TELLS_MORE = ("diff_drive", "base", "ekf", "ukf", "odom", "localization", "slam", "mux", "controller")
+"""Parts of names of nodes beside Nav2's whose parameters say how they take part in it."""
+_logger = logging.getLogger(__name__)
+
+
+async def read_evidence(
+    robot: Robot, needs: Collection[Need], target: Target | None = None, action: str = ""
+) -> tuple[NavEvidence, Sequence[str]]:
+    """The evidence, and the names of the parts that could not be read. Raises what reading the graph raises."""
+    await load("ros2_mcp.values.cdr", "ros2_mcp.world.costmap", "ros2_mcp.world.scans")  # with numpy
+    source = Live(robot)
+    graph = await source.graph()
+    makers: dict[Need, Callable[[], Awaitable[Any]]] = {
+        "parameters": lambda: _parameters(robot, graph),
+        "states": lambda: _states(robot, graph),
+        "heard": lambda: _heard(robot, graph),
+        "frames": lambda: _frames(robot, graph),
+        "grids": lambda: _grids(robot, graph, action),
+        "log": lambda: _log(robot),
+        "diagnostics": lambda: _diagnostics(robot),
+    }
+    found: dict[str, Any] = {}
+    missed: list[str] = []
+
+    async def made(need: Need) -> None:
+        try:
+            with anyio.move_on_after(_GIVEN_UP_S) as scope:
+                found[need] = await makers[need]()
+            if scope.cancelled_caught:
+                missed.append(need)
+        except RobotError as error:
+            _logger.info("%s could not be read: %s", need, error)
+            missed.append(need)
+
+    await asyncio.gather(*(made(need) for need in needs if need in makers))
+    if frames := found.get("frames"):  # the tree has grown meanwhile
+        found["frames"] = replace(frames, at_ns=robot.now_ns())
+    goal = await _goal(robot, target, found.get("grids")) if target else None
+    return NavEvidence(graph=graph, goal=goal, now_ns=robot.now_ns(), **found), sorted(missed)
+
+
+# ── topics ───────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+@dataclass(slots=True)
+class _Kept:
+    """What came on a topic: times of all, and of messages as many as are needed."""
+
+    stream: Stream
+    new: list[tuple[Sample, int]] = field(default_factory=list[tuple[Sample, int]])
+    old: list[Sample] = field(default_factory=list[Sample])
+    writers: Writers = field(default_factory=Writers)
+
+    def add(self, samples: Sequence[Sample]) -> None:
+        """Takes in messages, in the order of time."""
+        for sample in samples:
+            if self.stream.is_replayed(sample):
+                self.old.append(sample)
+            else:
+                self.new.append((sample, self.writers.of(sample.sequence, (), sample.received_ns)))
+
+
+async def _heard(robot: Robot, graph: GraphSnapshot) -> Mapping[str, Heard]:
+    """What comes on topics of velocities, sensors, odometry and poses; only the stamps of clouds."""
+    whole = _of_types(graph, *VELOCITIES)[:_MOST_VELOCITIES]
+    for kind, most in _MOST_OF_TYPE.items():
+        whole += [name for name in _of_types(graph, kind) if "initial" not in name][:most]
+    stamps = _of_types(graph, CLOUD, "sensor_msgs/msg/Range", "sensor_msgs/msg/Imu")[: 2 * _MOST_CLOUDS]
+    source = Live(robot).lasting(LISTENED_S)
+    in_full, times = await asyncio.gather(
+        source.captures(whole, _Kept), source.captures(stamps, _Kept, times_only=True)
+    )
+    heard: dict[str, Heard] = {}
+    for one in in_full:
+        if isinstance(one, Capture):
+            heard[one.topic] = await asyncio.to_thread(_decoded, one)
+    for one in times:
+        if isinstance(one, Capture):
+            heard[one.topic] = _as_heard(one)
+    return heard
+
+
+def _of_types(graph: GraphSnapshot, *types: str) -> list[str]:
+    """Topics that somebody publishes with one type."""
+    return [
+        name
+        for name, topic in sorted(graph.topics.items())
+        if len({one.type for one in topic.publishers}) == 1
+        and topic.publishers[0].type in types
+        and not names.is_hidden(name)
+    ]
+
+
+def _as_heard(
+    capture: Capture[_Kept], messages: Sequence[tuple[int, Any, int]] = (), kept: Sequence[Any] = ()
+) -> Heard:
+    stamps = [
+        (sample.received_ns, header_stamp_ns(sample.data)) for sample, _ in capture.kept.new if _is_stamped(capture)
+    ]
+    newest = messages[-1][1] if messages else kept[-1] if kept else None
+    header = getattr(newest, "header", None)
+    return Heard(
+        topic=capture.topic,
+        type=capture.type,
+        nodes=capture.publishers,
+        count=len(capture.kept.new),
+        duration_s=capture.duration_s,
+        messages=messages,
+        kept=kept,
+        ages_s=[(received_ns - stamp_ns) / 1e9 for received_ns, stamp_ns in stamps if stamp_ns],
+        frame_id=str(header.frame_id).lstrip("/") if header else "",
+    )
+
+
+def _is_stamped(capture: Capture[_Kept]) -> bool:
+    return capture.type in (*SENSORS, ODOMETRY, "sensor_msgs/msg/Imu", VELOCITIES[1])
+
+
+def _decoded(capture: Capture[_Kept]) -> Heard:
+    new = capture.kept.new
+    if capture.type not in (*VELOCITIES, ODOMETRY) and len(new) > _MOST_MESSAGES:
+        new = [*new[: _MOST_MESSAGES // 2], *new[-_MOST_MESSAGES // 2 :]]
+    messages: list[tuple[int, Any, int]] = []
+    for sample, writer in new:
+        try:
+            messages.append((sample.received_ns, capture.codec.decode(capture.type, sample.data), writer))
+        except BadData:
+            continue
+    try:
+        kept = [capture.codec.decode(capture.type, sample.data) for sample in capture.kept.old[-1:]]
+    except BadData:
+        kept = []
+    return _as_heard(capture, messages, kept)
+
+
+# ── nodes ────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+async def _parameters(robot: Robot, graph: GraphSnapshot) -> Mapping[str, Mapping[str, Any]]:
+    """All of Nav2's nodes and of those that take part in it; of the others which time they run on."""
+    found: dict[str, Mapping[str, Any]] = {}
+    limit = asyncio.Semaphore(_AT_A_TIME)
+    evidence = NavEvidence(graph=graph)
+    whole = set(evidence.robots_nodes) | {
+        node for node in evidence.nodes if any(part in node.rpartition("/")[2] for part in _TELLS_MORE)
+    }
+
+    async def asked(node: str) -> None:
+        async with limit:
+            try:
+                with anyio.move_on_after(2 * _ANSWER_S):
+                    wanted = await _declared(robot, node) if node in whole else [_CLOCK_PARAMETER]
+                    found[node] = await _values(robot, node, wanted)
+            except RobotError:  # it has left, hangs, or has no such services
+                pass
+
+    nodes = [node for node in dict.fromkeys(evidence.nodes) if is_of_robot(node) and node != names.UNKNOWN_NODE]
+    nodes.sort(key=lambda node: node not in whole)
+    await asyncio.gather(*map(asked, nodes[:_MOST_NODES]))
+    return found
+
+
+async def _declared(robot: Robot, node: str) -> Sequence[str]:
+    request: Mapping[str, Any] = {"prefixes": [], "depth": 0}
+    answer = await ask_node(robot, node, _LIST, request, timeout_s=_ANSWER_S, wait_s=0.0)
+    declared: Sequence[str] = (await robot.fields_of(answer))["result"]["names"]
+    return [name for name in declared if not name.startswith("qos_overrides.")]
+
+
+async def _values(robot: Robot, node: str, wanted: Sequence[str]) -> Mapping[str, Any]:
+    answer = await ask_node(robot, node, _GET, {"names": list(wanted)}, timeout_s=_ANSWER_S, wait_s=0.0)
+    values = [parameters.value_of(value) for value in (await robot.fields_of(answer))["values"]]
+    return dict(zip(wanted, values, strict=False))
+
+
+async def _states(robot: Robot, graph: GraphSnapshot) -> States:
+    """The lifecycle states of all nodes that have one; "" of those that do not answer, asked twice."""
+    nodes = [name.rpartition("/")[0] for name, types in (graph.services or {}).items() if _GET_STATE in types]
+    limit = asyncio.Semaphore(_AT_A_TIME)
+    states, answered_s = dict[str, str](), dict[str, float]()
+
+    async def asked(node: str) -> None:
+        async with limit:
+            began_at = monotonic()
+            try:
+                answer = await ask_node(robot, node, _GET_STATE, {}, timeout_s=_ANSWER_S, wait_s=_ANSWER_S)
+            except RobotError as error:
+                if not isinstance(error, NotFound) or node in (graph.nodes or ()):
+                    states.setdefault(node, "")
+                return
+            answered_s[node] = min(monotonic() - began_at, answered_s.get(node, _ANSWER_S))
+            states[node] = str((await robot.fields_of(answer))["current_state"]["label"])
+
+    await asyncio.gather(*map(asked, nodes))
+    # Again: a node may be busy for a second, and the first question waits for its service to be matched.
+    await asyncio.gather(*map(asked, nodes))
+    return States(states, answered_s)
+
+
+# ── the rest ─────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+async def _frames(robot: Robot, graph: GraphSnapshot) -> Frames:
+    from ros2_mcp.ops.space.frames import frames_of
+    from ros2_mcp.ops.space.tellers import tellers_of
+
+    listener = Live(robot).transforms
+    await frames_of(Live(robot), until=lambda _: False, patience_s=_FRAMES_S)
+    if listener and listener.listened_s < _FRAMES_S:
+        await asyncio.sleep(_FRAMES_S - listener.listened_s)
+    tree = await frames_of(Live(robot), until=lambda tree: bool(tree.frames), patience_s=0.1)
+    tellers = await tellers_of(Live(robot), tree)
+    owners = {
+        name: sorted({one.node for one in graph.topics[tree.namespace + name].publishers})
+        for name in LISTENS
+        if tree.namespace + name in graph.topics
+    }
+    return Frames(
+        tree=tree,
+        tellers=tellers,
+        at_ns=robot.now_ns(),
+        listened_s=listener.listened_s if listener else 0.0,
+        owners=owners,
+    )
+
+
+async def _grids(robot: Robot, graph: GraphSnapshot, action: str) -> Grids:
+    from ros2_mcp.world.costmap import CostGrid
+
+    rows = list(await robot.graph.topics())
+    maps = [name for name in _of_types(graph, GRID) if "costmap" not in name and name.rpartition("/")[2] == "map"]
+
+    async def the_map() -> CostGrid | None:
+        if not maps:
+            return None
+        async with robot.listen(maps[0], keep="latest") as listening:
+            samples = await listening.take(LISTENED_S)
+            if not samples:
+                return None
+            message = (await robot.values.decode_all(listening.type, samples[-1:]))[0]
+            try:
+                return await aside(len(samples[-1].data), CostGrid, message)
+            except BadData:
+                return None
+
+    of_map, (costs, topic, _) = await asyncio.gather(the_map(), costmap_of(robot, rows, action))
+    return Grids(
+        map=of_map,
+        map_topic=maps[0] if maps else "",
+        costs=costs if "costmap" in topic else None,
+        costs_topic=topic if "costmap" in topic else "",
+    )
+
+
+async def _log(robot: Robot) -> Sequence[LogLine]:
+    """Warnings and errors of all; of managers also that all were active: what was said before is over."""
+    since = f"{_LOG_S:.0f}"
+    warnings, ups = await asyncio.gather(
+        read_log(robot, LogRequest(since=since, level="warn", limit=_LOG_LINES), _LOG_BYTES),
+        read_log(robot, LogRequest(since=since, node="*lifecycle_manager*", pattern="anaged nodes"), _LOG_BYTES),
+    )
+    lines = {(line.time, line.node, line.text): line for line in (*warnings.lines, *ups.lines)}
+    return sorted(lines.values(), key=lambda line: line.time)
+
+
+async def _diagnostics(robot: Robot) -> Sequence[Diagnostic]:
+    try:
+        return (await read_diagnostics(robot)).rows
+    except NotFound:  # nobody publishes any
+        return ()
+
+
+async def _goal(robot: Robot, target: Target, grids: Grids | None) -> Goal:
+    frame = grids.costs.frame_id if grids and grids.costs else "map"
+    at = await in_frame(robot, target.frame, target.x_m, target.y_m, frame)
+    if at is None:
+        return Goal(x_m=target.x_m, y_m=target.y_m, why_not=await why_not_in_frame(robot, target.frame, frame))
+    return Goal(x_m=at[0], y_m=at[1])
