@@ -11,6 +11,7 @@ from typing import Any, cast
 import pytest
 
 from ros2_mcp.link.client import Bridge, Reply, Subscription
+from ros2_mcp.link.clock import RobotClock
 from ros2_mcp.model.errors import BridgeRefused, NotFound
 from ros2_mcp.ops.topics.list import list_topics
 from ros2_mcp.robot import Robot
@@ -36,6 +37,7 @@ class SlowBridge:
     nodes = frozenset[str]()
     is_closed = False
     is_remote = True
+    clock = RobotClock()
 
     def __init__(self) -> None:
         self.rounds = 0
