@@ -72,7 +72,7 @@ async def localize(robot: Robot, session: Session, at: object, topic: str = "") 
 
     Raises:
         BadInput: for a place that is written wrongly, or has no heading where the present one is not known.
-        NotFound: for a place that is not known.
+        NotFound: for a place that is not known, or where nobody listens.
         RobotError: what publishing raises.
     """
     (target, *more) = targets_of(at, places_of(robot))
@@ -80,6 +80,12 @@ async def localize(robot: Robot, session: Session, at: object, topic: str = "") 
         raise BadInput("The robot is at one place.", "Give one pose, or the name of one place.")
     if target.frame != MAP_FRAME:
         raise BadInput(f"An initial pose is in {MAP_FRAME}, not in {named(target.frame)}.", "Give the pose in map.")
+    listening = (await robot.graph.endpoints(topic or TOPIC)).subscribers
+    if not any(not one.ours for one in listening):
+        raise await robot.graph.missing(
+            f"Nobody listens to {named(topic or TOPIC)}: no localiser runs, or on another topic. Nothing was sent.",
+            "ros2_topic_list pattern=initialpose shows such topics: give topic_name.",
+        )
     before, fit_before = await asyncio.gather(whereabouts(robot, MAP_FRAME), scan_fit(robot))
     if target.yaw_rad is None:
         if before.yaw_rad is None:
@@ -89,10 +95,6 @@ async def localize(robot: Robot, session: Session, at: object, topic: str = "") 
     after, is_taken = await _taken(robot, target)
     fit_after = await scan_fit(robot)
     notes = [published.note, *session.notes]
-    if not published.subscribers:
-        notes.insert(
-            0, f"Nobody listens to {named(published.topic_name)}: no localiser runs, or it takes it elsewhere."
-        )
     if isinstance(fit_after, ScanFit) and fit_after.share < _LOST:
         notes.append("The scan does NOT fit the map there: the pose is wrong, or the map is of another place.")
     return NavLocalized(

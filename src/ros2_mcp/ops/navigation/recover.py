@@ -105,7 +105,7 @@ async def _clear(robot: Robot, session: Session, what: str, report: Report) -> N
     services = {row.name for row in await robot.graph.services() if CLEAR in row.types}
     chosen = {which: sorted((name for name in services if which in name), key=len)[:1] for which in wanted}
     if missing := [which for which, found in chosen.items() if not found]:
-        raise NotFound(
+        raise await robot.graph.missing(
             f"No service of type {CLEAR} for the {' and the '.join(missing)} costmap was found.",
             "Nav2 is not running, or its costmaps have another name: ros2_service_list pattern=clear.",
         )
@@ -196,7 +196,12 @@ def _moved(before: Whereabouts, after: Whereabouts) -> str:
 
 
 async def _command_stack(robot: Robot, session: Session, command: str, node: str, report: Report) -> NavRecovered:
-    stack = _chosen(await stacks_of(robot), node)
+    stacks = await stacks_of(robot)
+    if not stacks:
+        raise await robot.graph.missing(
+            "No lifecycle manager of Nav2 was found.", "ros2_lifecycle_state shows the nodes."
+        )
+    stack = _chosen(stacks, node)
     before = await _states(robot, stack)
     answer = await call(
         robot, session, stack.service, MANAGE, {"command": COMMANDS[command]}, timeout_s=_STACK_S, report=report
@@ -218,10 +223,6 @@ async def _command_stack(robot: Robot, session: Session, command: str, node: str
 def _chosen(stacks: Sequence[Stack], node: str) -> Stack:
     """That of that host; without one that which drives, or the only one."""
     hosts = ", ".join(stack.host for stack in stacks)
-    if not stacks:
-        raise NotFound(
-            "No lifecycle manager of Nav2 was found.", f"It offers {MANAGE}; ros2_lifecycle_state shows nodes."
-        )
     if node:
         wanted = node if node.startswith("/") else f"/{node}"
         found = [stack for stack in stacks if stack.host == wanted]
