@@ -17,11 +17,12 @@ from ros2_mcp.commands.robots import DEFAULT
 from ros2_mcp.commands.simulation import Graph, with_interfaces
 from ros2_mcp.commands.tour_arm import ARM
 from ros2_mcp.commands.tour_drone import DRONE
+from ros2_mcp.commands.tour_nav2 import NAV2
 from ros2_mcp.commands.tour_policy import PROFILE, SIGN, be_fooled
 from ros2_mcp.commands.transcript import Tour
 from ros2_mcp.settings import Settings
 
-CHAPTERS: Mapping[str, Sequence[Callable[[Tour], Awaitable[None]]]] = {"drone": DRONE, "arm": ARM}
+CHAPTERS: Mapping[str, Sequence[Callable[[Tour], Awaitable[None]]]] = {"drone": DRONE, "arm": ARM, "nav2": NAV2}
 """What is shown of each robot but the rover, which has this module."""
 
 _WITHIN_M = 0.02
