@@ -94,7 +94,7 @@ def test_what_a_model_reads_before_it_calls_names_only_tools_that_are_offered(ma
 
 
 def test_a_server_says_which_groups_have_tools_that_are_left_out() -> None:
-    assert "--tools all adds them: navigation, lifecycle, relay." in str(made("core", *LESS).server.instructions)
+    assert "--tools all adds them: lifecycle, relay." in str(made("core", *LESS).server.instructions)
     assert "left out" not in str(made("all", read_only=True).server.instructions)
 
 

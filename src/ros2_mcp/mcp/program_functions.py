@@ -17,6 +17,10 @@ def function_of(tool: BoundTool) -> Function:
     # What must be given comes first, so that it can be given without its name.
     parameters = sorted(signature.parameters.values(), key=lambda each: each.default is not inspect.Parameter.empty)
     plain = [each.replace(kind=inspect.Parameter.POSITIONAL_OR_KEYWORD) for each in parameters]
+    named = {each.name: each for each in plain}
+    for alias, name in declaration.aliases.items():  # the binding takes them, and a saved program may have them
+        if name in named and alias not in named:
+            plain.append(named[name].replace(name=alias, default=None))
 
     async def perform(use: Use, arguments: Mapping[str, Any]) -> Any:
         return await tool.perform(arguments, use.report, use.session)

@@ -78,7 +78,7 @@ class Stepped:
         }
 
     def _wait(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
-        for _ in range(round(arguments["timeout"] / DT)):
+        for _ in range(round(arguments["timeout_s"] / DT)):
             if _holds(arguments["condition"], self._message(arguments["topic_name"])):
                 return {"met": True}
             self.drone.step(DT)

@@ -37,7 +37,7 @@ async def robot() -> AsyncGenerator[Robot, None]:
 async def test_where_fields_are_missing_the_note_says_why_and_what_cures_it(robot: Robot) -> None:
     fields, note = await robot.values.fields_of([TWIST, TF])
     assert (list(fields[TWIST]), fields[TF]) == (["linear", "angular"], {})
-    assert note.startswith(f"Fields are missing: No definition of {TF} is installed where the bridge runs.")
+    assert note.startswith(f"Fields are missing: No definition of {TF} is installed where the bridge runs")
     assert "With ROS 2 from wheels run: ros2-mcp interfaces build /" in note
     assert "/ros2_mcp_demo/interfaces/tf2_msgs; with any other, install it or source its workspace" in note
 
