@@ -125,6 +125,7 @@ ROVER = (
     Example("ros2_service_list", {"pattern": "costmap"}),
     Example("ros2_service_call", {"service_name": "/reset_odometry"}),
     Example("ros2_list_actions"),
+    Example("ros2_nav_check"),
     Example("ros2_nav_preview", {"to": {"x": 1.0, "y": 0.0}}),
     Example("ros2_place_set", {"name": "dock", "x": 0.0, "y": 0.0, "yaw_deg": 0}),
     Example("ros2_place_list"),
@@ -165,7 +166,11 @@ ROVER = (
     Example("ros2_stop"),
 )
 ARM = (Example("ros2_joint_move", {"joints": {"shoulder_pan_joint": 0.3}}),)
-CALLS: Mapping[str, Sequence[Example]] = {"rover": ROVER, "arm": ARM}
+NAV2 = (
+    Example("ros2_nav_localize", {"at": {"x": 0.0, "y": 0.0, "yaw_deg": 0}}),
+    Example("ros2_nav_recover", {"what": "clear_global"}),
+)
+CALLS: Mapping[str, Sequence[Example]] = {"rover": ROVER, "arm": ARM, "nav2": NAV2}
 
 
 async def answered(robot: str, examples: Sequence[Example], folder: Path) -> list[dict[str, Any]]:
