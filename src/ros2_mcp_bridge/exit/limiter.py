@@ -184,10 +184,10 @@ class Limiter:
     def check_call(self, request: Request, message: Any, *, leaves: bool) -> None:
         """Raise `OperationError` of kind `refused` unless this service request may leave.
 
-        It may leave if it only reads, or if the rules allow what it means with these values. Two kinds of
-        request are never refused, because they stop the robot: cancelling goals, and the brake of a vehicle
-        sent by the bridge itself (a request without `acceptance`). With `leaves`, the request leaves now and
-        counts against the limit per minute.
+        It may leave if it only reads, or if the rules allow what it means with these values. Two kinds of request are
+        never refused, because they stop the robot: cancelling goals, and making a vehicle stand unless a client called
+        the service itself (then the request has an `acceptance`). With `leaves`, the request leaves now and counts
+        against the limit per minute.
         """
         if not request.acceptance and brakes(request.text("service"), request.text("type"), message):
             return

@@ -28,7 +28,8 @@ POLL_S = 0.005
 # Delays after which a best-effort zero is repeated, because a subscriber discovers the publisher a little later than it
 # is discovered. Mostly 0.1 s is enough. The next ones are for a loaded machine: with the first two alone, after 1 of
 # 200 bridge deaths under load a subscriber got no zero. The last is for the middleware's next announcement (every 3 s).
-# The stopper uses the same delays; its second and third also cover the gap described at `UNSURE_AGAIN_S`.
+# A stopper uses the same delays. For it, the second and third also serve the purpose of `UNSURE_AGAIN_S`; they are a
+# little shorter, as it begins only after its bridge has ended.
 AGAIN_AFTER_S = (0.1, 0.34, 0.4, 1.5, 3.5)
 # The period at which arrived zeros are looked for. If a stopper does not know yet that a zero arrived, it sends one
 # more.
