@@ -1,4 +1,4 @@
-"""The bridge's ends of the lifelines: starts two stoppers, tells them what moves, and sends beats
+"""The bridge's ends of the lifelines: starts two stoppers, reports to them what moves, and sends beats
 while this process lives.
 
 A stopper (`stopper.py`) is another process, which sends the zeros when this one cannot. There are two, so that one of
@@ -74,7 +74,7 @@ class Guarded(NamedTuple):
 
 
 class _Stopper:
-    """One of the stoppers: its process, what it was told, and its matched subscribers.
+    """One of the stoppers: its process, what was sent to it, and its matched subscribers.
 
     `child` is None before the process starts and after it ends; `copy` is a process forked in advance, if there is one.
     `heard` is called with each line that the stopper sends; `ended` is called when it ended, with whether it had been
@@ -128,7 +128,7 @@ class _Stopper:
             self.write(json.dumps(line).encode() + b"\n")
 
     def forget(self, key: Key) -> None:
-        """Tell the stopper that the topic is no longer driven."""
+        """Notify the stopper that the topic is no longer driven."""
         self.matched.pop(key, None)
         if self.told.pop(key, None):
             self.write(json.dumps({"topic": key[0], "type": key[1], "profiles": []}).encode() + b"\n")
@@ -224,7 +224,7 @@ class Lifeline:
         self._is_ending = False
 
     def begin(self, topic: Moved) -> None:
-        """Start the stoppers, if necessary, and tell them of the topic; called before a command that moves.
+        """Start the stoppers, if necessary, and send them the topic; called before a command that moves.
 
         ROS thread only.
         """
@@ -275,7 +275,7 @@ class Lifeline:
         return Guarded(waited_s, "" if is_ready else f"it was not ready within {READY_S:g} s")
 
     def tell(self, topic: Moved) -> None:
-        """Tell the stoppers the current state of a topic; without effect while none runs. Thread-safe."""
+        """Send the stoppers the current state of a topic; without effect while none runs. Thread-safe."""
         line = {
             "topic": topic.name,
             "type": topic.type,
@@ -289,7 +289,7 @@ class Lifeline:
         self._heed_motion()
 
     def forget(self, topic: Moved) -> None:
-        """Tell the stoppers that the topic is no longer driven."""
+        """Notify the stoppers that the topic is no longer driven."""
         key = topic.name, topic.type
         self._known.pop(key, None)
         self._waited_for.discard(key)

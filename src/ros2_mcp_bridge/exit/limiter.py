@@ -185,7 +185,7 @@ class Limiter:
         """Raise `OperationError` of kind `refused` unless this service request may leave.
 
         It may leave if it only reads, or if the rules allow what it means with these values. Two kinds of request are
-        never refused, because they stop the robot: cancelling goals, and making a vehicle stand unless a client called
+        never refused, because they stop the robot: cancelling goals, and stopping a vehicle, unless a client called
         the service itself (then the request has an `acceptance`). With `leaves`, the request leaves now and counts
         against the limit per minute.
         """

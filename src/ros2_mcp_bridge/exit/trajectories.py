@@ -22,7 +22,8 @@ from ros2_mcp_common.policy.velocity import HOLD_TYPES
 from ros2_mcp_common.wire.protocol import StoppedTopic
 
 POINT = "trajectory_msgs/msg/JointTrajectoryPoint"
-# A joint that moved by less between two looks, 0.25 s apart, stands (rad or m). This is above the noise of encoders.
+# A joint is at rest if it moved by less (rad or m) between two looks, 0.25 s apart. This is above the noise of
+# encoders.
 STANDS = 0.002
 # The longest names of joints, in characters together, that fit into the line to the stopper: 50 joints of 40
 # characters.
@@ -55,9 +56,9 @@ class Trajectory(Outgoing):
 
 class TrajectoryTopic(VelocityTopic):
     """A topic of a joint trajectory controller; `send_zero` sends the hold of all `joints`
-    commanded since they last stood.
+    commanded since they last rested.
 
-    `moves` is True until a hold has arrived, or until the time of the trajectory is over and the joints stand.
+    `moves` is True until a hold has arrived, or until the time of the trajectory is over and the joints are at rest.
     """
 
     def __init__(
@@ -84,7 +85,7 @@ class TrajectoryTopic(VelocityTopic):
     def needs_zero(self) -> bool:
         """Whether a fail-safe has to send a hold.
 
-        Joints that stand need none: another node may be about to move them.
+        Joints at rest need none: another node may be about to move them.
         """
         return self.moves
 
@@ -120,7 +121,7 @@ class TrajectoryTopic(VelocityTopic):
         return Guarded(guarded.waited_s, problem or guarded.problem)
 
     def about_to_follow(self, message: Any) -> None:
-        """Record the joints of a trajectory that leaves next, and tell the stoppers before it does."""
+        """Record the joints of a trajectory that leaves next, and notify the stoppers before it does."""
         before = self.joints if self.moves else ()
         joints = tuple(dict.fromkeys((*before, *message.joint_names)))
         last = message.points[-1].time_from_start
@@ -136,8 +137,8 @@ class TrajectoryTopic(VelocityTopic):
         return rcl.serialize(message)
 
     def look_for_rest(self) -> None:
-        """Set `moves` to False if the hold has arrived, or if the time of the trajectory is
-        over and the joints stand.
+        """Set `moves` to False if the hold has arrived, or if the time of the trajectory is over
+        and the joints are at rest.
         """
         super().look_for_rest()
         if not self.moves:

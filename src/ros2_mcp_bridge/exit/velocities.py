@@ -237,7 +237,7 @@ class VelocityTopic:
         return rcl.serialize(message)
 
     def call_stopper(self) -> None:
-        """Start the stoppers, if necessary, and tell them of this topic before a command that moves the robot."""
+        """Start the stoppers, if necessary, and send them this topic before a command that moves the robot."""
         if self._lifeline:
             self._lifeline.begin(self)
 
@@ -252,7 +252,7 @@ class VelocityTopic:
         return sorted({publisher.kind for publisher in list(self.publishers)})
 
     def about_to_move(self) -> None:
-        """Record that a nonzero command leaves next, and tell the stoppers before it does."""
+        """Record that a nonzero command leaves next, and notify the stoppers before it does."""
         self.moved_at = time.monotonic()
         self._has_zero = False
         if not self.moves:
@@ -297,7 +297,7 @@ class VelocityTopic:
             self.tell()
 
     def tell(self) -> None:
-        """Tell the stoppers the current state of this topic."""
+        """Send the stoppers the current state of this topic."""
         if self._lifeline:
             self._lifeline.tell(self)
 
@@ -482,7 +482,7 @@ class Velocities:
             self.look_for_rest()
 
     def look_for_rest(self) -> None:
-        """Tell the stoppers of topics whose zero has arrived."""
+        """Send the stoppers the topics whose zero has arrived."""
         for topic in list(self._topics.values()):
             topic.look_for_rest()
 

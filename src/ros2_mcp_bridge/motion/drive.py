@@ -33,7 +33,7 @@ PUSH_MPS2, PUSH_RADPS2 = 0.06, 0.3
 # command grows for at most so many seconds.
 PUSH_AFTER_S, PUSH_SHARE, MOST_PUSHED = 0.6, 0.3, 3.0
 # The end is reached within the first, besides the distance that the robot still rolls. An error above the second after
-# it stands is corrected, up to CORRECTIONS times; after that an error within the third is good enough.
+# it stopped is corrected, up to CORRECTIONS times; after that an error within the third is good enough.
 REACHED_M, REACHED_RAD = 0.003, math.radians(0.2)
 WRONG_M, WRONG_RAD = 0.01, math.radians(0.6)
 BAR_M, BAR_RAD = 0.02, math.radians(1.0)
@@ -44,15 +44,15 @@ NUDGED_FROM = 3
 MOST_ROLLED_S = 0.8
 # Steering back to the course: rad/s for each rad of heading error, at most `STEER_MOST`.
 STEER_PER_S = 1.5
-# The robot stands if the mean poses of two halves of this time differ by less than these (m, rad). After the last time
-# it is presumed to stand.
+# The robot is at rest if the mean poses of two halves of this time differ by less than these (m, rad). After the last
+# time it is presumed to be at rest.
 STILL_S, STILL_M, STILL_RAD, STANDS_WITHIN_S = 0.4, 0.002, math.radians(0.15), 2.0
 # A topic is late LATE_S after its period, which is the longest of its last intervals. The zero has to leave within 0.1
 # s after the mean interval. If the intervals are so uneven that this would be at risk, the topic is late
 # LATE_AFTER_MEAN_S after the mean interval, but no sooner than LATE_AFTER_LONGEST_S after the longest.
 LATE_S, LATE_AFTER_MEAN_S, LATE_AFTER_LONGEST_S = 0.06, 0.075, 0.035
 # After being late for this time a topic is silent, and the drive ends. A shorter pause, such as that of a loaded
-# computer, only makes the robot stand.
+# computer, only makes the robot stop.
 SILENT_S = 0.5
 # The number of intervals that determine the period of a topic, and the longest period.
 PERIODS, LONGEST_PERIOD_S = 8, 1.0
@@ -106,7 +106,7 @@ def late_in_s(beats: Iterable[Beat], now: float) -> float:
 
 
 class Standing:
-    """Whether a robot that was commanded to stand does so, by its latest poses; their mean is where it stands."""
+    """Whether a robot that was commanded to stop is at rest, by its latest poses; their mean is where it is."""
 
     def __init__(self, now: float) -> None:
         self._since = now
@@ -119,7 +119,7 @@ class Standing:
             self._seen.popleft()
 
     def place(self, now: float) -> Pose | None:
-        """Return where it stands; None while it moves, or while that is not known yet."""
+        """Return the pose at rest; None while the robot moves, or while that is not known yet."""
         if now - self._since < STILL_S or not self._seen:
             return None
         half = [pose for at, pose in self._seen if at < now - STILL_S / 2]
@@ -180,11 +180,11 @@ class Drive:
         self._allowed_at = -math.inf
         self._nearest_m = NOTHING_NEAR
 
-    # ── what is heard ──────────────────────────────────────────────────────────────────────────────────────────
+    # ── input ──────────────────────────────────────────────────────────────────────────────────────────────────
 
     @property
     def is_settling(self) -> bool:
-        """Whether the robot stands so that its final position can be measured."""
+        """Whether the robot has stopped so that its final position can be measured."""
         return self._standing is not None
 
     def awaits(self) -> str:
@@ -221,7 +221,7 @@ class Drive:
         if self._standing:
             self._standing.hear(pose, now)
 
-    # ── what is commanded ──────────────────────────────────────────────────────────────────────────────────────
+    # ── output ─────────────────────────────────────────────────────────────────────────────────────────────────
 
     def step(self, now: float) -> Velocity | None:
         """Return the velocity to command now; None when the drive has ended."""
@@ -403,7 +403,7 @@ class Drive:
         self.outcome, self.why = outcome, why
 
     def _stand(self, ending: str, why: str, now: float) -> Velocity:
-        """Stop, and measure where the robot stands. Then the drive ends with `ending`, or corrects the difference."""
+        """Stop, and measure where the robot stopped. Then the drive ends with `ending`, or corrects the difference."""
         self._standing, self._ending, self.why = Standing(now), ending, why
         return self._stop()
 
@@ -467,7 +467,7 @@ class Drive:
         self._stopped_with = (0.0, 0.0)
 
     def _is_late(self, now: float, seconds: float) -> bool:
-        """Return whether a topic is late, so that the robot has to stand. If a topic is silent, end the drive."""
+        """Return whether a topic is late, so that the robot has to stop. If a topic is silent, end the drive."""
         for role, beat in self._beats.items():
             late_s = beat.late_s(now)
             if late_s > SILENT_S:

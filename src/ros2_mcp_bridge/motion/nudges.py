@@ -2,7 +2,7 @@
 
 A robot with friction does not turn its wheels below some speed, and the odometry of that motion comes too late to stop
 it in time. But how far one short command carries it does not depend on that delay. So a command is given, the distance
-is measured when the robot stands, and the next command is longer or shorter accordingly. No ROS; m or rad, and s.
+is measured when the robot is at rest, and the next command is longer or shorter accordingly. No ROS; m or rad, and s.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Moving at one velocity until a condition on a topic holds. Pure: times are arguments, monotonic, in s.
 
-The robot stands while that topic, or odometry, is late, and the motion ends if the topic stays silent: the robot must
+The robot stops while that topic, or odometry, is late, and the motion ends if the topic stays silent: the robot must
 not drive on without feedback.
 """
 

@@ -171,7 +171,7 @@ def rounds(
     now: Callable[[], float] = time.monotonic,
     by_goal: Callable[[], bool] = lambda: False,
 ) -> Steps[None]:
-    """Steps that go on for ever: tell the watchdog what is driven, pass it the messages that have
+    """Steps that go on for ever: tell the watchdog whether the robot is driven, pass it the messages that have
     come, and `end` on a finding.
     """
     while True:

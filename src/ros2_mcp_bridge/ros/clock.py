@@ -20,7 +20,7 @@ CLOCK_QOS = {"reliability": "best_effort", "durability": "volatile", "history": 
 # endpoints cost 0.2 ms, which is much for each message of a repeat of 1 kHz.
 LOOKED_UP_S = 0.1
 # The longest wait for the first message after subscribing to the clock. Even at 0.1 x, a simulation publishes 1 to 100
-# a second; a clock that is silent for longer stands still.
+# a second; a clock that is silent for longer has stopped.
 FIRST_S = 1.0
 NS_PER_S = 1_000_000_000
 

@@ -138,7 +138,7 @@ class Call:
 
 
 class Stopper:
-    """The state of each topic, as told by the bridge, and the zeros sent for it. Single-threaded."""
+    """The state of each topic, as reported by the bridge, and the zeros sent for it. Single-threaded."""
 
     def __init__(self, node: Node, bridge: int, lifeline: int, told: int) -> None:
         self._node = node

@@ -121,8 +121,7 @@ class Clients:
         return {key for key, client in self.pool.entities().items() if not client.service_is_ready()}
 
     def failsafe(self, request: Request) -> Steps[protocol.Cancelled]:
-        """Steps that keep a fail-safe in force: a request that cancels a goal, or makes a vehicle
-        stand, is sent at the end.
+        """Steps that keep a fail-safe in force: a request that cancels a goal, or stops a vehicle, is sent at the end.
 
         It is sent when the server is gone, if the service is available, unless this request is cancelled before. If
         this process and the server die together, a stopper sends it. No other kind of request is accepted, because it

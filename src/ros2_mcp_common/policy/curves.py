@@ -2,7 +2,7 @@
 
 A joint trajectory controller (ros2_controllers) interpolates between two points by what both of them contain: a
 straight line for positions alone, a cubic with velocities, a quintic with velocities and accelerations. The first
-segment begins where the joints are when the trajectory arrives; after the last point they stand there. Between points
+segment begins where the joints are when the trajectory arrives; after the last point they stay there. Between points
 such a curve may be far faster, and lead far farther, than the points themselves. See
 docs/decisions/0061-the-whole-curve-is-judged.md.
 

@@ -1,6 +1,6 @@
 """The watchdog: compares the speed and the pose that the robot reports with what it was commanded. Needs no ROS.
 
-It stops the robot if the robot moves although it was commanded to stand, is faster than the policy allows, reports
+It stops the robot if the robot moves although it was commanded to stop, is faster than the policy allows, reports
 nothing while it is driven, or could not stop inside its zone. It cannot detect wrong odometry.
 """
 
@@ -23,8 +23,8 @@ FIRST_S = 4.0
 # After a finding the watchdog stays silent for this time, even if the robot is driven on: a stop takes as long to
 # arrive.
 AGAIN_S = 1.0
-# Reports within this time after the zero do not count: a robot commanded to stand before it began to move still reports
-# that it stands. Drivers usually react within 0.2 s. Half of `within_s` if that is less.
+# Reports within this time after the zero do not count: a robot commanded to stop before it began to move still reports
+# that it is at rest. Drivers usually react within 0.2 s. Half of `within_s` if that is less.
 ANSWERS_S = 0.3
 # So many consecutive messages have to be too fast: a single one is noise.
 TOO_FAST_MESSAGES = 3
@@ -38,8 +38,8 @@ UNITS = {"linear": "m/s", "angular": "rad/s"}
 class SpeedRule:
     """Where the robot reports its speed, and which speeds stop it. `most` are the policy's limits, by part.
 
-    `still` are the speeds (m/s, rad/s) below which the robot counts as standing, `within_s` is how long it may take to
-    stand after its zero, `over` the factor by which it may exceed `most`, `max_age_s` how long it may report nothing.
+    `still` are the speeds (m/s, rad/s) below which the robot counts as at rest, `within_s` is how long it may take to
+    stop after its zero, `over` the factor by which it may exceed `most`, `max_age_s` how long it may report nothing.
     While a goal runs the robot's own software drives it, and `goals` holds instead of `most`.
     """
 
@@ -162,10 +162,10 @@ class Watchdog:
 
     @property
     def is_busy(self) -> bool:
-        """Whether `look` has to be called often: the robot is driven, or has not been observed to stand since."""
+        """Whether `look` has to be called often: the robot is driven, or has not been observed at rest since."""
         return self._driven_since is not None or self._stand_since is not None
 
-    # ── what it is told ────────────────────────────────────────────────────────────────────────────────────────────
+    # ── input ──────────────────────────────────────────────────────────────────────────────────────────────────────
 
     def told(self, is_driven: bool, now: float, *, by_goal: bool = False) -> None:
         """Record whether a nonzero command or a goal (`by_goal`) drives the robot now."""
@@ -210,7 +210,7 @@ class Watchdog:
         if silence.heard(now, problem):
             self._place = x, y, yaw
 
-    # ── what follows ───────────────────────────────────────────────────────────────────────────────────────────────
+    # ── output ────────────────────────────────────────────────────────────────────────────────────────────────────
 
     def look(self, now: float) -> str:
         """Return a sentence that says why the robot has to be stopped now; "" if there is no reason."""
@@ -253,7 +253,7 @@ class Watchdog:
         return ""
 
     def _stops_at(self, brake_mps2: float, now: float) -> tuple[float, float]:
-        """Return the point (x, y) where the robot would come to a stand if it were stopped now.
+        """Return the point (x, y) where the robot would come to rest if it were stopped now.
 
         From its last reported position, it moves v * (age + REACTION_S) + v² / 2a in its direction. v is the lower
         speed of the last two messages, because a single one that is too fast is noise. The age counts only while the

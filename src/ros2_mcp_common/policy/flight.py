@@ -28,7 +28,7 @@ name in the service's name.
 """
 
 BRAKE_MODES = ("BRAKE", "AUTO.LOITER", "LOITER", "HOLD")
-"""The modes in which a vehicle stands without a pilot at the sticks, in the order in which to try them.
+"""The modes in which a vehicle holds still without a pilot at the sticks, in the order in which to try them.
 
 BRAKE is a mode of ArduCopter, AUTO.LOITER of PX4, LOITER of ArduPlane, HOLD of ArduPilot's rovers and boats. MAVROS
 rejects a mode that its autopilot does not have (`mode_sent` is false), so the modes can be tried one after the other.
@@ -66,7 +66,7 @@ def only_asks(service_type: str, request: Any) -> bool:
 
 
 def brakes(service: str, service_type: str, request: Any) -> bool:
-    """Return whether a decoded request makes a vehicle stand."""
+    """Return whether a decoded request stops a vehicle."""
     return (
         service_type == SET_MODE
         and bool(vehicle_of(service, service_type))

@@ -25,12 +25,12 @@ AT_ONCE = 0.01
 _ROUNDING = 1 + 1e-9
 # A tolerance for a step of speed where none is allowed: one polynomial ends and the next begins there, both rounded.
 _NO_STEP = 1e-6
-# A measured speed below this (rad/s or m/s) is noise of an encoder: the joint stands.
+# A measured speed below this (rad/s or m/s) is noise of an encoder: the joint is at rest.
 _STANDS = 0.02
 # The longest time from the measurement of a joint until a controller takes its start state: joint states come at 10 to
 # 1,000 Hz, and a trajectory takes some hundredths of a second. A moving joint has moved on by then.
 _LATE_S = 0.1
-# A joint that stands at a limit is sometimes measured beyond it, because of noise: by up to this share of its range,
+# A joint at rest at a limit is sometimes measured beyond it, because of noise: by up to this share of its range,
 # and not more than this distance (rad or m).
 _NOISE_SHARE, _MOST_NOISE = 0.001, 0.002
 # Within this distance (rad) of half a turn, noise decides which way round is shorter.

@@ -301,7 +301,7 @@ def running(search: Search, env: Mapping[str, str], processes: Path = Path("/pro
     return None
 
 
-# ── an installation that nobody sourced ────────────────────────────────────────────────────────────────────────
+# ── an installation that is not sourced ────────────────────────────────────────────────────────────────────────
 
 
 def unsourced(search: Search, env: Mapping[str, str]) -> Found | None:
