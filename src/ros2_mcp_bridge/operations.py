@@ -238,7 +238,10 @@ class Operations:
             acting.end("lease")
 
     def end_lasting(self) -> None:
-        """End what goes on by itself, after the zeros: a stopper has died. The next command starts a new one."""
+        """End repeats, relays and motions, after the zeros, because a stopper has died.
+
+        The next command starts a new stopper.
+        """
         for lasting in [request for request in self._requests.values() if request.op in LASTING]:
             lasting.end("stopper")
 

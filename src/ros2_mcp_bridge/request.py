@@ -58,11 +58,11 @@ class Work(Protocol):
     """The execution of a request: a `Task` of the loop."""
 
     def wake(self) -> None:
-        """Resume it at once."""
+        """Resume the operation at once."""
         ...
 
     def throw(self, error: Exception) -> None:
-        """Raise an exception where it waits."""
+        """Raise an exception in the operation, where it waits."""
         ...
 
 

@@ -174,7 +174,7 @@ class _Stopper:
     def _has_unread(self, child: Child) -> bool:
         """Return whether the stopper has not yet read everything that was written."""
         with self._writing:
-            return self.child is child and not self._is_ending and child.has_unread()  # else it is closed
+            return self.child is child and not self._is_ending and child.has_unread()  # if not, it is closed
 
     def _hear(self, child: Child) -> None:
         """Pass on the lines that the stopper sends, until it ends."""

@@ -146,8 +146,7 @@ class Limiter:
     def topic(self, request: Request) -> TopicLimits:
         """Return the limits of the topic that a request names.
 
-        Until the rules have been received, only a fail-safe (`failsafe_publish`) gets them: it
-        prepares the topic for its zero.
+        Before the rules have been received, only a `failsafe_publish` is accepted: it prepares the topic for its zero.
 
         Raises:
             OperationError: of kind `refused`, if no rule allows the topic or the source of the relay.
@@ -204,7 +203,7 @@ class Limiter:
             self.check_minute(key, most)
 
     def calling(self, request: Request) -> Ruling | None:
-        """Return the ruling for the service that a request names, or None if no limit applies to it.
+        """Return the ruling for the service that a request names, or None without a policy and for cancelling goals.
 
         Raises:
             OperationError: of kind `refused`, if no rule allows the call.

@@ -302,7 +302,9 @@ class VelocityTopic:
             self._lifeline.tell(self)
 
     def matched(self) -> int:
-        """Return the number of matched subscribers. A subscriber matched with several publishers counts once."""
+        """Return the number of matched subscribers of the publisher that has the most, since
+        several may match the same one.
+        """
         return max((publisher.matched() for publisher in list(self.publishers)), default=0)
 
     def send_zero(self) -> None:

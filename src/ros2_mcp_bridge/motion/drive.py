@@ -77,7 +77,7 @@ class Beat:
         self._due_s = LONGEST_PERIOD_S + LATE_S
 
     def heard(self, now: float) -> None:
-        """Record a message."""
+        """Record that a message was received at `now`."""
         self.count += 1
         if self.count > 1:
             self._periods.append(min(now - self._at, LONGEST_PERIOD_S))
@@ -101,7 +101,9 @@ class Beat:
 
 
 def late_in_s(beats: Iterable[Beat], now: float) -> float:
-    """Return in how many seconds the first topic becomes late that is not late yet; infinite if there is none."""
+    """Return in how many seconds the next topic becomes late, of those that are not late yet;
+    infinite if there is none.
+    """
     return min((-late_s for beat in beats if (late_s := beat.late_s(now)) <= 0), default=math.inf)
 
 
@@ -113,7 +115,7 @@ class Standing:
         self._seen: deque[tuple[float, Pose]] = deque()
 
     def hear(self, pose: Pose, now: float) -> None:
-        """Record a pose."""
+        """Record a pose and its time of reception."""
         self._seen.append((now, pose))
         while self._seen and self._seen[0][0] < now - STILL_S:
             self._seen.popleft()

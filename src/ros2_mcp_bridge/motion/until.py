@@ -47,7 +47,7 @@ class Way:
             self._at = now
 
     def begin(self) -> None:
-        """Measure from here on."""
+        """Start to measure from the current position."""
         self._measured_m, self._at = 0.0, self._now
 
     @property

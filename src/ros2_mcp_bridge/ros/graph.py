@@ -229,9 +229,10 @@ class Graph:
         return node.get_topic_names_and_types(), node.get_service_names_and_types(), nodes
 
     def _all_discovered(self) -> bool:
-        """Whether all participants on this machine have been discovered.
+        """Return whether all participants on this machine have been discovered.
 
-        Where participants may be elsewhere too, the kernel cannot count them: then one other node has to be there.
+        If participants may also be on other machines, the kernel cannot count them: then at least one
+        other node has to be there.
         """
         if not participants.all_discovered(self._node):
             return False

@@ -208,7 +208,8 @@ class Stopper:
     def _stop_for_good(self) -> None:
         """Stop what moves after the bridge's death: send zeros now, and to subscribers discovered within 4 s.
 
-        A topic is left alone as soon as it has a new publisher: a new bridge, or another node that drives the robot.
+        A topic is left alone as soon as it has a new publisher: a new bridge, or another node that drives the robot. If
+        the server is dead, too, the calls left to the stopper are made.
         """
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())  # its reader may have died, too
         zeros = [Zero(topic) for topic in self._moving()]

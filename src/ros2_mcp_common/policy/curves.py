@@ -33,12 +33,12 @@ _STEPS = 60
 
 
 def derivative(polynomial: Polynomial) -> Polynomial:
-    """Return the derivative by s."""
+    """Return the derivative of a polynomial with respect to s."""
     return [power * factor for power, factor in enumerate(polynomial)][1:]
 
 
 def at(polynomial: Polynomial, s: float) -> float:
-    """Return the value at s."""
+    """Return the value of a polynomial at s."""
     value = 0.0
     for factor in reversed(polynomial):
         value = value * s + factor
@@ -46,13 +46,15 @@ def at(polynomial: Polynomial, s: float) -> float:
 
 
 def extremes(polynomial: Polynomial) -> tuple[float, float]:
-    """Return the least and the largest value for s from 0 to 1."""
+    """Return the least and the largest value of a polynomial for s from 0 to 1."""
     values = [at(polynomial, s) for s in (0.0, *roots(derivative(polynomial)), 1.0)]
     return min(values), max(values)
 
 
 def hull(polynomial: Polynomial) -> tuple[float, float]:
-    """Return bounds on the values for s from 0 to 1, without finding roots: the extreme Bernstein coefficients."""
+    """Return bounds on a polynomial's values for s from 0 to 1, without finding roots: the
+    extreme Bernstein coefficients.
+    """
     weights = _BERNSTEIN[len(polynomial)]
     found = [sum(weight * factor for weight, factor in zip(row, polynomial, strict=False)) for row in weights]
     return min(found), max(found)
@@ -66,7 +68,7 @@ _BERNSTEIN = [
 
 
 def roots(polynomial: Polynomial) -> list[float]:
-    """Return the roots strictly between 0 and 1, in ascending order.
+    """Return the roots of a polynomial strictly between 0 and 1, in ascending order.
 
     A root without a change of sign may be missing: a polynomial with this derivative has no extreme there.
     """

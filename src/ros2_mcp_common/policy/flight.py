@@ -66,7 +66,7 @@ def only_asks(service_type: str, request: Any) -> bool:
 
 
 def brakes(service: str, service_type: str, request: Any) -> bool:
-    """Return whether a decoded request stops a vehicle."""
+    """Return whether a decoded request is a brake: it sets a mode in which the vehicle holds still."""
     return (
         service_type == SET_MODE
         and bool(vehicle_of(service, service_type))

@@ -258,12 +258,12 @@ class Ruling:
 
     @property
     def allowances(self) -> Sequence[Allowance]:
-        """The allowances of all policies that apply."""
+        """The matching allowances of all policies."""
         return [entry for policy in self.policies for entry in policy.allow]
 
     @property
     def limits(self) -> Sequence[Limit]:
-        """The limits of all policies that apply."""
+        """The matching limits of all policies."""
         return [limit for policy in self.policies for limit in policy.limits]
 
     def most(self, bound: Literal["rate_hz", "for_s", "per_minute"]) -> float | None:

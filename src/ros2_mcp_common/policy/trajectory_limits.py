@@ -41,7 +41,8 @@ MAX_JOINTS = 100
 
 @dataclass(frozen=True)
 class JointBounds:
-    """The bounds of one joint in rad (m if prismatic), per second and per second²; None: no bound.
+    """The bounds of one joint: position in rad (m if prismatic), speed per second, acceleration
+    per second²; None: no bound.
 
     `wraps`: the joint is continuous, so that a controller may add whole turns to its position and take the shorter way.
     """
