@@ -1,1 +1,1 @@
-"""The part that runs under the robot's own Python: standard library and rclpy only."""
+"""The bridge, which runs under the Python of the robot's ROS 2: standard library and rclpy only."""

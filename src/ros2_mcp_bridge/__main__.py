@@ -34,34 +34,34 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-# The ROS thread carries the fail-safes out when it leaves its loop, usually at once. If it hangs in the middleware,
-# another thread does it after this time. Chosen so that both fit into GIVE_UP_AFTER_S.
+# The ROS thread carries out the fail-safes when it leaves its loop, usually at once. If it hangs in the middleware,
+# another thread does so after this time. Both fit into GIVE_UP_AFTER_S.
 FAILSAFES_AFTER_S = 0.3
 # From the end of the stream to the end of the process, whatever hangs: time for the fail-safes (0.3 s, and 0.6 s for
-# their arrival) and for leaving ROS. Chosen. The server waits for half a second more.
+# their arrival) and for leaving ROS. The server waits for half a second more.
 GIVE_UP_AFTER_S = 1.0
-# From the start to the end of the process, if ROS does not come up: longer than the server waits (20 s). Once the
+# From the start to the end of the process, if ROS does not start: longer than the server waits (20 s). Once the
 # middleware was seen to spin for ever while a participant was destroyed, with the interpreter's lock held: then no
-# thread of ours sees the end of the stream, and only the kernel's timer still ends the process.
+# thread of this process sees the end of the stream, and only the kernel's timer can end the process.
 ROS_IS_UP_WITHIN_S = 30.0
-# A stop, or a lease that lapses, is to end all motion within 0.1 s; a ROS thread that does not hang goes round in a
-# tenth of that. Chosen.
+# A stop, or a lapsed lease, has to end all motion within 0.1 s; a ROS thread that does not hang makes a turn in a tenth
+# of that.
 ROS_HANGS_AFTER_S = 0.05
-# What acts in any case, so that it cannot be asked for without an epoch.
+# Operations that always act, and so require an epoch.
 ACTING = frozenset({"publish", "repeat", "relay", "relay_feed", "move"})
-# What ends something, and answers for nothing that only begins.
+# Operations that only end something, and start nothing.
 ENDING = frozenset({"cancel", "zero", "repeat_stop", "relay_stop"})
-# An outage may end after the server has given this bridge up, 4 s after it last heard of it (SILENCE_S there; ssh does
-# so at the same time). What it had sent is in the network then, and arrives: a command of before, perhaps of before a
-# stop that this bridge never hears of. So what was sent longer ago than this does not act. Chosen: less than those 4 s,
-# and more than any delay over which a connection was measured to live on (1.0 s at 15 % loss).
+# An outage of the network may end after the server has given up this bridge, 4 s after its last sign of life (SILENCE_S
+# there; ssh uses the same time). Packets that it had sent then still arrive: old commands, perhaps from before a stop
+# that this bridge never receives. So requests sent longer ago than this do not act. It is less than those 4 s, and more
+# than any delay that a connection was measured to survive (1.0 s at 15 % loss).
 LATE_S = 3.5
-# What waits to be written at the end is little, and perhaps nobody reads any more. Chosen.
+# The longest wait for the last packets to be written: they are few, and the reader may be gone.
 LAST_WORDS_S = 0.2
 
 
 def main() -> None:
-    """Run the bridge, or the stopper, until its stdin ends; does not return."""
+    """Run the bridge, or a stopper, until its stdin ends. Never returns."""
     options = argparse.ArgumentParser("ros2_mcp_bridge", description=__doc__, allow_abbrev=False)
     options.add_argument("--under-policy", action="store_true", help="nothing leaves but zeros until the rules came")
     options.add_argument("--state", type=Path, metavar="DIR", help="the robot's state folder, with its latch")
@@ -70,20 +70,20 @@ def main() -> None:
     options.add_argument(STOPPER_ARGUMENT, metavar="NAME", help="be a stopper of the bridge that starts it")
     chosen = options.parse_args()
     if chosen.arrival:
-        from ros2_mcp_common.start import stage1  # which else has done it before this process
+        from ros2_mcp_common.start import stage1  # otherwise it ran before this process
 
         why = f"ros2_mcp_bridge is installed in {Path(__file__).parent}."
         stage1.tell(chosen.arrival, "found", distro=os.environ.get("ROS_DISTRO", ""), python=sys.executable, why=why)
         stage1.tell(chosen.arrival, "bridge")
     incoming, outgoing = claim_standard_streams()
     if chosen.stopper:
-        from ros2_mcp_bridge.stopper import stopper  # which needs rclpy
+        from ros2_mcp_bridge.stopper import stopper  # it needs rclpy
 
         stopper.main(chosen.stopper, incoming, outgoing)
     keep_freed_memory()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's Ctrl-C goes to the server, which then closes us
-    signal.signal(signal.SIGALRM, signal.SIG_DFL)  # ends us if all else hangs; it may have been inherited as ignored
-    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})  # for sigwait in a thread of ours
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's Ctrl-C goes to the server, which then ends the bridge
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)  # ends the process if all else hangs; may be inherited as ignored
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})  # for sigwait in another thread
     signal.setitimer(signal.ITIMER_REAL, ROS_IS_UP_WITHIN_S)
     latch = Latch(chosen.state / FILE if chosen.state else None)
     Bridge(incoming, outgoing, latch=latch, is_under_policy=chosen.under_policy, orphan_s=chosen.orphan_s).run()
@@ -93,9 +93,9 @@ class Bridge:
     """The threads of the bridge, and how they end together.
 
     `_table` has a row for each operation. Those that need no ROS are there from the start, so that they answer while
-    ROS comes up or hangs; `Operations` adds those of the ROS thread. The reading thread answers pings, raises the stop
-    epoch and watches over the link lease, and waits for nothing else; the preparing thread takes requests in order.
-    Under a policy nothing but zeros leaves before its rules have come; they come once.
+    ROS starts or hangs; `Operations` adds those of the ROS thread. The reading thread answers pings, raises the stop
+    epoch and checks the link lease, and waits for nothing else; the preparing thread takes requests in order. Under a
+    policy, nothing but zeros is sent before its rules have come; they come once.
     """
 
     def __init__(
@@ -131,7 +131,7 @@ class Bridge:
         self._start_thread(signal.sigwait, {signal.SIGTERM})
 
     def run(self) -> None:
-        """Be the ROS thread; ends the process."""
+        """Run the ROS thread, and end the process. Never returns."""
         missing = "no_rclpy"
         try:
             from ros2_mcp_bridge import operations
@@ -159,7 +159,7 @@ class Bridge:
             self._exit(1)
         if not self._ending.locked():
             signal.setitimer(signal.ITIMER_REAL, 0)
-            if self._ending.locked():  # the end began in between, and its timer is the one that was taken back
+            if self._ending.locked():  # the end began in between, and its timer was cancelled
                 signal.setitimer(signal.ITIMER_REAL, GIVE_UP_AFTER_S)
         self._greeted_s = time.monotonic()
         self._outbox.send(ros.hello(node, executor))
@@ -170,7 +170,7 @@ class Bridge:
         self._exit(0)
 
     def _start_thread(self, work: Callable[[T], object], argument: T) -> threading.Thread:
-        """A thread that ends the bridge when it ends."""
+        """Start a thread that ends the bridge when it ends."""
 
         def work_then_end() -> None:
             try:
@@ -186,21 +186,23 @@ class Bridge:
 
     def _end(self) -> None:
         if self._ending.acquire(blocking=False):
-            signal.setitimer(signal.ITIMER_REAL, GIVE_UP_AFTER_S)  # ends the process, even where nothing of Python runs
+            signal.setitimer(signal.ITIMER_REAL, GIVE_UP_AFTER_S)  # ends the process even if no Python code runs
             self._stops.lapse()
             if self._operations is not None:
                 threading.Timer(FAILSAFES_AFTER_S, self._operations.failsafes.carry_out).start()
             self._loop.end()
 
     def _exit(self, status: int) -> NoReturn:
-        # threads of ours may still wait for the stream, which the interpreter's own end does not survive
+        # Other threads may still wait for the stream, which a normal exit of the interpreter does not survive.
         self._outbox.finish()
         self._writer.join(LAST_WORDS_S)
         sys.stderr.flush()
         os._exit(status)
 
     def _lapse(self, silent_s: float) -> None:
-        """The server is silent: what it moves is ended by the ROS thread, and if that hangs, by another one first."""
+        """End what the server moves, because it is silent: on the ROS thread, or if that
+        hangs, on another one first.
+        """
         self._stops.lapse()
         self._outbox.send(Lapsed(event="lapsed", silent_s=round(silent_s, 3)))
         if self._operations is not None:
@@ -210,21 +212,21 @@ class Bridge:
         return not self._stops.coming and (self._operations is None or self._operations.is_at_rest())
 
     def _stopper_lost(self) -> None:
-        """There is no second process any more that would stop what moves: it stops, and may begin anew."""
+        """Stop what moves, because a stopper that would stop it has died. It may begin anew."""
         if self._operations is not None:
             self._do_first(self._operations.send_zeros, self._operations.end_lasting)
 
     def _do_first(self, zeros: Callable[[], object], then: Callable[[], object]) -> None:
-        """Let the ROS thread send zeros before all else; if they have not left in time, another thread sends them."""
+        """Make the ROS thread send zeros before all else. If they are not sent in time, another thread sends them."""
         hangs = threading.Timer(ROS_HANGS_AFTER_S, zeros)
 
         def do() -> None:
             zeros()
-            hangs.cancel()  # not before they have left: whatever this turn does next may hang
+            hangs.cancel()  # only after they were sent: this turn may hang later
             then()
 
         self._loop.submit_first(do)
-        hangs.start()  # which waits for the new thread to run; one that was cancelled before ends at once
+        hangs.start()  # waits for the new thread to run; if cancelled before, it ends at once
 
     def _read(self, incoming: int) -> None:
         for header, body in read_packets(incoming, self._lease.wait_readable, self._outbox):
@@ -237,7 +239,7 @@ class Bridge:
                 self._outbox.reply_error(request.id, error)
 
     def _accept(self, request: Request) -> None:
-        """Note when it was accepted; a stop goes before all that waits."""
+        """Record when a request was accepted, and queue it; a stop goes before all that waits."""
         if request.op in ("ping", "stop"):
             self._stops.raise_to(request.number("epoch", 0.0 if request.op == "ping" else None))
         elif request.op in ACTING or request.has("epoch") or _calls_what_acts(request):
@@ -247,7 +249,7 @@ class Bridge:
                 self._stops.coming[request] = None
         if request.op == "ping":
             self._outbox.reply(request.id, self._ping(request))
-        elif request.op == "policy":  # here, so that it holds for all that is read after it
+        elif request.op == "policy":  # here, so that it holds for all requests read after it
             self._outbox.reply(request.id, self._policy(request))
         elif request.op == "stop" and self._operations is not None:
             self._do_first(self._operations.send_zeros, partial(self._operations.start, request))
@@ -257,7 +259,9 @@ class Bridge:
             self._accepted.put(request)
 
     def _prepare(self, accepted: queue.SimpleQueue[Request]) -> None:
-        """Answer what needs no ROS; load what the rest needs, so that the ROS thread never waits for imports."""
+        """Answer requests that need no ROS, and load what the others need, so that the ROS
+        thread never waits for imports.
+        """
         while True:
             request = accepted.get()
             try:
@@ -291,7 +295,7 @@ class Bridge:
 
     def _ping(self, request: Request) -> PingReply:
         self._stops.is_late = self._is_late(request)
-        if not self._stops.is_late:  # what is late says nothing of whether the server is there
+        if not self._stops.is_late:  # a late ping does not show that the server is there
             self._lease.renew(request.number("lease_s", 0.0))
         self._outbox.begin_pieces(int(request.number("window_bytes", 0.0)))
         if request.has("latch_count"):
@@ -309,8 +313,10 @@ class Bridge:
         return {"ros_idle_s": idle_s, "now_ns": time.time_ns(), "sent_ns": sent_ns, "steady_s": now_s}
 
     def _is_late(self, request: Request) -> bool:
-        """Whether a ping left the server long ago: by the answer of ours that the server had heard last by then."""
-        if not request.has("heard_s"):  # on one machine nothing is under way
+        """Return whether a ping left the server long ago: `heard_s` is the time of our last answer
+        that the server had received.
+        """
+        if not request.has("heard_s"):  # on one machine there is no delay
             return False
         return time.monotonic() - max(request.number("heard_s"), self._greeted_s) > LATE_S
 
@@ -323,9 +329,10 @@ class Bridge:
 
 
 def _calls_what_acts(request: Request) -> bool:
-    """Whether it calls a service that does more than tell something or stop: a stop or the latch holds it.
+    """Return whether a request calls a service that does more than read or stop: then a stop
+    or the latch holds it back.
 
-    That one which says that it `brakes` does so is seen where its request is decoded, before it leaves.
+    Whether a request with `brakes` really brakes is checked where it is decoded, before it is sent.
     """
     if request.op != "call" or request.flag("brakes"):
         return False

@@ -1,11 +1,10 @@
-"""The stop epoch: what was accepted before the newest stop, or before the link lease lapsed, does not leave any more.
+"""The stop epoch: requests accepted before the newest stop, or before the link lease lapsed, are not sent any more.
 
-Nor does what comes so late that its server has given this bridge up: `is_late`.
+Nor are requests that arrive so late that their server has given up this bridge (`is_late`). Nor are requests accepted
+while the latch is set, or before it was set, even if it has been reset since.
 
-Nor does anything while the latch is set, or what was accepted before it was set, whoever has reset it since.
-
-The reading thread raises it as soon as it has read the packet, and the exits ask. So nothing overtakes a stop, however
-many requests wait before it. See docs/decisions/0021-stop-means-stop.md.
+The reading thread raises the epoch as soon as it has read the packet, and the exits check it. So no request overtakes a
+stop, however many are queued before it. See docs/decisions/0021-stop-means-stop.md.
 """
 
 from __future__ import annotations
@@ -19,21 +18,21 @@ if TYPE_CHECKING:
 
 
 class Overtaken(Protocol):
-    """A request that a stop may keep back: what it is, when it was accepted, and its arguments."""
+    """A request that a stop may hold back: its operation, its acceptance, and its arguments."""
 
     op: str
     acceptance: Acceptance | None
 
     def text(self, name: str, default: str | None = None) -> str:
-        """One of its arguments."""
+        """Return one of its arguments."""
         ...
 
 
 class StopEpoch:
-    """The newest epoch that was heard of, and how often the link lease has lapsed; only the reading thread changes it.
+    """The newest known epoch, and how often the link lease has lapsed. Only the reading thread changes them.
 
-    `coming` are the acting requests that were accepted and have not come to the ROS thread. `overtaken` are those that
-    were held back because of a stop: the stop itself, which comes to the ROS thread a little later, takes both over.
+    `coming` are accepted requests that act and have not reached the ROS thread. `overtaken` are requests that were held
+    back because of a stop. The stop itself, which reaches the ROS thread a little later, takes over both.
     """
 
     def __init__(self, latch: Latch | None = None) -> None:
@@ -45,11 +44,14 @@ class StopEpoch:
         self.overtaken: list[Overtaken] = []
 
     def raise_to(self, epoch: float) -> None:
-        """Stops that arrive late change nothing: the highest counts."""
+        """Raise the epoch. A stop that arrives late changes nothing: the highest epoch counts."""
         self.epoch = max(self.epoch, epoch)
 
     def take_overtaken(self) -> list[Overtaken]:
-        """Those that a stop has kept from leaving before they were open; a second stop does not hear of them again."""
+        """Return, and forget, the requests that a stop kept from being sent before they were started.
+
+        A second stop does not get them again.
+        """
         overtaken, self.overtaken = self.overtaken, []
         for request in list(self.coming):
             if request.acceptance and request.acceptance.overtaken_by() == "stop":
@@ -58,26 +60,28 @@ class StopEpoch:
         return overtaken
 
     def lapse(self) -> None:
-        """The link lease has lapsed, or the stream has ended."""
+        """Record that the link lease has lapsed, or that the stream has ended."""
         self.lapses += 1
 
     def accept(self, epoch: float) -> Acceptance:
-        """What a request that carries this epoch shows at the exits."""
+        """Return the acceptance of a request that carries this epoch, which the exits check."""
         return Acceptance(self, epoch)
 
 
 class Acceptance:
-    """When a request was accepted: in which epoch of the server, after how many lapses of the lease and latchings."""
+    """When a request was accepted: in which epoch of the server, and after how many lapses of the lease
+    and settings of the latch.
+    """
 
     def __init__(self, stops: StopEpoch, epoch: float) -> None:
         self._stops = stops
         self._epoch = epoch
-        self._lapses = -1 if stops.is_late else stops.lapses  # what comes too late never leaves
+        self._lapses = -1 if stops.is_late else stops.lapses  # a late request is never sent
         latch = stops.latch.look()
-        self._latchings = -1 if latch.is_set else latch.count  # what comes while it is set never leaves
+        self._latchings = -1 if latch.is_set else latch.count  # a request that comes while it is set is never sent
 
     def overtaken_by(self) -> EndedBy:
-        """What came after it and keeps it from leaving; "" where nothing did."""
+        """Return what came after the acceptance and keeps the request from being sent; "" if nothing did."""
         if self._epoch < self._stops.epoch:
             return "stop"
         if self._lapses != self._stops.lapses:
@@ -86,5 +90,5 @@ class Acceptance:
         return "latch" if latch.is_set or latch.count != self._latchings else ""
 
     def hold_back(self, request: Overtaken) -> None:
-        """Let the stop know of a request that an exit has held back."""
+        """Report to the stop a request that an exit has held back."""
         self._stops.overtaken.append(request)

@@ -1,4 +1,4 @@
-"""The link lease: how long the bridge goes on without a sign of its server."""
+"""The link lease: how long the bridge goes on without a sign of life from its server."""
 
 from __future__ import annotations
 
@@ -8,15 +8,16 @@ from collections.abc import Callable
 
 from ros2_mcp_common.wire.packets import PacketError
 
-# A machine that slept while something moved is noticed this soon after it went on. Chosen: ten looks a second cost
-# 0.2 % of a core. At rest it is noticed when the lease lapses, or with the next bytes.
+# The period at which it is checked whether this machine has slept while something moved: ten checks a second cost 0.2 %
+# of a core. At rest, a sleep is noticed when the lease lapses, or with the next bytes.
 LOOK_EVERY_S = 0.1
-# Two clocks are compared only if they were read at once; otherwise this thread's own lateness would look like sleep.
+# Two clocks are compared only if they were read within this time; otherwise the lateness of this thread would look like
+# sleep.
 READ_AT_ONCE_S = 0.01
 
 
 def _slept_s() -> float:
-    """How long this machine has slept since it was started: the steady clock stands still meanwhile."""
+    """Return how long this machine has slept since it was started, in s: the steady clock does not run meanwhile."""
     boot_time = getattr(time, "CLOCK_BOOTTIME", None)
     while boot_time is not None:
         before = time.monotonic()
@@ -27,12 +28,12 @@ def _slept_s() -> float:
 
 
 class LinkLease:
-    """Waits for the server's bytes, on the reading thread, and says when they have not come for too long.
+    """Waits for the server's bytes, on the reading thread, and reports when none have come for too long.
 
     Only the kernel knows whether the server was silent: bytes that wait unread, because this process was late, are a
-    sign of life. There is no lease before the server has named its length, and none between its lapse and a new ping.
-    `is_at_rest` says that nothing moves which a lapse would end.
-    Without a byte for `orphan_s` there is no server any more, from the start on; with 0 that is never so.
+    sign of life. There is no lease before the server has sent its length, and none between its lapse and a new ping.
+    `is_at_rest` returns whether nothing moves that a lapse would end. After `orphan_s` without a byte, from the start
+    on, the server counts as gone; 0: never.
     """
 
     def __init__(
@@ -58,17 +59,18 @@ class LinkLease:
         self._is_in_force = False
 
     def renew(self, lease_s: float) -> None:
-        """The server pinged: from now on its bytes have to come within this time, one after the other."""
+        """Renew the lease after a ping: from now on, bytes must not be further apart than this time."""
         if not self._is_in_force:
             self._slept_before_s = self._slept_s()
         self._lease_s = lease_s
         self._is_in_force = lease_s > 0
 
     def wait_readable(self) -> None:
-        """Returns when bytes of the server, or the end of its stream, can be read; tells once if the lease lapses.
+        """Wait until bytes of the server, or the end of its stream, can be read. Call `lapsed`
+        once if the lease lapses.
 
         Raises:
-            PacketError: if nothing came for so long that there is no server any more.
+            PacketError: if nothing came for `orphan_s`, so that the server counts as gone.
         """
         while True:
             is_readable = self._has_bytes(self._look_s())
@@ -82,14 +84,17 @@ class LinkLease:
                 return
 
     def _look_s(self) -> float | None:
-        """How long to wait for bytes before the next look at the clock; None for ever."""
+        """Return how long to wait for bytes before the next look at the clock; None for ever."""
         if self._is_in_force:
             left_s = max(self._heard_at + self._lease_s - self._now(), 0.0)
             return left_s if self._is_at_rest() else min(left_s, LOOK_EVERY_S)
         return max(self._heard_at + self._orphan_s - self._now(), 0.0) + LOOK_EVERY_S if self._orphan_s else None
 
     def _check(self, now: float, is_readable: bool) -> None:
-        """Let it lapse if it is time to; a look at the bytes after `now` was taken tells whether they were missing."""
+        """End the lease if it has lapsed.
+
+        A look for bytes after `now` was taken shows whether they were really missing.
+        """
         slept_s = self._slept_s()
         asleep_s, self._slept_before_s = slept_s - self._slept_before_s, slept_s
         silent_s = now - self._heard_at

@@ -1,4 +1,4 @@
-"""The ROS thread's loop: it spins the executor and runs operations that wait, without ever blocking on one."""
+"""The loop of the ROS thread: spins the executor and runs operations that wait, without blocking on one of them."""
 
 from __future__ import annotations
 
@@ -15,34 +15,32 @@ from ros2_mcp_bridge.request import Steps
 
 T = TypeVar("T")
 
-# The longest sleep of the ROS thread. Requests and due work wake it; `ping` tells how long ago it went round, and the
-# server takes 4 s of that for a hang. Chosen: far below these 4 s. While something moves, what looks after it wakes it
-# four times a second and more, which the stopper's lifeline relies on.
+# The longest sleep of the ROS thread. Requests and due work wake it. `ping` reports the age of its last turn, and the
+# server takes 4 s for a hang; this is far below. While something moves, other work wakes it at least four times a
+# second, on which the stopper's lifeline relies.
 IDLE_S = 0.5
-# After so long what is submitted, and what is due, waits for the next round: many slow ones at once, such as listings
-# of a large graph, hold up neither a stop, which goes first in the next round, nor one another, nor the executor.
-# Chosen.
+# After this time, submitted and due work waits for the next turn. So many slow pieces of work, such as listings of a
+# large graph, delay neither a stop, which is first in the next turn, nor one another, nor the executor.
 PART_AT_MOST_S = 0.02
-# After a callback has failed: one that fails in every round must not take the whole processor. Chosen.
+# The pause after a callback has failed: one that fails in every turn must not use a whole processor.
 AFTER_FAILURE_S = 0.01
-# How often what is `Seldom` goes on while nothing else does: each time that this process wakes up costs 0.2 ms of
-# processor time. Chosen.
+# The period of `Seldom` steps while the bridge is at rest: each wake-up costs 0.2 ms of processor time.
 AT_REST_S = 0.5
 
 
 class Seldom(float):
-    """Seconds that steps wait for before they look again; while the bridge is at rest it may be longer."""
+    """Seconds that steps wait before they look again; the wait may be longer while the bridge is at rest."""
 
 
 class Executor(Protocol):
-    """What the loop needs of rclpy's executors."""
+    """An executor of rclpy, as the loop uses it."""
 
     def create_task(self, callback: Callable[[], None]) -> object:
-        """Run it in the next round; wakes `spin_once`. From any thread."""
+        """Run the callback in the next turn, and wake `spin_once`. Thread-safe."""
         ...
 
     def spin_once(self, timeout_sec: float | None = None) -> None:
-        """Wait for work, at most that long, and do it."""
+        """Wait for work, at most `timeout_sec`, and do it."""
         ...
 
 
@@ -57,7 +55,7 @@ class Task(Generic[T]):
         self.open = True
 
     def wake(self) -> None:
-        """Let it go on now instead of after the seconds it asked for; ROS thread only."""
+        """Resume the steps now instead of after the seconds that they asked for. ROS thread only."""
         if self.open:
             self._loop.resume_after(self, 0.0)
 
@@ -66,7 +64,7 @@ class Task(Generic[T]):
         self._advance(lambda: self._steps.throw(error))
 
     def advance(self) -> None:
-        """Run it up to where it waits next."""
+        """Run the steps up to their next wait."""
         self._advance(lambda: next(self._steps))
 
     def _advance(self, step: Callable[[], float]) -> None:
@@ -82,10 +80,10 @@ class Task(Generic[T]):
 
 
 class Loop:
-    """Everything that touches rclpy entities runs in here, on the thread that calls `run`.
+    """The loop on the thread that calls `run`. Everything that touches rclpy entities runs in it.
 
-    `after_turn` is called each time that the executor has done something. `is_at_rest` says that nothing goes on, so
-    that who looks again and again may do so seldom; whoever begins something then calls `end_rest`.
+    `after_turn` is called after each turn of the executor. `is_at_rest` returns whether nothing is under way, so that
+    steps that poll may do so seldom; a caller that begins something then calls `end_rest`.
     """
 
     def __init__(self) -> None:
@@ -100,28 +98,28 @@ class Loop:
         self._ending = False
 
     def submit(self, call: Callable[[], None]) -> None:
-        """Let the ROS thread run `call` soon; from any thread."""
+        """Run `call` on the ROS thread soon. Thread-safe."""
         self._submitted.append(call)
         self._wake()
 
     def submit_first(self, call: Callable[[], None]) -> None:
-        """Let the ROS thread run `call` before all that waits; from any thread."""
+        """Run `call` on the ROS thread before all other submitted work. Thread-safe."""
         self._submitted.appendleft(call)
         self._wake()
 
     def end(self) -> None:
-        """Let `run` return soon; from any thread."""
+        """Make `run` return soon. Thread-safe."""
         self._ending = True
         self._wake()
 
     def start(self, steps: Steps[T], finished: Callable[[T | None, Exception | None], None]) -> Task[T]:
-        """Run steps; `finished(result, error)` is called once, at the end. ROS thread only."""
+        """Run steps; `finished(result, error)` is called once, when they end. ROS thread only."""
         task = Task(self, steps, finished)
         self.resume_after(task, 0.0)
         return task
 
     def resume_after(self, task: Task[T], seconds: float) -> None:
-        """Let a task go on later; replaces what it asked for before."""
+        """Resume a task after these seconds, instead of the time that was set before."""
         if isinstance(seconds, Seldom) and self.is_at_rest():
             seconds += AT_REST_S - (time.monotonic() + seconds) % AT_REST_S  # all of them at once
             self._resting[task] = None  # pyright: ignore[reportArgumentType]
@@ -130,29 +128,32 @@ class Loop:
         heapq.heappush(self._waiting, (time.monotonic() + seconds, task.entry, task))  # pyright: ignore[reportArgumentType]
 
     def end_rest(self) -> None:
-        """Something begins: who waits for longer because of the rest looks now. ROS thread only."""
+        """End the rest: wake the tasks that wait longer because of it. ROS thread only."""
         resting, self._resting = self._resting, {}
         for task in resting:
             task.wake()
 
     def has_due(self) -> bool:
-        """Whether something else waits for the ROS thread now."""
+        """Return whether other work waits for the ROS thread now."""
         return bool(self._submitted or self._ending or (self._waiting and self._waiting[0][0] <= time.monotonic()))
 
     def turn_of(self, seconds: float) -> Callable[[], bool]:
-        """A function that says whether a turn has been long enough: something else waits, or the time is over."""
+        """Return a function that says whether a piece of work should pause: other work waits,
+        or these seconds are over.
+        """
         deadline = time.monotonic() + seconds
         return lambda: self.has_due() or time.monotonic() > deadline
 
     def run(self, executor: Executor) -> None:
-        """Go round until `end` is called."""
+        """Make turns until `end` is called."""
         self._executor = executor
         while not self._ending:
             self._turn(executor)
 
     def _turn(self, executor: Executor) -> None:
         self.last_turn = time.monotonic()
-        # Only as many as wait now: what they submit themselves waits for the next round, so that the executor has one.
+        # Only those that are submitted by now: calls that they submit wait for the next turn, so that the executor gets
+        # its turn.
         for _ in range(len(self._submitted)):
             _try(self._submitted.popleft())
             if time.monotonic() > self.last_turn + PART_AT_MOST_S:
@@ -179,7 +180,7 @@ class Loop:
 
 
 def _try(call: Callable[[], object]) -> None:
-    """One that fails must not end the bridge, nor keep the others of its turn from being done."""
+    """Call a function, and log its error: a failure must not end the bridge, nor prevent other work of its turn."""
     try:
         call()
     except Exception:  # noqa: BLE001 - one failing callback must not end the bridge
@@ -188,6 +189,6 @@ def _try(call: Callable[[], object]) -> None:
 
 
 def log_failure(_result: object, error: Exception | None) -> None:
-    """For tasks that answer nobody."""
+    """Log the error of a task, for tasks that answer no request."""
     if error is not None:
         traceback.print_exception(type(error), error, error.__traceback__, file=sys.stderr)

@@ -1,4 +1,4 @@
-"""What the server can ask of ROS: a row of the table for each operation, and how each request gets its one answer."""
+"""The operations that need ROS: a row of the table for each, and how each request gets its one answer."""
 
 from __future__ import annotations
 
@@ -50,40 +50,43 @@ if TYPE_CHECKING:
     from rclpy.executors import Executor
     from rclpy.node import Node
 
-# What acts until it is ended.
+# Operations that act until they are ended.
 LASTING = ("repeat", "relay", "move")
-# The controllers of motions, by their kinds.
+# The controllers of motions, by kind.
 MOTIONS: Mapping[str, Make] = {"drive": Drive, "until": Until.of}
-# What acts once, as soon as it can, and the argument that names what it acts on.
+# Operations that act once, as soon as they can, each with the argument that names what it acts on.
 LEAVING = {"publish": "topic", "call": "service", "relay_feed": "name"}
 
 Operation = Callable[[Request], "Answer | Steps[Answer]"]
 
-# Often enough for entities that are destroyed after a minute without use. Chosen.
+# Often enough for entities that are destroyed after a minute without use.
 EXPIRE_EVERY_S = 5.0
-# A loss is for good, and rare; a check reads the list of all mapped files, for 2 ms. Chosen.
+# The period of this check. A loss is permanent, and rare; a check reads the list of all mapped files, which takes 2 ms.
 SHARED_MEMORY_CHECKED_EVERY_S = 2.0
-# For acknowledgements of what is sent last. Chosen so that it fits into the end of the process, which is enforced after
-# 1 s (GIVE_UP_AFTER_S). With 0.3 s, one of 64 topics had no zero in 2 of 3 whole runs of the tests, under load.
+# The longest wait for acknowledgements of what is sent last. It fits into the end of the process, which is enforced
+# after 1 s (GIVE_UP_AFTER_S). With 0.3 s, one of 64 topics had no zero in 2 of 3 whole runs of the tests, under load.
 ARRIVAL_S = 0.6
 ARRIVAL_POLL_S = 0.005
-# The latch is a file that others may set: how soon that ends what moves here. What is published meanwhile looks at each
-# message. Chosen: a look costs 5 µs. At rest only the server hears later of it.
+# The period at which the latch is looked at: it is a file that other processes may set, which then ends what moves
+# here. Each published message checks it besides. A look costs 5 µs. At rest, only the report to the server is later.
 LATCH_LOOKED_AT_EVERY_S = 0.05
-# Zeros that are not acknowledged by then are sent once more, again and again. Chosen: ten times what they mostly take.
+# The period at which zeros are repeated until they are acknowledged: ten times the usual delay.
 ARRIVAL_AGAIN_S = 0.1
 
 
 def load_types() -> None:
-    """What every command and every stop needs, before anything is commanded: none of them waits for these imports."""
+    """Import the types that every command and every stop needs, in advance, so that none of
+    them waits for the imports.
+    """
     for type_name in (*VELOCITY_TYPES, CLOCK_TYPE):
         with suppress(OperationError):  # a robot need not have all of them
             interfaces.load(type_name)
 
 
 class Operations:
-    """All that needs ROS; lives on the ROS thread. `node` is the bridge's own node, `table` is what it adds to;
-    `lifeline` leads to the stopper.
+    """Everything that needs ROS; used on the ROS thread. `node` is the bridge's own node.
+
+    `table` is the table of operations, to which it adds its own; `lifeline` leads to the stoppers.
     """
 
     def __init__(
@@ -177,16 +180,16 @@ class Operations:
             loop.start(steps, log_failure)
 
     def is_at_rest(self) -> bool:
-        """Whether nothing is under way, and nothing has moved the robot of late. From any thread."""
+        """Return whether no request is in progress and there are no velocity topics. Thread-safe."""
         return not (self._requests or self._velocities.has_topics)
 
     def send_zeros(self) -> None:
-        """Zeros on all driven topics, and wherever a command holds for a time. From any thread."""
+        """Send zeros on all driven topics, and wherever a command is in its hold time. Thread-safe."""
         self._velocities.send_zeros()
         self._limiter.end_held()
 
     def start(self, request: Request) -> None:
-        """Begin to work on a request; it is answered when that is done."""
+        """Start to work on a request; it is answered when the work is done."""
         was_coming = request in self._stops.coming
         self._stops.coming.pop(request, None)
         try:
@@ -207,7 +210,7 @@ class Operations:
             self._finish(request, result, None)
 
     def end(self, executor: Executor) -> None:
-        """Stop everything, sending what must be sent last."""
+        """Stop everything, and send what must be sent last."""
         pending = [*self.failsafes.carry_out(), *self._publishers.pool.entities().values(), *self._relays.publishers()]
         again_at = time.monotonic() + ARRIVAL_AGAIN_S
         deadline = time.monotonic() + ARRIVAL_S
@@ -216,7 +219,7 @@ class Operations:
             if time.monotonic() >= again_at:
                 self._velocities.send_missed_zeros()
                 again_at = time.monotonic() + ARRIVAL_AGAIN_S
-        self._velocities.look_for_rest()  # what has not come to rest is the stopper's affair
+        self._velocities.look_for_rest()  # topics that have not come to rest are left to the stoppers
         self._lifeline.end()
         for kind in (
             self._publishers.pool,
@@ -230,28 +233,31 @@ class Operations:
         self._lifeline.wait_end()
 
     def lapse(self) -> None:
-        """The server is silent for longer than its link lease: end what it moves, after the fail-safes."""
+        """End what the server moves, after the fail-safes: it was silent for longer than its link lease."""
         for acting in self._acting():
             acting.end("lease")
 
     def end_lasting(self) -> None:
-        """The stopper has died: end what goes on by itself, after the zeros. The next command calls another one."""
+        """End repeats, relays and motions, after the zeros, because a stopper has died.
+
+        The next command starts a new stopper.
+        """
         for lasting in [request for request in self._requests.values() if request.op in LASTING]:
             lasting.end("stopper")
 
     def _finish(self, request: Request, result: Answer, error: Exception | None) -> None:
         self._requests.pop(request.id, None)
         if _was_latched(result, error):
-            self._tell_latch()  # before the answer: so the server knows by then who has set it, and why
+            self._tell_latch()  # before the answer: then the server knows who has set it, and why
         if error is not None:
             self._outbox.reply_error(request.id, error)
         elif isinstance(result, tuple):
             self._outbox.reply(request.id, *result)
-        elif result is not None:  # the queue of samples sends what comes after them
+        elif result is not None:  # None: the queue of samples sends this answer after them
             self._outbox.reply(request.id, result)
 
     def _services(self, request: Request) -> Steps[ServicesReply]:
-        """Without what is in the graph only because we have called it."""
+        """Return the services without those that are in the graph only because this bridge has a client of them."""
         found, unserved = (yield from self._graph.services(request)), self._clients.unserved()
         served = [
             (name, [type_name for type_name in types if (name, type_name) not in unserved])
@@ -266,7 +272,7 @@ class Operations:
         return {}
 
     def _acting(self) -> list[Request]:
-        """What publishes until it is ended, or acts and has not left yet."""
+        """Return the requests that publish until they are ended, or that act and have not been sent yet."""
         return [
             request
             for request in self._requests.values()
@@ -274,7 +280,7 @@ class Operations:
         ]
 
     def _stop(self, request: Request) -> Steps[StopReply]:
-        """End all that was accepted before and has not left, then zeros on every topic that is driven."""
+        """End all requests that were accepted before and have not been sent, then send zeros on every driven topic."""
         overtaken = self._stops.take_overtaken()
         ended = list(dict.fromkeys([*overtaken, *(acting for acting in self._acting() if acting.end("stop"))]))
         return self._stop_topics(request, ended)
@@ -293,7 +299,7 @@ class Operations:
         }
 
     def _zero(self, request: Request) -> Steps[ZeroReply]:
-        """Zeros on some of the topics that are driven."""
+        """Send zeros on the named topics that are driven."""
         chosen = self._chosen(request)
         wait_match_s, wait_ack_s = request.number("wait_match_s", 0.0), request.number("wait_ack_s", 0.0)
         return {"topics": (yield from self._velocities.stop(chosen, wait_match_s, wait_ack_s))}
@@ -303,11 +309,12 @@ class Operations:
         return [topic for topic in self._velocities.driven() if topic.name in names and topic.needs_zero]
 
     def end_at_once(self, request: Request) -> None:
-        """What ends something does not wait for the imports of others; it is done again, and answered, in its turn.
+        """Carry out a request that ends something, without waiting for the imports of other requests.
 
-        Then it also ends what was accepted before it and comes only now.
+        It is carried out again, and answered, in its turn. Then it also ends requests that were accepted
+        before it and come only then.
         """
-        with suppress(OperationError):  # that is answered in its turn
+        with suppress(OperationError):  # the error is answered in its turn
             if request.op == "zero":
                 for topic in self._chosen(request):
                     topic.send_zero()
@@ -348,18 +355,19 @@ class Operations:
             self._clients.pool.expire()
 
     def _is_driven(self) -> bool:
-        """Whether something of this server moves the robot, or has since this was asked last: a command, or a goal."""
+        """Return whether a command or goal of this server moves the robot, or has moved it since the last call."""
         since, self._driven_asked_at = self._driven_asked_at, time.monotonic()
         return self._velocities.have_moved(since) or self.failsafes.has_goals
 
     def _obey_latch(self) -> Steps[None]:
-        """Whoever sets the latch ends what moves here: zeros first, then the rest; also where it was reset before this
-        look. What was accepted after a reset goes on.
+        """Steps that end what moves here when the latch is set: zeros first, then the rest.
+
+        They do so also if the latch was reset again before they looked. Requests accepted after the reset go on.
         """
         latch, before = self._stops.latch, None
         while True:
             state = latch.look()
-            seen = state.is_set, state.count  # one that cannot be read is set, at the count that it had
+            seen = state.is_set, state.count  # an unreadable latch is set, with the count that it had
             if seen != before and (state.is_set or (before and state.count != before[1])):
                 self.failsafes.carry_out()
                 self._tell_latch()
@@ -370,16 +378,18 @@ class Operations:
             yield Seldom(LATCH_LOOKED_AT_EVERY_S)
 
     def _tell_latch(self) -> None:
-        """By whom and why it was set, once: set again while it was set, it keeps its first cause."""
+        """Report who set the latch and why, once: while it is set, it keeps its first cause."""
         state = self._stops.latch.look()
         if (cause := (state.by, state.reason, state.since)) != self._told_latch:
-            # Its file tells no more who has set it once it is reset.
+            # After a reset, the file does not say any more who had set it.
             by, reason = cause[:2] if state.is_set else ("somebody", f"it was reset at once, by {state.by}")
             self._outbox.send(LatchSet(event="latched", by=by, reason=reason, own=self._stops.latch.is_own))
         self._told_latch = cause
 
     def _leave_when_shared_memory_is_lost(self) -> Steps[None]:
-        """The server then starts another bridge, which receives again."""
+        """Steps that end this process if its shared memory is lost; the server then starts another
+        bridge, which receives again.
+        """
         looked_at, domain_id = None, self._node.context.get_domain_id()
         while True:
             changed = shared_memory.newest_change()
@@ -392,7 +402,7 @@ class Operations:
 
 
 def _was_latched(result: Answer, error: Exception | None) -> bool:
-    """Whether the latch has ended or refused what is answered so."""
+    """Return whether the latch has ended or refused the request that is answered so."""
     if error is not None:
         return isinstance(error, Cancelled) and error.ended_by == "latch"
     return isinstance(result, Mapping) and result.get("ended_by") == "latch"

@@ -1,4 +1,4 @@
-"""One request of the server with its arguments checked, and the error that answers a request that failed."""
+"""A request of the server with checked arguments, and the errors that answer a failed request."""
 
 from __future__ import annotations
 
@@ -14,14 +14,16 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 Steps = Generator[float, None, T]
-"""What an operation that waits is: it yields the seconds after which it wants to go on, and returns its result."""
+"""An operation that waits, as a generator: it yields the seconds after which it is to be
+resumed, and returns its result.
+"""
 
 Answer = Union[Mapping[str, object], "tuple[Mapping[str, object], bytes]", None]
-"""The `ok` part of an answer, with a body where there is one; None where the answer is sent by other means."""
+"""The `ok` part of an answer, with a body if there is one; None if the answer is sent in another way."""
 
 
 class OperationError(Exception):
-    """Answers a request with an error."""
+    """An error that answers a request."""
 
     def __init__(self, kind: ErrorKind, message: str, hint: str = "") -> None:
         super().__init__(message)
@@ -30,7 +32,7 @@ class OperationError(Exception):
         self.hint = hint
 
     def as_json(self) -> Failure:
-        """The `error` part of the answer."""
+        """Return the `error` part of the answer."""
         return {"kind": self.kind, "message": self.message, "hint": self.hint}
 
 
@@ -44,7 +46,7 @@ _WHY_ENDED: Mapping[EndedBy, tuple[ErrorKind, str]] = {
 
 
 class Cancelled(OperationError):
-    """Thrown into an operation that is ended before its time, with what ended it and what of it was sent."""
+    """Thrown into an operation that is ended early, with what ended it and what of it had been sent."""
 
     def __init__(self, ended_by: EndedBy = "cancel", sent: str = "nothing was sent") -> None:
         kind, why = _WHY_ENDED[ended_by]
@@ -53,23 +55,24 @@ class Cancelled(OperationError):
 
 
 class Work(Protocol):
-    """What works on a request: a `Task` of the loop."""
+    """The execution of a request: a `Task` of the loop."""
 
     def wake(self) -> None:
-        """Let it go on at once."""
+        """Resume the operation at once."""
         ...
 
     def throw(self, error: Exception) -> None:
-        """Raise an exception where it waits."""
+        """Raise an exception in the operation, where it waits."""
         ...
 
 
 class Request:
-    """A request: `id`, `op`, `body`, and arguments that raise `OperationError` of kind `bad_request` when wrong.
+    """A request: `id`, `op`, `body`, and arguments. Reading a wrong argument raises
+    `OperationError` of kind `bad_request`.
 
-    `interface` is the Python class of the argument `type`, where there is one; `task` is what works on the request, as
-    long as it can be cancelled. One that acts has an `acceptance`; `has_left` as soon as something of it was sent.
-    `ended` is how many others it has ended.
+    `interface` is the Python class of the argument `type`, if there is one; `task` executes the request, as long as it
+    can be cancelled. A request that acts has an `acceptance`; `has_left` is True as soon as some of it was sent.
+    `ended` is the number of other requests that it has ended.
     """
 
     def __init__(self, header: Mapping[str, Any], body: bytes) -> None:
@@ -85,12 +88,15 @@ class Request:
         self._header = header
 
     def wake(self) -> None:
-        """Let the operation look again at once at what it waits for."""
+        """Resume the operation at once, so that it checks again what it waits for."""
         if self.task is not None:
             self.task.wake()
 
     def end(self, ended_by: EndedBy) -> bool:
-        """End the operation; returns whether it did. A second time does nothing, it may be finishing its work."""
+        """End the operation; return whether it could be ended.
+
+        A second call has no effect, because it may be finishing its work.
+        """
         task, self.task = self.task, None
         if task is not None:
             task.throw(Cancelled(ended_by))
@@ -102,7 +108,11 @@ class Request:
             raise Cancelled(ended_by)
 
     def leave(self) -> None:
-        """The exit: called directly before anything of this request is handed to the middleware; raises `Cancelled`."""
+        """Check that the request may still act; called directly before anything of it is handed to the middleware.
+
+        Raises:
+            Cancelled: if a stop, the end of the link lease or the latch came after it was accepted.
+        """
         try:
             self.check_accepted()
         except Cancelled as cancelled:
@@ -112,52 +122,55 @@ class Request:
         self.has_left = True
 
     def has(self, name: str) -> bool:
-        """Whether the argument is there and not null."""
+        """Return whether the argument is there and not null."""
         return self._header.get(name) is not None
 
     def text(self, name: str, default: str | None = None) -> str:
-        """A string that is not empty; the default where it is absent, null or empty, an error if there is none."""
+        """Return a string that is not empty.
+
+        If it is absent, null or empty, return the default; without a default, raise.
+        """
         if default is not None and not self._header.get(name):
             return default
         return self._required(name, "a string that is not empty", lambda value: value != "" and isinstance(value, str))
 
     def texts(self, name: str) -> list[str]:
-        """A required list of strings."""
+        """Return a required list of strings."""
         return self._required(name, "a list of strings", lambda value: _is_list_of(str, value))
 
     def number(self, name: str, default: float | None = None) -> float:
-        """A number that is not negative; the default where it is absent or null, an error if there is no default."""
+        """Return a number of at least 0. If it is absent or null, return the default; without a default, raise."""
         if default is not None and not self.has(name):
             return default
         return self._required(name, "a number that is not negative", lambda value: _is_number(value) and value >= 0)
 
     def flag(self, name: str) -> bool:
-        """Whether the argument is there and true."""
+        """Return whether the argument is there and true."""
         return self.has(name) and self._required(name, "true or false", lambda value: isinstance(value, bool))
 
     def rate(self) -> float:
-        """The required `rate_hz`."""
+        """Return the required `rate_hz`."""
         expected = f"a number from {MIN_RATE_HZ:g} to {MAX_RATE_HZ:g}"
         return self._required(
             "rate_hz", expected, lambda value: _is_number(value) and MIN_RATE_HZ <= value <= MAX_RATE_HZ
         )
 
     def sizes(self, name: str) -> list[int]:
-        """The required sizes of the parts that the body is made of."""
+        """Return the required sizes of the parts of the body, in bytes."""
         size = len(self.body)
         expected = f"a list of sizes that add up to the body's {size} bytes"
         return self._required(name, expected, lambda value: _is_list_of(int, value) and sum(value) == size)
 
     def choice(self, name: str, choices: Sequence[str]) -> str:
-        """A required string out of `choices`."""
+        """Return a required string, one of `choices`."""
         return self._required(name, "one of " + ", ".join(choices), lambda value: value in choices)
 
     def qos(self) -> Mapping[str, object]:
-        """A required object of policies."""
+        """Return the required object of QoS policies."""
         return self._required("qos", "an object", lambda value: isinstance(value, dict))
 
     def _required(self, name: str, expected: str, is_right: Callable[[Any], bool]) -> Any:
-        """The argument, which `is_right` makes sure is of the type that the caller returns."""
+        """Return the argument, of which `is_right` has checked that it has the type that the caller returns."""
         value = self._header.get(name)
         if not is_right(value):
             raise OperationError("bad_request", f"{self.op}: {name} is {value!r}, expected {expected}.")

@@ -1,4 +1,4 @@
-"""The bridge's end of the stream: packets come in on one thread and go out on another, replies before samples."""
+"""The bridge's end of the stream: one thread reads packets, another one writes them, replies before samples."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from ros2_mcp_common.wire.packets import Packet, PacketError, PacketReader, pack
 from ros2_mcp_common.wire.pieces import LANE_OF_REQUESTS, Credit, Cut, Lanes
 from ros2_mcp_common.wire.protocol import Counts, SampleHead, Samples
 
-# As much as a pipe of the local carrier holds; one that holds less gives less.
+# As much as a pipe of the local carrier holds.
 READ_BYTES = BATCH_BYTES
-# In a batch that leaves in pieces: the times of as many samples take about as much room as a piece.
+# The most samples in a batch that is sent in pieces: their times take about as much room as one piece.
 PIECE_SAMPLES = 256
 
 
 def claim_standard_streams() -> tuple[int, int]:
     """Move stdin and stdout to private descriptors, so that nothing else in this process reads or writes the stream.
 
-    Returns both descriptors. Afterwards 0 is /dev/null and 1 is stderr.
+    Return both descriptors. Afterwards 0 is /dev/null and 1 is stderr.
     """
     incoming, outgoing = os.dup(0), os.dup(1)  # close-on-exec, as every descriptor that Python makes
     null = os.open(os.devnull, os.O_RDONLY)
@@ -41,14 +41,17 @@ def read_packets(
     wait_readable: Callable[[], None] = lambda: None,
     outbox: Outbox | None = None,
 ) -> Iterator[Packet]:
-    """Yield every packet until the stream ends; raises `PacketError` when it breaks.
+    """Yield every packet until the stream ends.
 
-    `wait_readable` is called before each read; it returns when something can be read. With an `outbox`, pieces are put
-    together and acknowledged through it, and what the other side acknowledges is told to it.
+    `wait_readable` is called before each read and returns when something can be read. With an `outbox`, pieces are
+    assembled and acknowledged through it, and acknowledgements of the other side are passed to it.
+
+    Raises:
+        PacketError: if the stream breaks.
     """
     reader, lanes = PacketReader(), Lanes()
-    # Read into one buffer: os.read makes an object of so many bytes and then shrinks it. What is made meanwhile lies
-    # behind it, so each read tore a hole into the heap, and the process grew by 8 MB in an hour of small requests.
+    # Read into one buffer: os.read would create an object of READ_BYTES and then shrink it. Objects created meanwhile
+    # lie behind it, so each read left a hole in the heap, and the process grew by 8 MB in an hour of small requests.
     buffer = memoryview(bytearray(READ_BYTES))
     while True:
         wait_readable()
@@ -72,8 +75,8 @@ def read_packets(
 class Sample(NamedTuple):
     """One message as bytes.
 
-    `lost` is the number of messages known to be lost up to this one, or None where that cannot be known. `whole` is
-    how many bytes the message has where `data` is only its head, else 0.
+    `lost` is the number of messages known to be lost up to this one, or None if it cannot be known. `whole` is the size
+    of the message in bytes if `data` is only its head, else 0. Times are Unix times in ns.
     """
 
     received_ns: int
@@ -85,10 +88,11 @@ class Sample(NamedTuple):
 
 
 class SampleQueue:
-    """The samples of one subscription that wait for the stream: bounded, the oldest are dropped and counted.
+    """The samples of one subscription that wait for the stream. Its size is bounded: the
+    oldest are dropped and counted.
 
-    `cut` is the packet of them that is leaving in pieces; `skipped` are those between every n-th, which count as
-    received. Use it only through the `Outbox`, which holds the lock.
+    `cut` is the packet of samples that is being sent in pieces. `skipped` counts samples left out by `every_n`, which
+    count as received. Use the queue only through the `Outbox`, which holds the lock.
     """
 
     def __init__(self, number: int, max_samples: float, max_bytes: float) -> None:
@@ -98,13 +102,13 @@ class SampleQueue:
         self.dropped = 0
         self.waiting: deque[Sample] = deque()
         self.cut: Cut | None = None
-        self.asked: list[tuple[int | None, int | None]] = []  # requests answered after what waits, with what was lost
+        self.asked: list[tuple[int | None, int | None]] = []  # (request, lost): answered after what waits
         self.bytes = 0
         self._max_samples = max_samples
         self._max_bytes = max_bytes
 
     def add(self, samples: Iterable[Sample]) -> None:
-        """Append and keep the bounds; the newest sample stays even if it is larger than `max_bytes` alone."""
+        """Append samples and keep within the bounds. The newest sample is kept even if it alone exceeds `max_bytes`."""
         for sample in samples:
             self.received += 1
             if len(sample.data) > MAX_BODY_BYTES:  # no packet can carry it
@@ -116,29 +120,31 @@ class SampleQueue:
                 self.drop_oldest()
 
     def drop_oldest(self) -> None:
-        """One that waits is not sent."""
+        """Drop the oldest waiting sample."""
         self._pop()
         self.dropped += 1
 
     def counts(self, lost: int | None) -> Counts:
-        """What became of the messages so far; those that still wait count as received."""
+        """Return the counts of messages so far. Samples that still wait count as received."""
         return {"received": self.received + self.skipped, "dropped": self.dropped, "lost": lost}
 
     @property
     def has_work(self) -> bool:
-        """Whether something of it has yet to be written."""
+        """Whether something has yet to be written."""
         return bool(self.waiting or self.cut)
 
     def leave_at_most(self, most_bytes: int) -> None:
-        """Drop what would take longer than so many bytes: the oldest that wait, and a packet that has hardly begun."""
-        if self.cut and self.cut.left_bytes > most_bytes:  # batches of several are smaller: it is one sample
+        """Drop a packet of which more than `most_bytes` bytes are left, and the oldest samples
+        until no more than that wait.
+        """
+        if self.cut and self.cut.left_bytes > most_bytes:  # it is one sample: batches of several are smaller
             self.cut = None
             self.dropped += 1
         while self.waiting and self.bytes > most_bytes:
             self.drop_oldest()
 
     def take_batch(self, most_bytes: int = BATCH_BYTES, most_samples: float = math.inf) -> bytes:
-        """Remove the oldest samples, up to so many bytes or one, and return their packet."""
+        """Remove the oldest samples, up to so many bytes but at least one, and return their packet."""
         batch = [self._pop()]
         size = len(batch[0].data)
         while self.waiting and size + len(self.waiting[0].data) <= most_bytes and len(batch) < most_samples:
@@ -161,10 +167,10 @@ class SampleQueue:
 
 
 class Outbox:
-    """What waits to be written: replies and events, which are never dropped, and queues of samples.
+    """What waits to be written: replies and events, which are never dropped, and queues of samples. Thread-safe.
 
-    Over a slow link (`begin_pieces`) what is large, and all samples, leave in pieces as far as the server keeps up;
-    what is small goes before them.
+    Over a slow link (`begin_pieces`), large packets and all samples are sent in pieces, as far as the server keeps up;
+    small packets go before them.
     """
 
     def __init__(self) -> None:
@@ -175,13 +181,16 @@ class Outbox:
         self._credit: Credit | None = None
 
     def begin_pieces(self, window_bytes: int) -> None:
-        """From now on only so many bytes of pieces are under way, unless it is 0; a second call changes nothing."""
+        """Allow only so many bytes of pieces under way from now on; 0 has no effect. A second call changes nothing."""
         with self._changed:
             if window_bytes and self._credit is None:
                 self._credit = Credit(max(window_bytes, PIECE_BYTES))
 
     def acknowledge(self, total: object) -> None:
-        """The server has taken so many bytes of pieces; raises `PacketError` for what cannot be."""
+        """Record that the server has taken `total` bytes of pieces in all.
+
+        Raise `PacketError` for an impossible number.
+        """
         with self._changed:
             if self._credit is None:
                 raise PacketError("pieces were acknowledged that were not written")
@@ -189,7 +198,7 @@ class Outbox:
             self._changed.notify()
 
     def send(self, header: Mapping[str, object], body: bytes = b"") -> None:
-        """Send a reply or an event; one that no packet can carry is replaced by an error."""
+        """Send a reply or an event. If it is too large for a packet, an error is sent instead."""
         packet = _pack(header, body)
         with self._changed:
             if self._credit is not None and len(packet) > PIECE_BYTES:
@@ -203,14 +212,14 @@ class Outbox:
         self.send({"id": request_id, "ok": ok}, body)
 
     def reply_error(self, request_id: int | None, error: Exception) -> None:
-        """Answer a request with what went wrong; what nobody expected is logged, too."""
+        """Answer a request with an error. An unexpected error is logged, too."""
         if not isinstance(error, OperationError):
             traceback.print_exception(type(error), error, error.__traceback__, file=sys.stderr)
             error = OperationError("ros_error", f"{type(error).__name__}: {error}")
         self.send({"id": request_id, "error": error.as_json()})
 
     def add_samples(self, queue: SampleQueue, samples: Iterable[Sample]) -> None:
-        """Let samples wait in their subscription's queue."""
+        """Append samples to their subscription's queue."""
         with self._changed:
             was_idle = not queue.has_work
             queue.add(samples)
@@ -228,8 +237,8 @@ class Outbox:
     ) -> None:
         """Answer a request with the counts as soon as the queue's samples have been sent.
 
-        Over a slow link only so much is still sent as may be under way, if they are the last: who ends a subscription
-        does not wait for more.
+        Over a slow link, if `is_last`, only as much is still sent as may be under way: a caller that ends a
+        subscription does not wait for more.
         """
         with self._changed:
             if self._credit is not None and is_last:
@@ -242,13 +251,13 @@ class Outbox:
                 self._changed.notify()
 
     def finish(self) -> None:
-        """Let `write_packets` return when it has written what waits now."""
+        """Make `write_packets` return when it has written what waits now."""
         with self._changed:
             self._packets.append(b"")
             self._changed.notify()
 
     def write_packets(self, descriptor: int) -> None:
-        """Write until `finish`, or until the other side closes the stream."""
+        """Write packets until `finish` is called, or the other side closes the stream."""
         try:
             while packet := self._next_packet():
                 rest = memoryview(packet)
@@ -267,7 +276,7 @@ class Outbox:
                 if not self._large[0].left_bytes:
                     self._large.popleft()
                 return packet
-            # One packet or piece of each queue in turn, so that a flood on one topic does not hold up the others.
+            # One packet or piece of each queue in turn, so that a flood on one topic does not delay the others.
             queue = self._queues.popleft()
             if self._credit is None:
                 packet = queue.take_batch()
@@ -282,7 +291,10 @@ class Outbox:
             return packet
 
     def _answer_counts(self, queue: SampleQueue) -> None:
-        """When all that waited has been sent: more may have come, and been sent, since the counts were asked for."""
+        """Answer the requests for counts of a queue that is empty.
+
+        The counts are current ones: more samples may have come, and been sent, since they were requested.
+        """
         self._packets.extend(_pack({"id": asked, "ok": queue.counts(lost)}, b"") for asked, lost in queue.asked)
         queue.asked.clear()
 

@@ -1,1 +1,1 @@
-"""What server and bridge share: stream, policies, small languages. Standard library only, no ROS."""
+"""The code that server and bridge share: stream, policies, languages. Standard library only, no ROS."""

@@ -1,25 +1,28 @@
-"""How the C library keeps the memory of large messages for the next ones."""
+"""Make the C library keep the memory of large messages for the next ones."""
 
 import ctypes
 import os
 import sys
 
-# Numbers of malloc.h.
+# Constants of malloc.h.
 M_TRIM_THRESHOLD = -1
 M_MMAP_THRESHOLD = -3
 M_ARENA_MAX = -8
-# A raw picture is 6 MB at full HD. Chosen: several fit, and after the last one no more than this is held without need.
+# The most freed memory to keep, and the size from which an allocation is returned at once. A raw full HD image is 6 MB,
+# so several fit.
 KEPT_BYTES = 32 * 1024 * 1024
-# Each pool of memory keeps so much, and glibc has eight for each processor: that many threads which have once had a
-# picture hold on to it. Python's threads take turns anyway; of two pools a thread of the middleware waits for neither.
+# Each arena of glibc keeps that much, and by default there are eight per processor, so that many threads that once had
+# an image would hold on to it. Python's threads take turns anyway; with two arenas no thread of the middleware waits
+# for one.
 MOST_ARENAS = 2
 
 
 def keep_freed_memory() -> None:
-    """Have freed memory kept up to 32 MB, where the C library is glibc and the user's environment does not tune it.
+    """Make glibc keep up to 32 MB of freed memory. No effect with another C library, or if the user's
+    environment tunes malloc.
 
-    By itself it gives most of it back at once, so that each copy of a large message is 1,500 page faults: that was a
-    third of the time of a picture that is read (docs/explanation/speed.md).
+    By default glibc returns most of it at once, so that each copy of a large message costs 1,500 page faults: this was
+    a third of the time to read an image (docs/explanation/speed.md).
     """
     if sys.platform != "linux" or any(name.startswith("MALLOC_") for name in os.environ):
         return

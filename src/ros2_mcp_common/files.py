@@ -1,7 +1,7 @@
-"""What operating systems do differently with files: locks, bytes at a place, whose a file is.
+"""File operations that differ between operating systems: locks, reading and writing at an offset, ownership.
 
-Server and bridge use it. On Windows owners and bits of a file say nothing: there a user's folders are closed to others
-by Windows itself, and nothing is checked here.
+Server and bridge use it. On Windows, owners and permission bits say nothing: Windows itself protects a user's folders,
+and nothing is checked here.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ if sys.platform == "win32":
     import msvcrt
 
     PLAIN = os.O_BINARY | os.O_NOINHERIT
-    # What is locked nobody else can read there, so that it is a byte far behind all that is written.
+    # On Windows no other process can read a locked byte, so a byte far behind all content is locked.
     _LOCKED_AT = 0x7FFF0000
 else:
     import fcntl
@@ -24,15 +24,18 @@ else:
     PLAIN = os.O_NOFOLLOW | os.O_CLOEXEC
     """For `os.open`: the file itself and no link, its bytes as they are, and not for our children."""
 
-# Windows lets nobody take the place of a file that somebody reads: who reads one of ours does so within milliseconds.
+# Windows does not replace a file that is open for reading; our own readers close a file within milliseconds.
 _REPLACED_S = 1.0
 _REPLACE_POLL_S = 0.01
 
 
 def take_lock(descriptor: int) -> bool:
-    """Takes the lock of an open file, if nobody has it; waits for nothing. It ends with `give_lock`, or the process.
+    """Take the lock of an open file without waiting; return whether it was free.
 
-    Raises `OSError` where the file cannot be locked at all.
+    `give_lock` or the end of the process releases it.
+
+    Raises:
+        OSError: if the file cannot be locked at all.
     """
     try:
         if sys.platform == "win32":
@@ -46,7 +49,7 @@ def take_lock(descriptor: int) -> bool:
 
 
 def give_lock(descriptor: int) -> None:
-    """Gives the lock of an open file back."""
+    """Release the lock of an open file."""
     if sys.platform == "win32":
         os.lseek(descriptor, _LOCKED_AT, os.SEEK_SET)
         msvcrt.locking(descriptor, msvcrt.LK_UNLCK, 1)
@@ -55,7 +58,7 @@ def give_lock(descriptor: int) -> None:
 
 
 def read_at(descriptor: int, most_bytes: int, offset: int) -> bytes:
-    """Bytes of an open file from that place on."""
+    """Read up to `most_bytes` bytes of an open file from that offset on."""
     if sys.platform == "win32":
         os.lseek(descriptor, offset, os.SEEK_SET)
         return os.read(descriptor, most_bytes)
@@ -63,7 +66,7 @@ def read_at(descriptor: int, most_bytes: int, offset: int) -> bytes:
 
 
 def write_at(descriptor: int, data: bytes, offset: int) -> None:
-    """Writes bytes into an open file at that place."""
+    """Write bytes into an open file at that offset."""
     if sys.platform == "win32":
         os.lseek(descriptor, offset, os.SEEK_SET)
         os.write(descriptor, data)
@@ -72,7 +75,7 @@ def write_at(descriptor: int, data: bytes, offset: int) -> None:
 
 
 def replace(written: Path, target: Path) -> None:
-    """Puts a file into the place of another one, whole."""
+    """Move a written file to the place of another one, atomically."""
     deadline = time.monotonic() + _REPLACED_S
     while True:
         try:
@@ -85,10 +88,10 @@ def replace(written: Path, target: Path) -> None:
 
 
 def is_of_others(found: os.stat_result) -> bool:
-    """Whether it belongs to another user, who is not root."""
+    """Return whether the file belongs to another user, except root."""
     return sys.platform != "win32" and found.st_uid not in (os.geteuid(), 0)
 
 
 def others_can_write(found: os.stat_result) -> bool:
-    """Whether others than its owner can write to it."""
+    """Return whether users other than the owner can write to the file."""
     return sys.platform != "win32" and bool(found.st_mode & (stat.S_IWGRP | stat.S_IWOTH))

@@ -1,4 +1,7 @@
-"""The one yaw of this package, in server and bridge: of a quaternion of any length. Needs no ROS."""
+"""The yaw of a quaternion of any length: the only such function of this package, for server and bridge.
+
+Needs no ROS.
+"""
 
 from __future__ import annotations
 
@@ -6,10 +9,10 @@ import math
 
 
 def yaw_rad(x: float, y: float, z: float, w: float) -> float:
-    """The heading of a quaternion, seen from above: the angle of its x axis, from x towards y, -π to π.
+    """Return the heading of a quaternion in rad, -π to π: the angle of its x axis, seen from above, from x towards y.
 
-    Its length does not matter: drivers send quaternions that rounding, or a filter, has left shorter or longer than 1.
-    0 where all four are zeros, as in a message that nobody has filled in; NaN where one is not finite.
+    The length does not matter, because rounding or a filter may leave a driver's quaternions shorter or longer than 1.
+    Return 0 if all four numbers are zero, as in a message that was not filled in, and NaN if one is not finite.
     """
     size = max(abs(x), abs(y), abs(z), abs(w))
     if not all(map(math.isfinite, (x, y, z, w))):

@@ -1,8 +1,8 @@
-"""The latch: once it is set, nothing acts on this robot any more until an operator resets it. One small file.
+"""The latch: while it is set, nothing acts on this robot. Only an operator resets it. It is one small file.
 
-A file, because it has to hold where processes do not: after a restart, for a second server, when server and bridge have
-died and the stopper sets it. Server, bridge and stopper write and read it with this module. A look is one `stat`, so
-that every exit can look each time. See docs/decisions/0029-latch-and-state.md.
+It is a file because it has to outlive processes: after a restart, for a second server, or if the stopper sets it
+because server and bridge have died. Server, bridge and stopper read and write it with this module. A look costs one
+`stat`, so that every exit can look each time. See docs/decisions/0029-latch-and-state.md.
 """
 
 from __future__ import annotations
@@ -24,18 +24,19 @@ from ros2_mcp_common.files import PLAIN, take_lock
 from ros2_mcp_common.files import replace as put_in_place
 
 FILE = "latch.json"
-# Who writes takes turns: each takes as long as the disk, milliseconds as a rule. One that hangs in its turn must not
-# keep a stop from being latched: after this time the latch is set without a turn; a reset gives up. Chosen.
+# Processes write in turns, each as long as the disk takes, normally milliseconds. A process that hangs in its turn must
+# not keep a stop from being latched: after this time the latch is set without a turn; a reset gives up.
 TURN_S = 1.0
 _TURN_POLL_S = 0.002
-# What cannot be written, as on a full disk, is tried again: an operator resets what is in the file. Chosen.
+# The period of further tries if the latch cannot be written, for example to a full disk. An operator resets what is in
+# the file.
 WRITTEN_AGAIN_S = 2.0
-# Of files that are written one after the other, as many have different sizes: more than are written in a tick. Chosen.
+# So many files written one after the other have different sizes: more than can be written in one clock tick.
 _SIZES = 61
-# Numbers that are passed over by who writes without a turn: two that do so at once, each not knowing of the other, take
-# the same one once in so many times, and an operator who has looked at one resets the other with it. Chosen.
+# A process that writes without a turn skips a random number of counts below this. Otherwise two such processes, each
+# not knowing of the other, would use the same count, and an operator who looked at one would also reset the other.
 _SKIPPED = 1_000_000
-# A reason is one sentence; nobody fills the disk with it.
+# The longest name or reason in characters, so that a caller cannot fill the disk.
 MAX_TEXT = 500
 
 
@@ -43,8 +44,8 @@ MAX_TEXT = 500
 class LatchState:
     """Whether the latch is set, by whom and why, and since when (Unix time, s).
 
-    `count` grows with each setting: what was accepted at another count does not act any more, also after a reset. While
-    it is set, the first cause stays; `count` tells who resets it whether another came since he looked.
+    `count` grows with each setting. A command accepted at another count does not act any more, also after a reset.
+    While the latch is set, the first cause is kept; `count` shows whether another one came since an operator looked.
     """
 
     is_set: bool = False
@@ -55,19 +56,19 @@ class LatchState:
 
 
 _KINDS: Mapping[str, Any] = {"is_set": bool, "count": int, "by": str, "reason": str, "since": (int, float)}
-"""Of what is written; others would not come through the stream, or onto a screen."""
+"""The JSON types of the file's entries; others are rejected, because they could not be sent or shown."""
 
 
 class ResetRefused(Exception):
-    """A reset that was not carried out; its text says why."""
+    """Raised if a reset was not carried out; its text says why."""
 
 
 class Latch:
-    """The latch in a file; without a path it is kept in memory only. Safe to use from any thread.
+    """The latch in a file; without a path it is kept in memory only. Thread-safe.
 
-    What cannot be read counts as set. A file that vanishes changes nothing for whoever has seen it.
+    A latch that cannot be read counts as set. If the file vanishes, the last state that was read holds.
 
-    Where the file is on another machine, the one in memory mirrors it: `mirror` is told how that is.
+    If the file is on another machine, a latch in memory mirrors it: `mirror` gives it the state there.
     """
 
     def __init__(self, path: Path | None = None) -> None:
@@ -78,27 +79,27 @@ class Latch:
         self._held: LatchState | None = None
         self._mirrored = LatchState()
         self.is_own = False
-        """Whether it was set here, in memory, and the latch elsewhere that this one mirrors does not have it yet."""
+        """Whether it was set here, in memory, and the latch that it mirrors does not have that setting yet."""
 
     def look(self) -> LatchState:
-        """How it is now; never raises."""
+        """Return the current state; never raises."""
         written, held = self._read(), self._held
         return held if held and not written.is_set else written
 
     def set(self, *, by: str, reason: str) -> str:
-        """Sets it, for this process at once; returns what kept it from being written, "" where it was written."""
+        """Set the latch, for this process at once. Return why it could not be written, "" if it was written."""
         self.hold(by=by, reason=reason)
         return self.write()
 
     def hold(self, *, by: str, reason: str) -> None:
-        """Sets it for this process, at once; `write` makes it last, and may take as long as the disk."""
+        """Set the latch for this process, at once. `write` makes it permanent, and may take as long as the disk."""
         state = self.look()
         self.is_own = self.path is None
         cause = {} if state.is_set else {"by": by[:MAX_TEXT], "reason": reason[:MAX_TEXT], "since": time.time()}
         self._held = replace(state, is_set=True, count=state.count + 1, **cause)
 
     def write(self) -> str:
-        """Writes what is held; returns what kept it from being written, "" where it was written."""
+        """Write a setting that is held in memory. Return why it could not be written, "" if it was written."""
         held = self._held
         if held is None:
             return ""
@@ -116,9 +117,10 @@ class Latch:
         return ""
 
     def mirror(self, state: LatchState) -> None:
-        """Take over how the latch of this robot is elsewhere, if it has changed there; only for one without a path.
+        """Take over a changed state of the latch on another machine; only for a latch without a path.
 
-        What was set here is not reset before it was set there, too. The count grows as often as it was set there.
+        A setting from here is not reset until it was set there, too. The count grows by as many
+        settings as there were there.
         """
         with self._turn:
             before = self._mirrored
@@ -127,18 +129,20 @@ class Latch:
             self.is_own, self._mirrored = False, state
             if state == before:
                 return
-            # The first one that is told may have been set and reset often, long before there was this one.
+            # The first state may be of a latch that was set and reset often, long before this one existed.
             grown = max(state.count - before.count, 0) if before.count else int(state.is_set)
             grown = max(grown, int(state.is_set and not before.is_set))
             self._state, self._held = replace(state, count=self._state.count + grown), None
 
     def write_at_last(self) -> None:
-        """Writes what is held, again and again until that succeeds or an operator has reset it."""
+        """Write a setting that is held in memory, trying again until that succeeds or an operator has reset it."""
         while self.write():
             time.sleep(WRITTEN_AGAIN_S)
 
     def reset(self, *, by: str, seen: int) -> LatchState:
-        """Resets it, for an operator who has looked at it when its count was `seen`; starts nothing. Returns how it is.
+        """Reset the latch for an operator who looked at it when its count was `seen`. Return the new state.
+
+        Nothing that was stopped starts again.
 
         Raises:
             ResetRefused: if it was set again since, or cannot be written.
@@ -163,8 +167,8 @@ class Latch:
             return self._state
         except OSError as error:
             return self._unreadable(error)
-        # A new file takes the place of the old one at each change. Within one tick of the file system's clock (4 ms) a
-        # number may come back: `_write` sees to it that the size differs then.
+        # Each change replaces the file. Within one tick of the file system's clock (4 ms) an inode number may be used
+        # again: `_write` makes the size differ then.
         seen = found.st_ino, found.st_mtime_ns, found.st_size
         if seen != self._seen:
             try:
@@ -180,7 +184,10 @@ class Latch:
             raise ResetRefused(f"it was set again since you looked: {now.by}: {now.reason}")
 
     def _after(self, state: LatchState, step: int) -> LatchState:
-        """The state that follows what another process may have written meanwhile: its cause stays, the count grows."""
+        """Return the state to write after what another process may have written meanwhile.
+
+        The cause in the file is kept, and the count grows.
+        """
         assert self.path
         try:
             written = _from_json(self.path.read_bytes())
@@ -195,7 +202,10 @@ class Latch:
         return self._state
 
     def _write(self, state: LatchState, check: Callable[[], None] = lambda: None) -> None:
-        """A new file in the place of the old one, and on the disk: a robot is also switched off. `check` comes last."""
+        """Replace the file, and sync it to the disk, because a robot may be switched off.
+
+        `check` is called directly before.
+        """
         assert self.path
         written = self.path.with_name(f".{self.path.name}.{os.getpid()}.{threading.get_ident()}")
         descriptor = os.open(written, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | PLAIN, 0o600)
@@ -210,8 +220,9 @@ class Latch:
 
 @contextlib.contextmanager
 def _turn(path: Path, *, is_needed: bool) -> Generator[bool, None, None]:
-    """Around reading and writing, one process at a time; who needs no turn goes on without one after `TURN_S`: the
-    context's value says whether it has it.
+    """A context manager around reading and writing: only one process at a time is in it.
+
+    The context's value is True, or False for a caller that does not need a turn and got none within `TURN_S`.
     """
     path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
     descriptor = os.open(path.with_suffix(".lock"), os.O_RDWR | os.O_CREAT | PLAIN, 0o600)
@@ -229,7 +240,7 @@ def _turn(path: Path, *, is_needed: bool) -> Generator[bool, None, None]:
 
 
 def _from_json(text: bytes) -> LatchState:
-    """What was written; raises `ValueError` for what is no latch."""
+    """Return the state in the file's text. Raise `ValueError` if it is no latch."""
     found: Any = json.loads(text)
     if not isinstance(found, Mapping):
         raise ValueError("it is no JSON object")

@@ -1,4 +1,7 @@
-"""Which messages pass a rate limit. Shared by the bridge and the server; needs no ROS."""
+"""A rate limit on messages, which decides for each message whether it passes.
+
+Server and bridge share it. Needs no ROS.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +9,12 @@ MADE_UP_NS = 100_000_000
 
 
 class Rhythm:
-    """Lets messages pass at no more than a rate, evenly, and never fewer than that where more come.
+    """Lets messages pass at a rate, evenly: never faster, and not slower if enough messages come.
 
-    Messages seldom come exactly when the next one is due. One that comes up to half a period early passes, and the
-    next is due a period after this one *was due*: so the rate is exact on average, and a source that has just the
-    rate asked for passes whole. What is missed in a short stall of the source is made up for,
-    no faster than at twice the rate; what is missed in a longer silence is not.
+    Messages seldom come exactly when the next one is due. One that comes up to half a period early passes, and the next
+    is due a period after this one *was due*: so the rate is exact on average, and all messages of a source with just
+    that rate pass. Messages missed in a short stall of the source are made up for, at no more than twice the rate;
+    those missed in a longer silence are not.
     """
 
     def __init__(self, rate_hz: float) -> None:
@@ -20,7 +23,7 @@ class Rhythm:
         self._last_ns = 0
 
     def passes(self, now_ns: int) -> bool:
-        """Whether a message of that time passes; a clock that is set back begins anew."""
+        """Return whether a message received at that time passes. If the clock was set back, the rhythm begins anew."""
         half_ns = self._period_ns // 2
         if now_ns < self._last_ns - self._period_ns:
             self._due_ns = self._last_ns = 0

@@ -1,1 +1,3 @@
-"""The last check before the graph: velocities and trajectories, limits, watchdogs and fail-safes."""
+"""The exits of the bridge: limits, ramps, watchdogs' stops and fail-safes for all messages
+and requests that leave it.
+"""

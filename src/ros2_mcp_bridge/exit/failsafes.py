@@ -1,4 +1,7 @@
-"""Fail-safes: what is done when the server is gone, or silent: zeros on driven topics, and what the server has left."""
+"""Fail-safes: what the bridge does when the server is gone or silent.
+
+It publishes zeros on driven topics, cancels goals and stops vehicles.
+"""
 
 from __future__ import annotations
 
@@ -12,24 +15,25 @@ from ros2_mcp_common.policy.flight import brakes, only_asks, vehicle_of
 from ros2_mcp_common.policy.verbs import meaning
 from ros2_mcp_common.wire import protocol
 
-# A request that only keeps a fail-safe has nothing to wake up for: cancelling ends this sleep. Any long time would do.
+# The sleep of a request that only keeps a fail-safe in force. Cancelling the request ends the sleep, so the length does
+# not matter.
 HOLD_S = 3600.0
 
 
 class Arrival(Protocol):
-    """What tells whether something sent has arrived: a future of rclpy, or a `Publisher`."""
+    """A message or call on its way, which says when it has arrived: a future of rclpy, or a `Publisher`."""
 
     def done(self) -> bool:
-        """Whether there is nothing more to wait for."""
+        """Return whether there is nothing more to wait for."""
         ...
 
 
 Action = Callable[[], "Arrival | None"]
-"""Sends something at the end; returns what is to be waited for, if anything."""
+"""Performs one fail-safe. Returns what to wait for, or None."""
 
 
 class Motion(NamedTuple):
-    """What a call sets in motion, and a fail-safe ends: a goal of an action by its id, or a vehicle (`goal_id` "")."""
+    """A motion that a fail-safe ends: an action goal, by its id in hex, or a vehicle (`goal_id` is "")."""
 
     name: str
     goal_id: str = ""
@@ -39,7 +43,10 @@ class Motion(NamedTuple):
 
 
 def begun_by(service: str, type_name: str, message: Any) -> Motion | None:
-    """What a call with this decoded request sets in motion that a fail-safe has to end; None where there is nothing."""
+    """Return the motion that this call starts, or None if it starts none that a fail-safe has to end.
+
+    `message` is the decoded request of the service call.
+    """
     meant = meaning(service, type_name)
     if meant.verb == "goal":
         return Motion(meant.name, bytes(message.goal_id.uuid).hex())
@@ -50,7 +57,10 @@ def begun_by(service: str, type_name: str, message: Any) -> Motion | None:
 
 
 def ended_by(service: str, type_name: str, message: Any) -> Motion | None:
-    """What a call with this decoded request ends; None where it cancels no goal and makes no vehicle stand."""
+    """Return the motion that this call ends, or None if it neither cancels a goal nor stops a vehicle.
+
+    `message` is the decoded request of the service call.
+    """
     meant = meaning(service, type_name)
     if meant.verb == "cancel":
         return Motion(meant.name, bytes(message.goal_info.goal_id.uuid).hex())
@@ -58,7 +68,7 @@ def ended_by(service: str, type_name: str, message: Any) -> Motion | None:
 
 
 class FailSafes:
-    """The zeros of the topics that are driven, which `send_zeros` sends, and what requests have left to be done."""
+    """The fail-safes in force: the zeros of driven topics, which `send_zeros` publishes, and one action per request."""
 
     def __init__(self, send_zeros: Callable[[], None]) -> None:
         self._send_zeros = send_zeros
@@ -67,7 +77,7 @@ class FailSafes:
 
     @contextmanager
     def in_force(self, request: Request, action: Action, ends: Motion | None = None) -> Generator[None, None, None]:
-        """The action, which `ends` this motion, is in force inside of this context."""
+        """A context manager in which the action, which ends the motion `ends`, is in force for the request."""
         self._actions[request] = action
         if ends:
             self._ends[request] = ends
@@ -78,7 +88,7 @@ class FailSafes:
             self._ends.pop(request, None)
 
     def check_held(self, motion: Motion) -> None:
-        """Raise `OperationError` of kind `bad_request` where no fail-safe that ends this motion is in force."""
+        """Raise `OperationError` of kind `bad_request` if no fail-safe in force ends this motion."""
         if motion not in self._ends.values():
             problem = f"No fail-safe is in force that ends {motion}: nothing was sent."
             raise OperationError("bad_request", problem)
@@ -96,21 +106,22 @@ class FailSafes:
 
     @property
     def has_goals(self) -> bool:
-        """Whether something is left to be done besides zeros: a goal runs that is to be cancelled."""
+        """Whether an action, such as cancelling a goal, is in force besides the zeros."""
         return bool(self._actions)
 
     def carry_out(self) -> list[Arrival]:
-        """Carry all of them out, zeros first, because calls can block; returns what to wait for.
+        """Publish all zeros, then perform all actions, and return what to wait for. Zeros go first,
+        because a call can block.
 
-        Another thread does this when the ROS thread hangs. If the ROS thread comes to it later, it does it once more:
-        it may have published something after the zeros.
+        Another thread calls this when the ROS thread hangs. If the ROS thread recovers, it calls this again, because it
+        may have published something after the zeros.
         """
         self._send_zeros()
         pending: list[Arrival] = []
         for request, action in list(self._actions.items()):
             try:
                 arrival = action()
-            except Exception as error:  # noqa: BLE001 - one that fails must not keep the others from being done
+            except Exception as error:  # noqa: BLE001 - a failed action must not prevent the others
                 sys.stderr.write(f"the fail-safe of {request.op} could not be carried out: {error}\n")
             else:
                 pending += [] if arrival is None else [arrival]

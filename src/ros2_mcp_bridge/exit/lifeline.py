@@ -1,10 +1,11 @@
-"""The bridge's ends of the lifelines: has two stoppers, tells them what moves, and beats as long as this process lives.
+"""The bridge's ends of the lifelines: starts two stoppers, reports to them what moves, and sends beats
+while this process lives.
 
-A stopper (`stopper.py`) is another process, which sends the zeros where this one cannot. There are two, so that one of
-them and this process may die together. Each has a pipe of its own. Only this process holds
-the writing end, so that the kernel closes it however this process dies. A line is a JSON object about one
-topic, or about a call that is left to be made; an empty one is a beat. See
-docs/decisions/0030-a-second-process-that-stops.md and 0062-a-third-party-that-stops.md.
+A stopper (`stopper.py`) is another process, which sends the zeros when this one cannot. There are two, so that one of
+them and this process may die together. Each has its own pipe. Only this process holds the writing end, so the kernel
+closes the pipe however this process dies. Each line is a JSON object about one topic, or about a call to be made after
+a death; an empty line is a beat. See docs/decisions/0030-a-second-process-that-stops.md and
+0062-a-third-party-that-stops.md.
 """
 
 from __future__ import annotations
@@ -23,31 +24,32 @@ from ros2_mcp_bridge.exit.spawning import Child, spawn
 from ros2_mcp_bridge.request import Steps
 from ros2_mcp_common.wire.protocol import StopperEvent
 
-# A fifth of the silence after which the stopper acts (SILENCE_S there): four beats may be late. Chosen.
+# The period of beats: a fifth of the silence after which the stopper acts (its SILENCE_S), so four beats may be late.
 BEAT_S = 0.05
-# A ROS thread goes round four times a second at least. One that has not for so long hangs, whatever other threads do:
-# then there are no beats. Chosen: twice as long, as a machine that is short of processors makes it late.
+# After this time without a turn the ROS thread is hung, whatever other threads do, and no beats are sent. It makes a
+# turn at least four times a second; twice that period allows for a machine short of processors.
 ROS_HANGS_S = 0.5
-# A stopper reads every 0.02 s while something moves. One that leaves beats unread for so long is stopped, or starves:
-# it is none. Chosen.
+# A stopper reads every 0.02 s while something moves. One that leaves beats unread for this long is suspended or
+# starved, and is replaced.
 DEAF_S = 2.0
-# Decided: the first command that moves waits no longer for the stoppers. One needs 0.1 to 0.4 s, for its participant
-# and for discovery; a later one, which begins without rclpy, up to a second more.
+# The longest wait of the first moving command for the stoppers. A stopper needs 0.1 to 0.4 s for its participant and
+# for discovery; a later one, which starts without rclpy loaded, up to a second more.
 READY_S = 2.0
-# While it is waited for; on one machine it says what it has matched within milliseconds. Chosen.
+# The polling period of that wait. On one machine, a stopper reports its matches within milliseconds.
 POLL_S = 0.005
-# One that ended before it was ready is most likely to end so again: the next try is made by a command after this time.
+# A stopper that ended before it was ready would probably end again: it is started again only after this time.
 AGAIN_S = 10.0
-# One that moves nothing leaves at once when the lifeline ends; this process has 1 s for its whole end. Chosen.
+# The longest wait for the stoppers to exit. With nothing moving they exit at once; this process has 1 s for its own
+# exit.
 LEAVES_S = 0.2
-# A line has to fit into the pipe beside others; no frame id of ROS is nearly as long. Chosen.
+# The longest text in a line: a line has to fit into the pipe beside others. No frame id in ROS is nearly as long.
 MAX_TEXT_CHARS = 4000
 
 Key = tuple[str, str]
 
 
 class Moved(Protocol):
-    """What the lifeline reads of a velocity topic."""
+    """A velocity topic, as the lifeline reads it."""
 
     name: str
     type: str
@@ -56,27 +58,27 @@ class Moved(Protocol):
     moves: bool
 
     def profiles(self) -> list[tuple[str, str]]:
-        """Reliability and durability of each of its publishers, none of them twice."""
+        """Return the distinct pairs of reliability and durability of its publishers."""
         ...
 
     def matched(self) -> int:
-        """The number of subscribers that would get a message now."""
+        """Return the number of matched subscribers."""
         ...
 
 
 class Guarded(NamedTuple):
-    """How long a command waited for the stoppers, in s, and in words why it goes without one; "" if it does not."""
+    """How long a command waited for the stoppers, in s, and the reason if it is sent without one (else "")."""
 
     waited_s: float = 0.0
     problem: str = ""
 
 
 class _Stopper:
-    """One of the stoppers: its process, what that was told, and what it has matched.
+    """One of the stoppers: its process, what was sent to it, and its matched subscribers.
 
-    `child` is None until the process is to begin, and after its end; `copy` is the first process, if there is one.
-    `heard` is called with each line that it tells, and `ended` with whether it was ready when it ended, both on a
-    thread of its own.
+    `child` is None before the process starts and after it ends; `copy` is a process forked in advance, if there is one.
+    `heard` is called with each line that the stopper sends; `ended` is called when it ended, with whether it had been
+    ready. Both are called on a separate thread.
     """
 
     def __init__(
@@ -100,7 +102,10 @@ class _Stopper:
         self._is_ending = False
 
     def start(self) -> bool:
-        """Have it begin if it does not run, and has not just failed to; whether it begins now. ROS thread only."""
+        """Start the process unless it runs or has failed recently; return whether it was started now.
+
+        ROS thread only.
+        """
         if self.child is not None or self._is_ending or time.monotonic() - self._failed_at < AGAIN_S:
             return False
         self.problem, self.told, self.matched, self._unread = "", {}, {}, 0
@@ -117,19 +122,19 @@ class _Stopper:
         return True
 
     def tell(self, key: Key, line: Mapping[str, object]) -> None:
-        """Tell it of a topic, if it does not know that already."""
+        """Send the stopper this line about a topic, unless it was the last one sent."""
         if self.child and self.told.get(key) != line:
             self.told[key] = line
             self.write(json.dumps(line).encode() + b"\n")
 
     def forget(self, key: Key) -> None:
-        """Tell it that the topic is not driven any more."""
+        """Notify the stopper that the topic is no longer driven."""
         self.matched.pop(key, None)
         if self.told.pop(key, None):
             self.write(json.dumps({"topic": key[0], "type": key[1], "profiles": []}).encode() + b"\n")
 
     def beat(self, *, hangs: bool) -> None:
-        """One beat, which is left out where the bridge `hangs`; ends one that reads no more."""
+        """Send one beat, unless the bridge `hangs`. Kill a stopper that no longer reads."""
         child = self.child
         if child is None:
             return
@@ -140,19 +145,19 @@ class _Stopper:
             self.write(b"\n")
 
     def end(self) -> None:
-        """Let it go: it sends zeros on what it was told that moves, and leaves."""
+        """Close the lifeline for good: the stopper sends zeros on topics that move, and exits."""
         with self._writing:
             self._is_ending = True
             if child := self.child or self._copy:
                 os.close(child.lifeline)
 
     def has_left(self) -> bool:
-        """Whether it has ended, or never was."""
+        """Return whether the process has ended or was never started."""
         child = self.child or self._copy
         return child is None or child.has_ended()
 
     def write(self, data: bytes) -> None:
-        """Never waits: a stopper that does not read is none."""
+        """Write to the lifeline without blocking. Kill a stopper whose pipe is full: it does not read."""
         with self._writing:
             child, written = self.child, 0
             if child is None or self._is_ending:
@@ -167,12 +172,12 @@ class _Stopper:
                 child.kill()
 
     def _has_unread(self, child: Child) -> bool:
-        """Whether something was written that it has not read yet."""
+        """Return whether the stopper has not yet read everything that was written."""
         with self._writing:
-            return self.child is child and not self._is_ending and child.has_unread()  # else it is closed
+            return self.child is child and not self._is_ending and child.has_unread()  # if not, it is closed
 
     def _hear(self, child: Child) -> None:
-        """What it tells, until it ends."""
+        """Pass on the lines that the stopper sends, until it ends."""
         with contextlib.suppress(ValueError), os.fdopen(child.told, encoding="utf-8") as lines:
             for line in lines:
                 self._heard(self, json.loads(line))
@@ -181,7 +186,7 @@ class _Stopper:
                 return
             os.close(child.lifeline)
             was_ready, self.child = bool(self.matched), None
-        child.end()  # one that tells nothing any more is none
+        child.end()  # a stopper that closed its output is useless
         if not was_ready:
             self._fail("it ended before it was ready")
         self._ended(was_ready)
@@ -192,11 +197,11 @@ class _Stopper:
 
 
 class Lifeline:
-    """The stoppers, told to begin by the first command that moves; `copies` are their first processes by their names.
+    """The two stoppers, started by the first command that moves; `copies` are processes forked in advance, by name.
 
-    `lost` is called, on a thread of its own, when a stopper that was ready has died while something moves.
-    `send_event` tells the server what the stoppers did, or what became of one; `turned_at` when the ROS thread last
-    went round (monotonic, s).
+    `lost` is called, on a separate thread, when a stopper that was ready has died while something moves.
+    `send_event` reports to the server what the stoppers did, or that one died; `turned_at` returns when the ROS
+    thread made its last turn (monotonic, s).
     """
 
     def __init__(
@@ -219,7 +224,10 @@ class Lifeline:
         self._is_ending = False
 
     def begin(self, topic: Moved) -> None:
-        """Have stoppers that know the topic: before a command that moves. ROS thread only."""
+        """Start the stoppers, if necessary, and send them the topic; called before a command that moves.
+
+        ROS thread only.
+        """
         self._known[topic.name, topic.type] = topic
         self._start()
         for known in self._known.values():
@@ -227,11 +235,14 @@ class Lifeline:
 
     @contextlib.contextmanager
     def leaving(self, service: str, type_name: str, body: bytes) -> Generator[None, None, None]:
-        """Inside of this context a stopper makes that call if this process and the server die. ROS thread only."""
+        """A context manager during which a stopper makes this call if this process and the server die.
+
+        ROS thread only.
+        """
         number = next(self._numbers)
         call = {"call": number, "service": service, "type": type_name, "body": body.hex(), "server": os.getppid()}
         line = json.dumps(call).encode() + b"\n"
-        if len(line) > MAX_TEXT_CHARS:  # none that cancels a goal, or makes a vehicle stand, is so long
+        if len(line) > MAX_TEXT_CHARS:  # no request that cancels a goal or stops a vehicle is so long
             yield
             return
         self._start()
@@ -244,7 +255,9 @@ class Lifeline:
             self._withdraw(number)
 
     def wait(self, topic: Moved) -> Steps[Guarded]:
-        """Steps until the stoppers have matched the subscribers of the topic, at most 2 s, once for each topic."""
+        """Steps that wait, once for each topic and at most 2 s, until the stoppers have matched the
+        subscribers of the topic.
+        """
         key, started = (topic.name, topic.type), time.monotonic()
         while (
             (running := self._running())
@@ -262,7 +275,7 @@ class Lifeline:
         return Guarded(waited_s, "" if is_ready else f"it was not ready within {READY_S:g} s")
 
     def tell(self, topic: Moved) -> None:
-        """Tell the stoppers what has become of a topic; without effect as long as there is none. From any thread."""
+        """Send the stoppers the current state of a topic; without effect while none runs. Thread-safe."""
         line = {
             "topic": topic.name,
             "type": topic.type,
@@ -276,7 +289,7 @@ class Lifeline:
         self._heed_motion()
 
     def forget(self, topic: Moved) -> None:
-        """The topic is not driven any more."""
+        """Notify the stoppers that the topic is no longer driven."""
         key = topic.name, topic.type
         self._known.pop(key, None)
         self._waited_for.discard(key)
@@ -285,7 +298,9 @@ class Lifeline:
         self._heed_motion()
 
     def end(self) -> None:
-        """Let the stoppers go: they send zeros on what they were told that moves, and leave. What was left is done."""
+        """Withdraw the calls left to the stoppers and close the lifelines: they send zeros on
+        topics that move, and exit.
+        """
         for number in list(self._left):
             self._withdraw(number)
         self._is_ending = True
@@ -293,7 +308,10 @@ class Lifeline:
             stopper.end()
 
     def wait_end(self) -> None:
-        """Wait a little for their end, so that nobody else has to; those that have something to stop outlive us."""
+        """Wait up to 0.2 s for the stoppers to exit, and reap them.
+
+        A stopper that still has something to stop outlives this process.
+        """
         deadline = time.monotonic() + LEAVES_S
         while not all(stopper.has_left() for stopper in self._stoppers) and time.monotonic() < deadline:
             time.sleep(POLL_S)
@@ -307,7 +325,7 @@ class Lifeline:
                 stopper.write(json.dumps({"call": number}).encode() + b"\n")
 
     def _start(self) -> None:
-        """Have those begin that do not run. One that is new knows what is left to be called."""
+        """Start the stoppers that do not run, and send each new one the calls that are left to be made."""
         for stopper in self._stoppers:
             if stopper.start():
                 self._waited_for.clear()
@@ -333,7 +351,7 @@ class Lifeline:
     def _take_in(self, stopper: _Stopper, told: Mapping[str, object]) -> None:
         if "matched" in told:
             stopper.matched[str(told["topic"]), str(told["type"])] = int(str(told["matched"]))
-        elif stopper in self._running()[:1]:  # they act alike: one of them is enough to tell
+        elif stopper in self._running()[:1]:  # both do the same: one report is enough
             self._tell_event("acted", f"the bridge was {told['why']}: its stopper sent the zeros")
 
     def _tell_event(self, what: Literal["acted", "lost"], message: str) -> None:

@@ -1,7 +1,8 @@
-"""What a policy lets leave this bridge, asked at its only two exits, of values that rclpy itself has decoded.
+"""The limiter: applies the policy at the bridge's only two exits (messages and service requests),
+to values decoded by rclpy.
 
-The server decides first, and gives the good errors. This holds also when the server is wrong: whatever is published or
-called comes by here, and a bridge that is under a policy lets nothing but zeros out until it has its rules. See
+The server applies the policy first, and gives the detailed errors. The limiter holds even if the server is wrong: every
+message and every request passes it. A bridge under a policy sends only zeros until it has received its rules. See
 docs/decisions/0028-limits-in-the-bridge.md.
 """
 
@@ -31,14 +32,15 @@ from ros2_mcp_common.policy.verbs import Verb, meaning
 from ros2_mcp_common.wire.limits import MAX_JUDGED_BYTES
 from ros2_mcp_common.wire.protocol import Spent
 
-# ROS resolves other spellings to these (`cmd_vel`, `~/x`, `{node}`): rules judge the name that is meant, and no other.
+# A fully qualified ROS name. ROS expands other spellings (`cmd_vel`, `~/x`, `{node}`); rules judge only the full name.
 _NAME = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+", re.ASCII)
-# A repeat's or relay's own time begins when its first message was acknowledged, at most so long after it was sent.
+# A repeat or relay counts its own duration from the acknowledgement of its first message, which comes at most this long
+# after that message was sent.
 BEGINS_S = 1.0
-# After this time without a message a topic that has no publisher is forgotten: the slowest rate is one in 100 s.
+# A topic without a publisher is forgotten after this time without a message. The slowest rate is one message in 100 s.
 FORGOTTEN_S = 120.0
-# A rate below this one is a budget: after a bridge that has died, the next one is not there sooner than a message of
-# a faster rate may leave. Chosen.
+# A rate below this one is a budget that the next bridge takes over. A bridge takes at least 1 s to restart, so a faster
+# rate needs no memory.
 SLOW_HZ = 1.0
 _WAYS: Mapping[str, Sequence[Verb]] = {
     "publish": ("publish",),
@@ -47,31 +49,36 @@ _WAYS: Mapping[str, Sequence[Verb]] = {
     "relay": ("relay", "play"),
     "failsafe_publish": ("publish", "relay", "play"),
 }
-"""What a request that publishes may be; only the server knows whether a relay that is fed plays a bag."""
+"""The verbs that a request that publishes may stand for. Only the server knows whether a relay plays a bag."""
 
 
 def refused(problem: str) -> OperationError:
-    """The error for what a policy does not let out; nothing of it was sent."""
+    """Return the error for a message or request that the policy does not allow, of which nothing was sent."""
     return OperationError("refused", problem, "ros2_policy shows what is allowed.")
 
 
 def check_size(data: bytes) -> None:
-    """Raise `OperationError` of kind `refused` for more than can be judged without holding up what else leaves."""
+    """Raise `OperationError` of kind `refused` for a body so large that judging it would delay other traffic."""
     if len(data) > MAX_JUDGED_BYTES:
         most = f"more than the {MAX_JUDGED_BYTES} that are judged where values have limits"
         raise refused(f"The policy of this robot: {len(data)} bytes are {most}.")
 
 
 def is_zero(message: Any) -> bool:
-    """Whether all numbers of a velocity command are zeros: it stops, and is never held back."""
+    """Return whether all numbers of a velocity command are zero.
+
+    Such a command stops the robot and is never held back.
+    """
     return not any(floats_of(message.__class__)[1](message))
 
 
 class Limiter:
-    """The rules of this bridge: none (`is_under_policy` is false), still to come, or taken; once taken they stay.
+    """The policy of this bridge: none (`is_under_policy` is false), not received yet (`rules` is
+    None), or in force for good.
 
-    `start` runs steps on the ROS thread's loop; `now` tells monotonic seconds. `send_event` tells the server what was
-    used of a budget, which it keeps for the next bridge. `look_at_joints` tells where the joints of a trajectory are.
+    `start` runs steps on the ROS thread's loop; `now` returns monotonic seconds. `send_event` reports to the server
+    what was used of a budget, which the server keeps for the next bridge. `look_at_joints` returns the positions of
+    joints, from which trajectories are judged.
     """
 
     def __init__(
@@ -93,12 +100,16 @@ class Limiter:
         self._topics: dict[tuple[str, str], TopicLimits] = {}
 
     def take(self, body: bytes) -> str:
-        """Take the compiled rules, as JSON, and return their digest; raises `OperationError` of kind `bad_request`."""
+        """Put the compiled rules, given as JSON, in force and return their digest.
+
+        Raises:
+            OperationError: of kind `bad_request`, if the rules cannot be read.
+        """
         try:
             given = cast("Mapping[str, Any]", json.loads(body))
             rules = Rules.from_json(given)
             watch = cast("Mapping[str, Any]", given.get("watch", {}))
-            rules_of(watch)  # what cannot be watched is no policy that is in force
+            rules_of(watch)  # raises if the bridge could not watch what the policy asks for
             self._resume(given.get("spent", ()))
         except (ValueError, TypeError, KeyError, AttributeError) as error:
             raise OperationError("bad_request", f"These rules cannot be read: {error!r}") from error
@@ -106,7 +117,11 @@ class Limiter:
         return rules.digest
 
     def resume(self, body: bytes) -> None:
-        """Take over what other bridges have used of the budgets, as JSON; raises `OperationError` (`bad_request`)."""
+        """Take over what earlier bridges used of the budgets, given as JSON.
+
+        Raises:
+            OperationError: of kind `bad_request`, if the body cannot be read.
+        """
         try:
             self._resume(json.loads(body))
         except (ValueError, TypeError) as error:
@@ -121,18 +136,20 @@ class Limiter:
                 self._left_at[key] = max(left_at)
 
     def bucket(self, key: tuple[str, str], rate_hz: float) -> Bucket:
-        """The rate of a topic, which goes on where a bridge before this one had left it."""
+        """Return the rate limiter of a topic, continuing from the last message of an earlier bridge."""
         return Bucket(rate_hz, self._left_at.get(key, -math.inf))
 
     def spend(self, key: tuple[str, str], bound: Literal["per_minute", "rate_hz"]) -> None:
-        """Tell that one more of that name and type was let out."""
+        """Report to the server that one more message or request of this name and type has passed."""
         self.send_event({"event": "spent", "name": key[0], "type": key[1], "bound": bound})
 
     def topic(self, request: Request) -> TopicLimits:
-        """What holds for the topic that a request names.
+        """Return the limits of the topic that a request names.
 
-        Raises `OperationError` of kind `refused` for one that nothing allows. Until there are rules, a topic may be
-        held ready for its zero.
+        Before the rules have been received, only a `failsafe_publish` is accepted: it prepares the topic for its zero.
+
+        Raises:
+            OperationError: of kind `refused`, if no rule allows the topic or the source of the relay.
         """
         key = request.text("topic"), request.text("type")
         if self.is_under_policy and not (self.rules is None and request.op == "failsafe_publish"):
@@ -148,22 +165,28 @@ class Limiter:
         return self._topics[key]
 
     def end_held(self) -> None:
-        """Every command that holds for a time ends now, with its zero. From any thread."""
+        """Send the zero on every topic where a command is being held for its hold time. Thread-safe."""
         for topic in list(self._topics.values()):
             topic.end()
 
     def publishing(self, name: str, type_name: str, ways: Sequence[Verb]) -> Ruling:
-        """What holds for publishing on a topic; raises `OperationError` of kind `refused` where nothing allows it."""
+        """Return the ruling for publishing on a topic with these verbs.
+
+        Raises:
+            OperationError: of kind `refused`, if no rule allows it.
+        """
         ruling = self._rules_for(name).topic(name, type_name, ways)
         if ruling.problem:
             raise refused(f"The policy of this robot: {ruling.problem} ({ruling.rule}).")
         return ruling
 
     def check_call(self, request: Request, message: Any, *, leaves: bool) -> None:
-        """Raise `OperationError` of kind `refused` unless this request to a service may leave: it only reads, or the
-        rules allow what it means, with these values. Cancelling goals stops, and so does making a vehicle stand where
-        no call of a client asks for it (`acceptance`): they are never refused. One that `leaves` now counts for what
-        may leave in a minute.
+        """Raise `OperationError` of kind `refused` unless this service request may leave.
+
+        It may leave if it only reads, or if the rules allow what it means with these values. Two kinds of request are
+        never refused, because they stop the robot: cancelling goals, and stopping a vehicle, unless a client called
+        the service itself (then the request has an `acceptance`). With `leaves`, the request leaves now and counts
+        against the limit per minute.
         """
         if not request.acceptance and brakes(request.text("service"), request.text("type"), message):
             return
@@ -180,8 +203,10 @@ class Limiter:
             self.check_minute(key, most)
 
     def calling(self, request: Request) -> Ruling | None:
-        """What holds for the service that a request names, None where nothing does; raises `OperationError` of kind
-        `refused` where no rule allows it.
+        """Return the ruling for the service that a request names, or None without a policy and for cancelling goals.
+
+        Raises:
+            OperationError: of kind `refused`, if no rule allows the call.
         """
         if not self.is_under_policy:
             return None
@@ -195,7 +220,7 @@ class Limiter:
         return ruling
 
     def check_minute(self, key: tuple[str, str], most: float) -> None:
-        """Raise `OperationError` where one more would be too many; `key` is a name and a type."""
+        """Raise `OperationError` if one more use within this minute exceeds `most`; `key` is a name and a type."""
         if not self._per_minute.setdefault(key, PerMinute()).take(self.now(), most):
             raise refused(
                 f"The policy of this robot: {key[0]} may be used {most:g} times a minute, and this limit is reached."
@@ -203,13 +228,16 @@ class Limiter:
         self.spend(key, "per_minute")
 
     def judge(self, ruling: Ruling, value: Any) -> None:
-        """Raise `OperationError` of kind `refused` for a value that breaks a limit."""
+        """Raise `OperationError` of kind `refused` if the value exceeds a limit."""
         judged = ruling.judge(value, self.look_at_joints)
         if judged.problem:
             raise refused(f"The policy of this robot: {judged.problem} ({judged.rule}).")
 
     def _rules_for(self, name: str) -> Rules:
-        """The rules; raises `OperationError` of kind `refused` while they have not come, or for an odd name."""
+        """Return the rules.
+
+        Raise `OperationError` of kind `refused` if they have not been received, or if `name` is no full name.
+        """
         if self.rules is None:
             raise refused("This bridge has not received its policy yet: it sends only zeros.")
         if not _NAME.fullmatch(name):
@@ -222,7 +250,7 @@ def _ways(request: Request) -> Sequence[Verb]:
 
 
 class _Way:
-    """What holds for one way of publishing on a topic."""
+    """The limits of one way of publishing on a topic: directly, by a relay, or as a fail-safe."""
 
     def __init__(self, ruling: Ruling, bucket: Callable[[float], Bucket]) -> None:
         self.ruling = ruling
@@ -235,28 +263,32 @@ class _Way:
         self._quick: QuickCheck | None = None
 
     def is_within(self, message: Any) -> bool:
-        """Whether a message is surely within all limits, found out quickly; if not, they have to judge it."""
+        """Return True if a quick check proves the message to be within all limits.
+
+        False means that the full check has to decide.
+        """
         if self._checks:
             self._quick, self._checks = QuickCheck.of(self._checks, message), ()
         return self._quick is not None and self._quick.is_within(message)
 
 
 def _all_checks(ruling: Ruling) -> Sequence[Checks]:
-    """The checks that a value must pass, all of them; none where it is enough to pass one of several."""
+    """Return the checks that prove a value to be allowed if it passes all of them."""
     checks = [limit.checks for limit in ruling.limits]
     for policy in ruling.policies:
         allowed = [entry.checks for entry in policy.allow]
         if not any(each.is_empty for each in allowed):
-            checks += allowed  # one would be enough: what passes all of them surely passes
+            checks += allowed  # a value needs to pass only one of them; passing all is a stricter test
     return checks
 
 
 class TopicLimits:
-    """What holds for one topic with one type, and what was sent there: rhythm, ramp, and how long the last one holds.
+    """The limits of one topic with one type, and the state they need: time of the last message,
+    ramp, end of the hold time.
 
-    `zeros` has for each publisher, or for all of a velocity topic, what sends the zero; that is called `hold_s` after
-    the last command (0: never). Limits on values do not depend on the way of publishing, so that all ways share the
-    ramp and the hold; nor do rates and ramps begin anew with another publisher.
+    `zeros` has, for each publisher or once for a velocity topic, a function that sends the zero. It is called `hold_s`
+    after the last command (0: never). Limits on values are the same for all ways of publishing, so they share the ramp
+    and the hold time. Another publisher resets neither rates nor ramps.
     """
 
     def __init__(self, limiter: Limiter, name: str, type_name: str) -> None:
@@ -274,14 +306,20 @@ class TopicLimits:
         self.zeros: dict[object, Callable[[], None]] = {}
 
     def needs_value(self, request: Request) -> bool:
-        """Whether the message has to be decoded; raises `OperationError` of kind `refused`."""
+        """Return whether the message has to be decoded.
+
+        Raise `OperationError` of kind `refused` if no rule allows the topic.
+        """
         way = self._way(request)
         return way is not None and (way.ruling.needs_value or self._ramp is not None)
 
     def fit(self, message: Any, request: Request) -> bool:
-        """Judge a message before anything is waited for: returns whether it was made smaller, as a stream's may be.
+        """Judge a message before waiting for anything else, and return whether it was clamped to the limits.
 
-        Raises `OperationError` of kind `refused`.
+        Only the messages of a stream, such as a relay, are clamped.
+
+        Raises:
+            OperationError: of kind `refused`, if the message exceeds a limit and may not be clamped.
         """
         way = self._way(request)
         if way is None or way.is_within(message):
@@ -294,10 +332,14 @@ class TopicLimits:
 
     @contextmanager
     def passing(self, message: Any, request: Request) -> Generator[bool, None, None]:
-        """A context in which one message leaves, which `fit` has judged; None where nothing has to be known of it.
-        Inside it holds what the ramp lets out now, and the context's value says whether that is less than was wanted.
+        """A context manager in which one message, already judged by `fit`, is sent.
 
-        Raises `OperationError` of kind `refused`; then nothing may be sent.
+        Inside the context, the message holds the values that the ramp allows now, and the context's value is
+        True if they are less than requested; afterwards the message has its own values again. `message` is
+        None if no rule needs its value.
+
+        Raises:
+            OperationError: of kind `refused`; then nothing may be sent.
         """
         way = self._way(request)
         if way is None:
@@ -305,14 +347,14 @@ class TopicLimits:
             return
         now = self._limiter.now()
         stops = self._type in VELOCITY_TYPES and message is not None and is_zero(message)
-        if not (stops and self._moving_request):  # a zero that ends nothing would only talk over others
+        if not (stops and self._moving_request):  # a zero that ends no motion has no priority
             self._check_time(way, request, now)
         is_ramped = self._ramp is not None and message is not None and not stops
         wanted: Mapping[str, float] = self._ramp.hold_back(message, now) if self._ramp and is_ramped else {}
         try:
             if (wanted and not way.is_within(message)) or way.has_curve:
-                # It lies between two that may be; where only certain values may, not all between them may be. And the
-                # joints may have moved since a trajectory was judged.
+                # The ramped value lies between two allowed values, but where only certain values are allowed, not all
+                # between them are. And the joints may have moved since a trajectory was judged.
                 self._limiter.judge(way.ruling, message)
             yield bool(wanted)
             self._has_left(message, request, now, stops=stops)
@@ -321,27 +363,30 @@ class TopicLimits:
 
     @property
     def is_held(self) -> bool:
-        """Whether a command holds here that is still to be ended with a zero."""
+        """Whether a command is in its hold time, at the end of which the zero is due."""
         return bool(self._moving_until)
 
     def is_as_new(self) -> bool:
-        """Whether nothing that was sent here matters any more. A joint stays where a ramp has led it."""
+        """Return whether nothing that was sent here matters any more.
+
+        A ramp on joints always matters: joints keep their place.
+        """
         has_place = self._ramp is not None and self._type not in VELOCITY_TYPES
         return not self.zeros and not has_place and self._limiter.now() - self._left_at > FORGOTTEN_S
 
     def end(self) -> None:
-        """End what holds here with its zero. From any thread."""
+        """Send the zero if a command is in its hold time. Thread-safe."""
         if self.is_held:
             self._send_zero()
 
     def rest(self) -> None:
-        """A zero was sent here. From any thread."""
+        """Record that a zero was sent here. Thread-safe."""
         self._moving_until, self._moving_request, self._rested_at = 0.0, None, self._limiter.now()
         if self._ramp:
             self._ramp.rest(self._rested_at)
 
     def _way(self, request: Request) -> _Way | None:
-        """What holds for this request; None without a policy. Raises `OperationError` of kind `refused`."""
+        """Return the limits for this request, or None without a policy. Raise `OperationError` of kind `refused`."""
         if not self._limiter.is_under_policy:
             return None
         ways = _ways(request)
@@ -356,8 +401,8 @@ class TopicLimits:
         return found
 
     def _check_time(self, way: _Way, request: Request, now: float) -> None:
-        """Raise `OperationError` where this request has published for longer, or the topic is commanded more often,
-        than a rule allows.
+        """Raise `OperationError` of kind `refused` if this request has published for longer, or the topic gets messages
+        more often, than a rule allows.
         """
         began = self._began.get(request)
         if began is None:
@@ -378,7 +423,7 @@ class TopicLimits:
         for send in list(self.zeros.values()):
             try:
                 send()
-            except Exception as error:  # noqa: BLE001 - the other publishers may reach who listens
+            except Exception as error:  # noqa: BLE001 - the other publishers may reach the subscribers
                 sys.stderr.write(f"{self._name} did not get its zero: {error}\n")
         self.rest()
 
@@ -397,7 +442,7 @@ class TopicLimits:
                 self._limiter.start(self._hold())
 
     def _hold(self) -> Steps[None]:
-        """Steps that wait until the last command has been held for its time, and then send the zero."""
+        """Steps that send the zero when the hold time of the last command is over."""
         try:
             while (left_s := self._moving_until - self._limiter.now()) > 0.0:
                 yield left_s
@@ -407,7 +452,10 @@ class TopicLimits:
 
 
 def _rates_of(limits: Sequence[Limit]) -> Mapping[str, tuple[float, float]]:
-    """The ramps of all these limits; where two name a path, the slower rates hold."""
+    """Return the ramps of all limits by path, as (up, down) per second.
+
+    If two limits name a path, the slower rates hold.
+    """
     rates: dict[str, tuple[float, float]] = {}
     for limit in limits:
         for path, ramp in limit.ramp.items():

@@ -1,4 +1,6 @@
-"""A second process beside this one, in a session of its own: what ends ours spares it."""
+"""Starting the stopper processes, each in a session of its own, so that a signal to the
+bridge's session spares them.
+"""
 
 from __future__ import annotations
 
@@ -16,38 +18,42 @@ from typing import NamedTuple
 
 STOPPER_ARGUMENT = "--stopper"
 STOPPERS = ("robot-stopper", "motion-standby")
-"""What the process list shows of the two stoppers: no pattern that finds the bridge or the server finds one of them."""
-# Descriptors that a copy of this process closes: it would keep the stream to the server open. More than there are.
+"""The names of the two stoppers in the process list.
+
+No pattern that matches the bridge or the server matches one of them.
+"""
+# A forked process closes descriptors up to this number, because they would keep the stream to the server open. More
+# than a process has.
 MOST_DESCRIPTORS = 65536
 _FILE_IN_MEMORY = re.match(r"/(?:proc/self|dev)/fd/(\d+)/", __file__)
 ARCHIVE = int(_FILE_IN_MEMORY[1]) if _FILE_IN_MEMORY else MOST_DESCRIPTORS
-"""The descriptor of the zip that a bridge which was sent (see stage1.py) is imported from; a child needs it, too."""
+"""The descriptor of the zip from which a bridge started by stage1.py is imported; a child needs it, too."""
 
 
 class Child(NamedTuple):
-    """A process, the writing end of its stdin, and the reading end of its stdout."""
+    """A child process, the writing end of its stdin (`lifeline`), and the reading end of its stdout (`told`)."""
 
     pid: int
     lifeline: int
     told: int
 
     def has_ended(self) -> bool:
-        """Whether it has; leaves no zombie then."""
-        with suppress(ChildProcessError):  # it has been waited for
+        """Return whether the process has ended, and reap it if so."""
+        with suppress(ChildProcessError):  # it was reaped before
             return os.waitpid(self.pid, os.WNOHANG)[0] != 0
         return True
 
     def has_unread(self) -> bool:
-        """Whether something on its stdin was not read yet."""
+        """Return whether the process has not yet read everything from its stdin."""
         return any(fcntl.ioctl(self.lifeline, termios.FIONREAD, bytes(4)))
 
     def kill(self) -> None:
-        """End it at once."""
+        """Kill the process with SIGKILL."""
         with suppress(ProcessLookupError):
             os.kill(self.pid, signal.SIGKILL)
 
     def end(self) -> None:
-        """End it, and leave no zombie."""
+        """Kill the process and reap it."""
         self.kill()
         with suppress(ChildProcessError):
             os.waitpid(self.pid, 0)
@@ -61,31 +67,32 @@ class _Pipes(NamedTuple):
 
     @classmethod
     def make(cls) -> _Pipes:
-        """Two pipes, whose ends no other child inherits."""
+        """Create two pipes, whose ends no other child inherits."""
         return cls(*os.pipe(), *os.pipe())
 
     def ours(self, pid: int) -> Child:
-        """Close the child's ends."""
+        """Close the child's ends of the pipes, and return the child."""
         os.close(self.heard)
         os.close(self.tell)
         return Child(pid, self.lifeline, self.told)
 
     def close(self) -> None:
-        """Close all."""
+        """Close all four ends."""
         for descriptor in self:
             os.close(descriptor)
 
 
 def copy_process(main: Callable[[int, int], object]) -> Child | None:
-    """A copy of this process, which has loaded what it needs and shares that memory; `main` gets its two descriptors.
+    """Fork this process, which shares the loaded modules; the child calls `main` with its two
+    descriptors (read, write).
 
-    To be made before this process enters ROS, because the threads of the middleware cannot be copied. None where a copy
-    is refused.
+    Call it before this process enters ROS, because the threads of the middleware cannot be copied.
+    Return None if the fork fails.
     """
     pipes = _Pipes.make()
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DeprecationWarning)  # our other threads hold nothing that the copy uses
+            warnings.simplefilter("ignore", DeprecationWarning)  # our other threads hold no lock that the child uses
             pid = os.fork()
     except OSError as error:
         sys.stderr.write(f"the stopper is started when it is needed: {error}\n")
@@ -105,7 +112,7 @@ def copy_process(main: Callable[[int, int], object]) -> Child | None:
 
 
 def spawn(name: str) -> Child:
-    """This program once more, from its beginning, as the stopper of that name; raises `OSError`."""
+    """Start this program again, from its beginning, as the stopper of that name. Raise `OSError` if that fails."""
     pipes = _Pipes.make()
     try:
         pid = os.posix_spawn(
@@ -126,8 +133,9 @@ def spawn(name: str) -> Child:
 
 
 def _open_descriptors() -> list[int]:
-    """All but the standard streams and the archive: the middleware lets children inherit its sockets, and the locks on
-    its memory.
+    """Return all descriptors but the standard streams and the archive.
+
+    The middleware lets children inherit its sockets and the locks on its memory, so they have to be closed.
     """
     numbers = map(int, (each.name for each in Path("/proc/self/fd").iterdir()))
     return [number for number in numbers if number > 2 and number != ARCHIVE]

@@ -1,8 +1,8 @@
-"""Joint trajectories: a motion that goes on by itself, and is ended by a hold where the joints are measured to be.
+"""Joint trajectories: a motion that continues by itself, and is ended by a hold at the measured joint positions.
 
-A joint trajectory controller follows the newest trajectory on its topic. One point with the positions of now, to be
-reached at once, is what it does itself where a goal is cancelled (ros2_controllers, `set_hold_position`). An empty
-trajectory stops nothing: it is refused there.
+A joint trajectory controller follows the newest trajectory on its topic. The hold is one point with the current
+positions, to be reached at once: the controller does the same when a goal is canceled (ros2_controllers,
+`set_hold_position`). An empty trajectory would stop nothing: the controller rejects it.
 """
 
 from __future__ import annotations
@@ -22,14 +22,16 @@ from ros2_mcp_common.policy.velocity import HOLD_TYPES
 from ros2_mcp_common.wire.protocol import StoppedTopic
 
 POINT = "trajectory_msgs/msg/JointTrajectoryPoint"
-# Between two looks, 0.25 s apart: a joint that has moved by less stands. Above encoders' noise. Chosen.
+# A joint is at rest if it moved by less (rad or m) between two looks, 0.25 s apart. This is above the noise of
+# encoders.
 STANDS = 0.002
-# Names of joints are told to the stopper in one line; 50 joints of 40 characters. Chosen.
+# The longest names of joints, in characters together, that fit into the line to the stopper: 50 joints of 40
+# characters.
 MOST_CHARS = 2000
 
 
 class Trajectory(Outgoing):
-    """A trajectory that was judged. It begins when it arrives: its stamp is zero, as whoever stamps it may be late."""
+    """A trajectory that was judged. Its stamp is zero, so it begins when it arrives: the sender's clock may be late."""
 
     def __init__(self, topic: TrajectoryTopic, message: Any) -> None:
         self._topic = topic
@@ -37,22 +39,26 @@ class Trajectory(Outgoing):
         self.moves = bool(message.points)
 
     def data(self) -> bytes:
-        """Its bytes; refused where no fail-safe is in force."""
+        """Return the serialized trajectory.
+
+        Raise `OperationError` of kind `bad_request` if no fail-safe is in force.
+        """
         self._topic.check_driven()
         if self.moves:
             self._topic.about_to_follow(self.value)
         return self._topic.stamped(self.value)
 
     def has_left(self) -> None:
-        """The joints may move from now on."""
+        """Record that the joints may move from now on."""
         self._topic.commands += 1
         self._topic.is_moving = self._topic.is_moving or self.moves
 
 
 class TrajectoryTopic(VelocityTopic):
-    """A topic that a joint trajectory controller listens to; `send_zero` sends the hold of all `joints` that were
-    commanded since they stood. It moves until a hold has arrived, or until the time of the trajectory is over and the
-    joints stand.
+    """A topic of a joint trajectory controller; `send_zero` sends the hold of all `joints`
+    commanded since they last rested.
+
+    `moves` is True until a hold has arrived, or until the time of the trajectory is over and the joints are at rest.
     """
 
     def __init__(
@@ -73,15 +79,22 @@ class TrajectoryTopic(VelocityTopic):
         self._seen: Sequence[float] = ()
         self._problem = ""
         joint_states.follow()
-        interfaces.load(POINT)  # now, and not when it has to be quick
+        interfaces.load(POINT)  # in advance: a hold must not wait for it
 
     @property
     def needs_zero(self) -> bool:
-        """Whether a fail-safe has anything to end: what stands may be moved by others."""
+        """Whether a fail-safe has to send a hold.
+
+        Joints at rest need none: another node may be about to move them.
+        """
         return self.moves
 
     def command(self, data: bytes) -> Trajectory:
-        """A trajectory of the server or of another node, judged; raises `OperationError` of kind `bad_request`."""
+        """Decode and judge a trajectory of the server or of another node.
+
+        Raises:
+            OperationError: of kind `bad_request`, if it cannot be sent.
+        """
         self.check_driven()
         message = decoded(data, self._interface, self.type)
         for index, point in enumerate(message.points):
@@ -94,21 +107,21 @@ class TrajectoryTopic(VelocityTopic):
         return Trajectory(self, message)
 
     def wait_clock(self) -> Steps[None]:
-        """Steps until it is known where the joints are, which is needed to hold them; at most 3.5 s."""
+        """Steps that wait until the positions of the joints, which the hold needs, are known; at most 3.5 s."""
         deadline = time.monotonic() + MEASURED_S
         while self._joint_states.missing(self._awaited) and time.monotonic() < deadline:
             self._joint_states.follow()
             yield 10 * POLL_S
 
     def wait_stopper(self) -> Steps[Guarded]:
-        """As of a velocity; and in words if nobody could hold the joints."""
+        """As for a velocity topic; the returned problem also names joints that could not be held."""
         guarded = yield from super().wait_stopper()
         missing = self._joint_states.missing(self._awaited)
         problem = f"no joint state has the position of {', '.join(missing)}, so no hold can be sent" if missing else ""
         return Guarded(guarded.waited_s, problem or guarded.problem)
 
     def about_to_follow(self, message: Any) -> None:
-        """A trajectory leaves next: the stopper has to know its joints before it does."""
+        """Record the joints of a trajectory that leaves next, and notify the stoppers before it does."""
         before = self.joints if self.moves else ()
         joints = tuple(dict.fromkeys((*before, *message.joint_names)))
         last = message.points[-1].time_from_start
@@ -119,12 +132,14 @@ class TrajectoryTopic(VelocityTopic):
             self.tell()
 
     def stamped(self, message: Any) -> bytes:
-        """The CDR of a trajectory that begins when it arrives."""
+        """Return the trajectory as CDR with a zero stamp, so that it begins when it arrives."""
         message.header.stamp.sec = message.header.stamp.nanosec = 0
         return rcl.serialize(message)
 
     def look_for_rest(self) -> None:
-        """It moves no more if its hold has arrived, or its time is over and the joints stand."""
+        """Set `moves` to False if the hold has arrived, or if the time of the trajectory is over
+        and the joints are at rest.
+        """
         super().look_for_rest()
         if not self.moves:
             return
@@ -139,16 +154,18 @@ class TrajectoryTopic(VelocityTopic):
             self.tell()
 
     def audience(self) -> tuple[object, ...]:
-        """Who would get a hold now, and whether there is one: as soon as there is, it is sent."""
+        """Return a value that changes when the hold has to be sent again: with the matches, or when
+        the positions become known.
+        """
         return not self._joint_states.missing(self.joints), *super().audience()
 
     def outcome(self) -> StoppedTopic:
-        """How many got the hold, and why there is none."""
+        """Return how many subscribers received the hold, or the reason why no hold could be sent."""
         told = super().outcome()
         return {**told, "acked": False, "problem": self._problem} if self._problem else told
 
     def stop_message(self) -> Any:
-        """The hold; raises `ValueError` where it is not known where the joints are."""
+        """Return the hold: one point at the measured positions. Raise `ValueError` if the positions are not known."""
         self._problem = ""
         try:
             if not self.joints:
@@ -166,7 +183,7 @@ class TrajectoryTopic(VelocityTopic):
 
 
 def topic_of(name: str, type_name: str, interface: Any, *, joint_states: JointStates, **more: Any) -> VelocityTopic:
-    """A topic that moves the robot, of whichever kind its type is."""
+    """Return a `TrajectoryTopic` or a `VelocityTopic`, depending on the type."""
     if type_name in HOLD_TYPES:
         return TrajectoryTopic(name, type_name, interface, joint_states=joint_states, **more)
     return VelocityTopic(name, type_name, interface, **more)

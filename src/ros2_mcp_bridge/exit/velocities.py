@@ -1,6 +1,6 @@
-"""Velocity commands have one exit: decoded, judged, stamped with the robot's *now*, and ended by a zero made here.
+"""The exit for velocity commands: each is decoded, judged, stamped with the robot's current time, and ended by a zero.
 
-Nothing that a server or another node made is passed on as bytes: what leaves is serialized anew.
+The bytes of a server or another node are never passed on: every command is serialized again.
 """
 
 from __future__ import annotations
@@ -22,56 +22,62 @@ from ros2_mcp_common.policy.velocity import MOTION_TYPES, VELOCITY_TYPES
 from ros2_mcp_common.wire.limits import MAX_FAILSAFES
 from ros2_mcp_common.wire.protocol import FrameIdChanged, StoppedTopic
 
-# While zeros wait for matches and acknowledgements; on one machine, either comes within milliseconds.
+# The polling period while zeros wait for matches and acknowledgements. On one machine, either comes within
+# milliseconds.
 POLL_S = 0.005
-# After a match, best effort: a subscriber discovers the publisher a little later than it is discovered, mostly within
-# 0.1 s; the rest is for a machine that is held up (with the first two alone, 1 of 200 dead bridges under load left one
-# without), and the last for what waits for the middleware's next announcement (3 s). So a stopper sends, too: its
-# second and third are for what is told below, a little sooner as it begins only when its bridge has ended. Chosen.
+# Delays after which a best-effort zero is repeated, because a subscriber discovers the publisher a little later than it
+# is discovered. Mostly 0.1 s is enough. The next ones are for a loaded machine: with the first two alone, after 1 of
+# 200 bridge deaths under load a subscriber got no zero. The last is for the middleware's next announcement (every 3 s).
+# A stopper uses the same delays. For it, the second and third also serve the purpose of `UNSURE_AGAIN_S`; they are a
+# little shorter, as it begins only after its bridge has ended.
 AGAIN_AFTER_S = (0.1, 0.34, 0.4, 1.5, 3.5)
-# A stopper that has not heard yet of a zero that has arrived sends another one, no more. Chosen.
+# The period at which arrived zeros are looked for. If a stopper does not know yet that a zero arrived, it sends one
+# more.
 REST_S = 0.25
-# After a zero, it is sent again to whoever acknowledges nothing: what is sent to him at one moment may be lost, most
-# of all while Fast DDS gives up a port of its shared memory and opens another, which takes up to 0.33 s. Chosen: the
-# second is after that, and within the 0.5 s in which a robot is to have its zero.
+# Delays after which a zero is repeated for subscribers that do not acknowledge. A single message may be lost, mostly
+# while Fast DDS replaces a port of its shared memory, which takes up to 0.33 s. The second delay is after that, and
+# within the 0.5 s in which a robot has to receive its zero.
 UNSURE_AGAIN_S = (0.1, 0.4, 1.0)
-# Between two looks at whether it is time to. Chosen.
+# The polling period for these repetitions.
 UNSURE_POLL_S = 0.03
-# A new bridge knows the robot after 4 s at most on a quiet network; on a bad one the zero still has to come. Chosen.
+# For how long a new bridge sends zeros to subscribers that it discovers. Discovery takes 4 s at most on a quiet
+# network; on a bad one the zero still has to come.
 DISCOVERED_S = 10.0
 
 
 class Exit(Protocol):
-    """What a velocity topic needs of its publishers; `kind` is their reliability and durability."""
+    """A publisher, as a velocity topic uses it; `kind` is its reliability and durability."""
 
     kind: tuple[str, str]
 
     def publish_zero(self, data: bytes) -> None:
-        """Hand it to the middleware, whatever was stopped."""
+        """Publish this serialized zero, even if publishing was stopped."""
         ...
 
     def matched(self) -> int:
-        """The number of subscribers that would get a message now."""
+        """Return the number of matched subscribers."""
         ...
 
     def has_all_matched(self) -> bool:
-        """Whether every subscriber that can match does, as far as discovery has come."""
+        """Return whether every compatible subscriber discovered so far is matched."""
         ...
 
     def acknowledged(self) -> bool | None:
-        """Whether every subscriber has acknowledged everything; None where one of them acknowledges nothing."""
+        """Return whether all subscribers have acknowledged everything, or None if one of them (best
+        effort) never acknowledges.
+        """
         ...
 
     def done(self) -> bool:
-        """Whether nobody who acknowledges has still to do so."""
+        """Return whether no acknowledgement is outstanding."""
         ...
 
 
 class Outgoing:
-    """One message that is published once or again and again: `value` is what was decoded, None where nothing was.
+    """One message, published once or repeatedly: `value` is the decoded message, or None if it was not decoded.
 
-    `is_clamped` says that it was made smaller to be within the limits of the policy; `moves` that a robot may go on
-    after it until a zero.
+    `is_clamped` is True if the values were reduced to the limits of the policy, `moves` if the robot may go on moving
+    after the message until a zero.
     """
 
     value: Any = None
@@ -79,37 +85,37 @@ class Outgoing:
     moves = False
 
     def data(self) -> bytes:
-        """Its bytes as they are to be sent now."""
+        """Return the bytes to be sent now."""
         raise NotImplementedError
 
     def has_left(self) -> None:
-        """They were sent."""
+        """Called after the message was published."""
 
 
 class Raw(Outgoing):
-    """A message of a type that we know nothing of: sent as it is."""
+    """A message of a type without limits, sent unchanged."""
 
     def __init__(self, data: bytes) -> None:
         self._data = data
 
     def data(self) -> bytes:
-        """The bytes as they came."""
+        """Return the bytes unchanged."""
         return self._data
 
 
 class Decoded(Outgoing):
-    """A message that a policy sets limits to: serialized anew, so that nothing rides behind."""
+    """A message of a type with limits in the policy. It is serialized again, so that no extra bytes follow it."""
 
     def __init__(self, value: Any) -> None:
         self.value = value
 
     def data(self) -> bytes:
-        """Its bytes as it is now."""
+        """Return the serialized message with its current values."""
         return rcl.serialize(self.value)
 
 
 class Command(Outgoing):
-    """A velocity command that was judged; each time that it is sent, it is stamped anew."""
+    """A velocity command that was judged. It is stamped each time it is sent."""
 
     def __init__(self, topic: VelocityTopic, message: Any) -> None:
         self._topic = topic
@@ -117,22 +123,23 @@ class Command(Outgoing):
         self.moves = any(floats_of(message.__class__)[1](message))
 
     def data(self) -> bytes:
-        """Its bytes, stamped now; refused where no fail-safe is in force."""
+        """Return the message, stamped now. Raise `OperationError` of kind `bad_request` if no fail-safe is in force."""
         self._topic.check_driven()
         if self.moves:
             self._topic.about_to_move()
         return self._topic.stamped(self.value)
 
     def has_left(self) -> None:
-        """The robot may move from now on, and the zero keeps the frame."""
+        """Record that the robot may move from now on, and the frame of this command, which its zero will use."""
         self._topic.commanded(self.value.header.frame_id if self._topic.is_stamped else "", moves=self.moves)
         self._topic.is_moving = any(floats_of(self.value.__class__)[1](self.value))
 
 
 def decoded(data: bytes, interface: Any, type_name: str) -> Any:
-    """The message in these bytes, as every node of the robot would read it.
+    """Return the message in these bytes, as every node of the robot would decode it.
 
-    Raises `OperationError` of kind `bad_request`.
+    Raises:
+        OperationError: of kind `bad_request`, if the bytes are no message of this type.
     """
     try:
         return rcl.deserialize(data, interface)
@@ -141,9 +148,10 @@ def decoded(data: bytes, interface: Any, type_name: str) -> Any:
 
 
 def judged(data: bytes, interface: Any, type_name: str) -> Any:
-    """The message in these bytes, which cannot be but finite.
+    """Return the message in these bytes, with only finite numbers.
 
-    Raises `OperationError` of kind `bad_request`.
+    Raises:
+        OperationError: of kind `bad_request`, if the bytes are no message of this type or a number is not finite.
     """
     message = decoded(data, interface, type_name)
     names, read = floats_of(interface)
@@ -155,11 +163,10 @@ def judged(data: bytes, interface: Any, type_name: str) -> Any:
 
 class VelocityTopic:
     """One topic that moves the robot: its publishers, the frame of its last command, and whether it is driven.
-    One kind moves `joints` (see `trajectories.py`); the others have none.
 
-    It is driven while a request holds it: a fail-safe that is in force, a repeat, a relay. It `moves` from its first
-    command that is no zero until a zero is known to have arrived. The last such command left at `moved_at` (monotonic,
-    s). `rested` is told of zeros.
+    It is driven while a request holds it: a fail-safe in force, a repeat, or a relay. `moves` is True from its first
+    nonzero command until a zero is known to have arrived. `moved_at` is when the last nonzero command left (monotonic,
+    s). `rested` is called after each zero. `joints` is used only by `TrajectoryTopic`; here it is empty.
     """
 
     def __init__(
@@ -193,53 +200,59 @@ class VelocityTopic:
 
     @property
     def needs_zero(self) -> bool:
-        """Whether a fail-safe is to send a zero."""
+        """Whether a fail-safe has to send a zero."""
         return True
 
     @property
     def is_driven(self) -> bool:
-        """Whether somebody answers for its end."""
+        """Whether a request holds this topic, and so ensures that its motion is ended."""
         return bool(self.holders)
 
     def check_driven(self) -> None:
-        """Raise `OperationError` of kind `bad_request` where no fail-safe is in force."""
+        """Raise `OperationError` of kind `bad_request` if no fail-safe is in force."""
         if not self.holders:
             problem = f"{self.name} moves the robot, and no fail-safe is in force for it: nothing was sent."
             raise OperationError("bad_request", problem)
 
     def command(self, data: bytes) -> Outgoing:
-        """A message of the server or of another node, judged; raises `OperationError` of kind `bad_request`."""
+        """Decode and judge a message of the server or of another node.
+
+        Raises:
+            OperationError: of kind `bad_request`, if it cannot be sent.
+        """
         self.check_driven()
         return Command(self, judged(data, self._interface, self.type))
 
     def wait_clock(self) -> Steps[None]:
-        """Steps until the robot's *now* is known, where it is simulated; at most 1 s."""
+        """Steps that wait, if stamps need simulated time, until that time is known; at most 1 s."""
         deadline = time.monotonic() + FIRST_S
         while self.is_stamped and self._clock.is_awaited(self.name, self.matched) and time.monotonic() < deadline:
             yield POLL_S
 
     def stamped(self, message: Any) -> bytes:
-        """The CDR of a message, stamped now where it has a header."""
+        """Return the message as CDR, with the current time of the robot in its header if it has one."""
         if self.is_stamped:
             stamp = message.header.stamp
             stamp.sec, stamp.nanosec = divmod(self._clock.now_ns(self.name, self.matched), NS_PER_S)
         return rcl.serialize(message)
 
     def call_stopper(self) -> None:
-        """A command that moves is to come: a stopper is to be there, which knows this topic."""
+        """Start the stoppers, if necessary, and send them this topic before a command that moves the robot."""
         if self._lifeline:
             self._lifeline.begin(self)
 
     def wait_stopper(self) -> Steps[Guarded]:
-        """Steps until the stopper reaches the subscribers, too; at most 2 s, and only for the first command."""
+        """Steps that wait until the stoppers have matched the subscribers, too: at most 2 s, and
+        only for the first command.
+        """
         return (yield from self._lifeline.wait(self)) if self._lifeline else Guarded()
 
     def profiles(self) -> list[tuple[str, str]]:
-        """Reliability and durability of each of its publishers, none of them twice."""
+        """Return the distinct pairs of reliability and durability of its publishers."""
         return sorted({publisher.kind for publisher in list(self.publishers)})
 
     def about_to_move(self) -> None:
-        """A command that moves leaves next: the stopper has to know before it does."""
+        """Record that a nonzero command leaves next, and notify the stoppers before it does."""
         self.moved_at = time.monotonic()
         self._has_zero = False
         if not self.moves:
@@ -247,7 +260,9 @@ class VelocityTopic:
             self.tell()
 
     def look_for_rest(self) -> None:
-        """It moves no more if its zero has arrived wherever that can be known, and was sent again where it cannot."""
+        """Set `moves` to False if the zero has arrived: acknowledged by all subscribers that
+        acknowledge, repeated for the others.
+        """
         if not (self.moves and self._has_zero) or (self._again_at and self._is_unsure()):
             return
         if all(publisher.done() for publisher in self.publishers):
@@ -256,11 +271,11 @@ class VelocityTopic:
 
     @property
     def waits_to_send_again(self) -> bool:
-        """Whether its zero may have to be sent again."""
+        """Whether repetitions of the zero are still due."""
         return bool(self._again_at)
 
     def send_again(self) -> None:
-        """Send the zero again if it is time to, and somebody is matched who acknowledges nothing."""
+        """Repeat the zero if it is due and a matched subscriber does not acknowledge."""
         if not self._again_at or time.monotonic() < self._again_at[0]:
             return
         del self._again_at[0]
@@ -271,7 +286,7 @@ class VelocityTopic:
         return any(each.matched() and each.acknowledged() is None for each in list(self.publishers))
 
     def commanded(self, frame_id: str, *, moves: bool = True) -> None:
-        """A command has left, in this frame."""
+        """Record that a command has left, in this frame."""
         self.commands += 1
         self._has_zero = not moves
         if moves:
@@ -282,19 +297,21 @@ class VelocityTopic:
             self.tell()
 
     def tell(self) -> None:
-        """Tell the stopper what has become of it."""
+        """Send the stoppers the current state of this topic."""
         if self._lifeline:
             self._lifeline.tell(self)
 
     def matched(self) -> int:
-        """The number of subscribers of its publishers; those that match several are counted once."""
+        """Return the number of matched subscribers of the publisher that has the most, since
+        several may match the same one.
+        """
         return max((publisher.matched() for publisher in list(self.publishers)), default=0)
 
     def send_zero(self) -> None:
-        """Send the zero from any thread: twice, for best-effort subscribers, and later again; through every publisher
-        there is.
+        """Send the zero through every publisher, twice each for best-effort subscribers, and schedule its
+        repetitions. Thread-safe.
 
-        One that fails does not keep the others from being sent, and does not end what sends them.
+        If one publisher fails, the others still send, and no error is raised.
         """
         self._send_zero()
         self._again_at = [time.monotonic() + after_s for after_s in UNSURE_AGAIN_S]
@@ -302,7 +319,7 @@ class VelocityTopic:
     def _send_zero(self) -> None:
         try:
             data = self.stamped(self.stop_message())
-        except Exception as error:  # noqa: BLE001 - whatever it is, other topics are stopped
+        except Exception as error:  # noqa: BLE001 - whatever it is, the other topics must be stopped
             self._log_unsent(error)
             return
         for publisher in list(self.publishers):
@@ -316,7 +333,7 @@ class VelocityTopic:
         self._has_zero = True
 
     def stop_message(self) -> Any:
-        """What ends the motion, to be stamped: all zero, in the frame of the last command."""
+        """Return the message that ends the motion, not stamped yet: all zeros, in the frame of the last command."""
         message = self._interface()
         if self.is_stamped:
             message.header.frame_id = self.frame_id
@@ -326,30 +343,36 @@ class VelocityTopic:
         sys.stderr.write(f"{self.name} could not be stopped: {error}\n")
 
     def stop_whoever_comes(self) -> Steps[None]:
-        """Steps that send the zero now, and for a while to every subscriber that is discovered, until a command."""
+        """Steps that send the zero now, and for 10 s to every newly discovered subscriber,
+        until another command is sent.
+        """
         zero, deadline = Zero(self), time.monotonic() + DISCOVERED_S
         while time.monotonic() < deadline:
             yield POLL_S
             zero.send()
 
     def audience(self) -> tuple[object, ...]:
-        """Who would get a zero now, and whether its stamp would be right: whenever that changes, it is sent again."""
+        """Return a value that changes when a zero has to be sent again: with the matches, or when
+        simulated time becomes known.
+        """
         is_heard = self.is_stamped and self._clock.is_heard
         return is_heard, *(publisher.matched() for publisher in self.publishers)
 
     def has_all_matched(self) -> bool:
-        """Whether all of its subscribers are matched."""
+        """Return whether every compatible subscriber discovered so far is matched."""
         return all(publisher.has_all_matched() for publisher in self.publishers)
 
     def outcome(self) -> StoppedTopic:
-        """How many got its last messages, and whether that is known."""
+        """Return the number of matched subscribers and whether they acknowledged the last
+        messages (None: not known).
+        """
         told = {publisher.acknowledged() for publisher in self.publishers if publisher.matched()}
         acked = False if False in told else None if None in told or not told else True
         return {"topic": self.name, "type": self.type, "matched": self.matched(), "acked": acked, "problem": ""}
 
 
 class Zero:
-    """The zero of one topic: sent now, and again for whoever is discovered later, unless it is commanded meanwhile."""
+    """The zero of one topic: sent now, and again when a subscriber is discovered, until another command is sent."""
 
     def __init__(self, topic: VelocityTopic) -> None:
         self.topic = topic
@@ -359,7 +382,7 @@ class Zero:
         self.send()
 
     def send(self) -> None:
-        """Send it again if it is time to."""
+        """Send the zero again if it is due."""
         if self.topic.commands != self._commands:
             return
         now, audience = time.monotonic(), self.topic.audience()
@@ -373,7 +396,7 @@ class Zero:
 
 
 class Velocities:
-    """All velocity topics that have a publisher here or are driven; `make` makes one."""
+    """All velocity topics that have a publisher here or are driven; `make` constructs one."""
 
     def __init__(
         self,
@@ -390,19 +413,19 @@ class Velocities:
 
     @property
     def has_topics(self) -> bool:
-        """Whether there is any. From any thread."""
+        """Whether there is any velocity topic. Thread-safe."""
         return bool(self._topics)
 
     def driven(self) -> list[VelocityTopic]:
-        """Those for whose end somebody answers."""
+        """Return the topics that a request holds."""
         return [topic for topic in list(self._topics.values()) if topic.is_driven]
 
     def moving_joints(self) -> set[str]:
-        """The joints that a fail-safe would have to hold now."""
+        """Return the names of the joints that a fail-safe would have to hold now."""
         return {joint for topic in self.driven() if topic.moves for joint in topic.joints}
 
     def topic(self, request: Request) -> VelocityTopic | None:
-        """The velocity topic that a request names; None if it is of another type."""
+        """Return the velocity topic that a request names, or None if its type is no velocity command or trajectory."""
         name, type_name = request.text("topic"), request.text("type")
         if type_name not in MOTION_TYPES:
             return None
@@ -415,9 +438,10 @@ class Velocities:
 
     @contextmanager
     def hold(self, topic: VelocityTopic | None, request: Request) -> Generator[None, None, None]:
-        """A context in which the request answers for the end of a topic.
+        """A context manager in which the request holds the topic, and so ensures that its motion is ended.
 
-        Raises `OperationError` of kind `bad_request` for one topic too many.
+        Raises:
+            OperationError: of kind `bad_request`, if too many topics are driven already.
         """
         if topic is None:
             yield
@@ -439,17 +463,19 @@ class Velocities:
             self.forget(topic)
 
     def forget(self, topic: VelocityTopic) -> None:
-        """Nothing is kept of a topic that nobody holds and that has no publisher."""
+        """Remove a topic that no request holds and that has no publisher."""
         if not topic.holders and not topic.publishers:
             self._topics.pop((topic.name, topic.type), None)
             self._clock.forget(topic.name)
 
     def have_moved(self, since: float) -> bool:
-        """Whether the last message on one of the topics is a command that is no zero, or one left since that time."""
+        """Return whether a driven topic is moving (its last message was no zero), or sent a
+        nonzero command after `since`.
+        """
         return any(topic.is_moving or topic.moved_at >= since for topic in self.driven())
 
     def watch(self) -> Steps[None]:
-        """Steps that see which topics have come to rest, and send the zero again on those of which it is not known."""
+        """Steps that repeat zeros where their arrival is not known, and record which topics have come to rest."""
         while True:
             waits = any(topic.waits_to_send_again for topic in list(self._topics.values()))
             yield UNSURE_POLL_S if waits else Seldom(REST_S)
@@ -458,24 +484,28 @@ class Velocities:
             self.look_for_rest()
 
     def look_for_rest(self) -> None:
-        """Tell the stopper of topics whose zero has arrived."""
+        """Send the stoppers the topics whose zero has arrived."""
         for topic in list(self._topics.values()):
             topic.look_for_rest()
 
     def send_zeros(self) -> None:
-        """Zeros on all driven topics, from any thread."""
+        """Send zeros on all driven topics that need one. Thread-safe."""
         for topic in self.driven():
             if topic.needs_zero:
                 topic.send_zero()
 
     def send_missed_zeros(self) -> None:
-        """Zeros once more where one is not acknowledged: the middleware repeats what was lost after seconds only."""
+        """Send zeros again where one is not acknowledged: the middleware itself takes seconds
+        to resend a lost message.
+        """
         for topic in self.driven():
             if topic.needs_zero and not all(publisher.done() for publisher in topic.publishers):
                 topic.send_zero()
 
     def stop(self, topics: list[VelocityTopic], wait_match_s: float, wait_ack_s: float) -> Steps[list[StoppedTopic]]:
-        """Steps that send zeros, again for whoever is discovered meanwhile, until all have them or time is up."""
+        """Steps that send zeros, also to subscribers discovered meanwhile, until all have
+        received them or the time is up.
+        """
         zeros = [Zero(topic) for topic in topics]
         yield from _until(zeros, lambda: all(topic.has_all_matched() for topic in topics), wait_match_s)
         yield from _until(zeros, lambda: all(topic.outcome()["acked"] is not False for topic in topics), wait_ack_s)

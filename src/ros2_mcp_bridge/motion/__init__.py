@@ -1,1 +1,3 @@
-"""Motion by feedback: drive, nudges, motion until a condition holds."""
+"""Motion by feedback: drives, motions until a condition holds, goals cancelled on a condition,
+and the watchdog's topics.
+"""

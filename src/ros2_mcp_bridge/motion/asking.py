@@ -1,4 +1,4 @@
-"""A condition that is asked of the messages of one topic beside the robot, and what of them is told."""
+"""A condition that is evaluated in the bridge on the messages of one topic, and its report."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from ros2_mcp_common.language.conditions import Condition, condition
 from ros2_mcp_common.language.field_types import Types
 from ros2_mcp_common.language.paths import FieldPath, parse
 
-# Of texts and fields that are told to the server: a condition is about few, and a name is short. Chosen.
+# The longest string, and the most fields, in a report: a condition is on few fields, and a name is short.
 _MOST_CHARACTERS, _MOST_FIELDS = 200, 16
 
 
 class Asking:
-    """One condition: `ask` it of each message; `is_met` stays so once it was met.
+    """One condition: call `ask` with each message; `is_met` stays True once it was met.
 
-    `part` gives what of a message it is about, such as the feedback in the message that carries it; None for a message
-    that it is not about.
+    `part` returns the part of a message that the condition is about, such as the feedback in a feedback message; None
+    for a message that it is not about.
     """
 
     def __init__(
@@ -34,7 +34,7 @@ class Asking:
         self.undecided = 0
 
     def ask(self, message: Any) -> bool:
-        """Whether it was met by this message, or by one before."""
+        """Evaluate the condition on a message. Return whether it is met by this message, or was by an earlier one."""
         asked = self._part(message)
         if asked is None or self.is_met:
             return self.is_met
@@ -46,7 +46,9 @@ class Asking:
         return self.is_met
 
     def report(self) -> Mapping[str, object]:
-        """How many messages were looked at, and the values of the last one, which met it if one did; as JSON."""
+        """Return as JSON how many messages were evaluated, and the values of the last one, which is
+        the one that met it, if any.
+        """
         return {
             "met": self.is_met,
             "looked_at": self.looked_at,

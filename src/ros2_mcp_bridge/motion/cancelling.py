@@ -1,4 +1,6 @@
-"""Cancelling a goal when a condition on its feedback, or on any topic, holds: asked here, beside the robot."""
+"""Cancelling a goal when a condition on its feedback, or on any topic, holds: evaluated in
+the bridge, near the robot.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,7 @@ if TYPE_CHECKING:
 
 
 class Cancelling:
-    """Asks conditions for goals that run; `send_event` tells the server when one is being asked."""
+    """Evaluates conditions for running goals; `send_event` reports to the server that an evaluation has begun."""
 
     def __init__(
         self, *, node: Node, graph: Graph, clients: Clients, send_event: Callable[[RepeatBegun], None]
@@ -34,9 +36,13 @@ class Cancelling:
         self._send_event = send_event
 
     def cancel_when(self, request: Request) -> Steps[tuple[CancelWhenReply, bytes]]:
-        """Ask until the condition is met, then send the request to cancel at once, and answer with its response.
+        """Steps that evaluate until the condition is met, then send the cancel request at
+        once, and return its response.
 
-        Whoever awaits the end of the goal cancels this request.
+        The server cancels this request when the goal ends.
+
+        Raises:
+            OperationError: of kind `bad_request`, if the service cancels no goals or the condition is wrong.
         """
         if meaning(request.text("service"), request.text("type")).verb != "cancel":
             raise OperationError("bad_request", f"{request.text('service')} cancels no goals.")
@@ -64,7 +70,7 @@ class Cancelling:
 
 
 def _asking(request: Request) -> Asking:
-    """The condition of a request; with a `goal_id` it is asked of the feedback of that goal alone."""
+    """Return the condition of a request. With a `goal_id` it is evaluated only on the feedback of that goal."""
     message_class = interfaces.load(request.text("topic_type"))
     text, goal_id = request.text("condition"), request.text("goal_id", "")
     if not goal_id:

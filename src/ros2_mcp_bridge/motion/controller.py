@@ -1,6 +1,7 @@
-"""What a motion is decided by: a controller, pure, so that it needs neither ROS nor what only some systems have.
+"""The interface of a controller, which decides about a motion. It is pure: it needs neither
+ROS nor a particular system.
 
-The runner (`motion.py`) has it hear topics and publishes what it says.
+The runner (`motion.py`) passes it the messages of its topics and publishes the velocities that it returns.
 """
 
 from __future__ import annotations
@@ -9,11 +10,11 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
 Velocity = Mapping[str, float]
-"""Numbers of a velocity command by their names, such as `linear.x` (m/s) and `angular.z` (rad/s); the others are 0."""
+"""Numbers of a velocity command by name, such as `linear.x` (m/s) and `angular.z` (rad/s); the others are 0."""
 
 
 class Feed(NamedTuple):
-    """A topic that a controller hears, and what it calls it."""
+    """A topic that a controller uses, and the controller's name for it (`role`)."""
 
     role: str
     topic: str
@@ -21,9 +22,9 @@ class Feed(NamedTuple):
 
 
 class Controller(Protocol):
-    """What decides about one motion. Times are monotonic, in s; it knows no other clock.
+    """The decisions of one motion. Times are monotonic, in s; a controller uses no other clock.
 
-    `feeds` are the topics that it hears. As soon as it has ended, `outcome` is a word for what ended it, such as
+    `feeds` are the topics that it uses. When it has ended, `outcome` is a word for what ended it, such as
     `reached`, and `why` a sentence.
     """
 
@@ -32,25 +33,34 @@ class Controller(Protocol):
     why: str
 
     def awaits(self) -> str:
-        """What has to be heard before it can begin, in words; "" once it can."""
+        """Return in words what has to be received before it can begin; "" if it can."""
         ...
 
     def hear(self, role: str, message: Any, now: float) -> None:
-        """A message of one of its feeds, as rclpy decodes it, and when it was received. What it raises is not heard."""
+        """Take in a message of one of its feeds, as rclpy decodes it, and its time of reception.
+
+        If it raises, the message is ignored.
+        """
         ...
 
     def late_in_s(self, now: float) -> float:
-        """In how many seconds one of its feeds is late if nothing more comes, so that it is asked again then."""
+        """Return in how many seconds a feed is late if nothing more comes; `step` is called then."""
         ...
 
     def step(self, now: float) -> Velocity | None:
-        """What to command now; None as soon as it has ended. Called every 0.01 s or sooner, first when it can begin."""
+        """Return the velocity to command now; None when it has ended.
+
+        Called at least every 0.01 s, once it can begin.
+        """
         ...
 
     def report(self) -> Mapping[str, object]:
-        """What can be told of it now, as JSON: for progress, and at its end."""
+        """Return the current state of the motion as JSON, for progress and for its end."""
         ...
 
 
 Make = Callable[[Mapping[str, Any]], Controller]
-"""Makes a controller of what the server asks for; raises `KeyError`, `TypeError` or `ValueError` for another shape."""
+"""Makes a controller from the server's JSON.
+
+Raises `KeyError`, `TypeError` or `ValueError` if it has another structure.
+"""

@@ -1,4 +1,4 @@
-"""The three courses of a drive, seen from above: a line, a circle, a turn on the spot. Pure geometry, m and rad."""
+"""The three courses of a drive, seen from above: a line, a circle, a turn in place. Pure geometry, in m and rad."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 
 class Pose(NamedTuple):
-    """Where odometry says that the base is; the yaw counts whole turns, too."""
+    """The pose of the base according to odometry; the yaw includes whole turns."""
 
     x: float
     y: float
@@ -15,7 +15,9 @@ class Pose(NamedTuple):
 
 
 class Place(NamedTuple):
-    """Where the base is on its course: how far along it, how far to its left, and how its heading differs."""
+    """The position of the base relative to its course: how far along it (m, or rad of a turn), how far to its left, and
+    the difference of its heading (rad).
+    """
 
     along: float
     aside_m: float
@@ -23,12 +25,12 @@ class Place(NamedTuple):
 
 
 def wrapped(angle: float) -> float:
-    """The same direction within ±π."""
+    """Return the same angle within ±π."""
     return math.remainder(angle, 2 * math.pi)
 
 
 class Line:
-    """Straight ahead from a pose, or back: `whole` is negative then."""
+    """A straight line ahead from a pose, or backwards: then `whole` is negative (m)."""
 
     is_turn = False
     curvature = 0.0
@@ -39,13 +41,13 @@ class Line:
         self._ahead = math.cos(start.yaw), math.sin(start.yaw)
 
     def place(self, pose: Pose) -> Place:
-        """Where a pose is on it."""
+        """Return the position of a pose relative to the line."""
         x, y, (cosine, sine) = pose.x - self._start.x, pose.y - self._start.y, self._ahead
         return Place(x * cosine + y * sine, y * cosine - x * sine, pose.yaw - self._start.yaw)
 
 
 class Circle:
-    """Ahead on a circle, to the left for a positive angle; `whole` is the length of the arc in m."""
+    """An arc ahead on a circle, to the left for a positive angle (rad); `whole` is its length in m."""
 
     is_turn = False
 
@@ -62,7 +64,10 @@ class Circle:
         self._swept = 0.0
 
     def place(self, pose: Pose) -> Place:
-        """Where a pose is on it; to be asked of each pose in turn, since a circle closes."""
+        """Return the position of a pose relative to the circle.
+
+        Call it for each pose in turn, because a circle closes.
+        """
         x, y = pose.x - self._centre[0], pose.y - self._centre[1]
         direction = math.atan2(y, x) + self._side * math.pi / 2  # of the circle at this place
         swept = self._side * (direction - self._start.yaw)
@@ -72,7 +77,7 @@ class Circle:
 
 
 class Turn:
-    """On the spot, to the left for a positive angle; `whole` is the angle in rad."""
+    """A turn in place, to the left for a positive angle; `whole` is the angle in rad."""
 
     is_turn = True
     curvature = 0.0
@@ -82,6 +87,6 @@ class Turn:
         self._start = start
 
     def place(self, pose: Pose) -> Place:
-        """Where a pose is on it; `aside_m` is how far it has come away from its place."""
+        """Return the position of a pose relative to the turn; `aside_m` is the distance from where the turn began."""
         away_m = math.hypot(pose.x - self._start.x, pose.y - self._start.y)
         return Place(pose.yaw - self._start.yaw, away_m, 0.0)

@@ -1,7 +1,8 @@
-"""Driving a distance, an angle or an arc, closed by odometry and guarded by scans or clouds. No ROS; times are in s.
+"""Driving a distance, an angle or an arc, controlled by odometry and guarded by scans or clouds. No ROS; times in s.
 
-It speeds up and slows down on a ramp, keeps on its course, stands, looks where it came to stand, and corrects that. It
-stands as soon as odometry or a sensor is late, and goes on where that was a short pause; else it ends.
+The robot accelerates and decelerates on a ramp, follows its course, stops, measures where it stopped, and
+corrects the difference. It stops as soon as odometry or a sensor is late, and goes on if that was a short pause;
+otherwise the drive ends.
 """
 
 from __future__ import annotations
@@ -20,45 +21,49 @@ from ros2_mcp_common.finite import not_finite
 from ros2_mcp_common.geometry import yaw_rad
 from ros2_mcp_common.wire.limits import STEER_MOST
 
-# How fast it speeds up, m/s² and rad/s². Chosen: what small robots do without slipping.
+# The acceleration, m/s² and rad/s²: what small robots do without slipping.
 SPEED_UP_MPS2, SPEED_UP_RADPS2 = 0.5, 1.5
-# How it slows down towards its end, m/s² and rad/s², and after what time a command shows in the odometry: reckoned
-# with, so that a robot that answers late does not overshoot. Chosen, with room.
+# The deceleration towards the end, m/s² and rad/s², and the delay after which a command shows in the odometry, which is
+# allowed for, so that a slow robot does not overshoot. With a margin.
 SLOW_DOWN_MPS2, SLOW_DOWN_RADPS2, ANSWERS_S = 0.4, 1.0, 0.2
-# The slowest command, m/s and rad/s; it grows by these per second while the robot does not move: many do not turn
-# their wheels below some speed.
+# The slowest command, m/s and rad/s, and how much it grows per second while the robot does not move: many robots do not
+# turn their wheels below some speed.
 CREEP_MPS, CREEP_RADPS = 0.03, 0.06
 PUSH_MPS2, PUSH_RADPS2 = 0.06, 0.3
-# That is so where in this time it moves by less than this share of what was commanded; they grow for so many seconds.
+# The robot does not move if in this time it moves by less than this share of the commanded distance; the slowest
+# command grows for at most so many seconds.
 PUSH_AFTER_S, PUSH_SHARE, MOST_PUSHED = 0.6, 0.3, 3.0
-# The end is reached by this, beyond what it still rolls; what is left after it stands is corrected above the second,
-# so many times; then what is within the third is good enough.
+# The end is reached within the first, besides the distance that the robot still rolls. An error above the second after
+# it stopped is corrected, up to CORRECTIONS times; after that an error within the third is good enough.
 REACHED_M, REACHED_RAD = 0.003, math.radians(0.2)
 WRONG_M, WRONG_RAD = 0.01, math.radians(0.6)
 BAR_M, BAR_RAD = 0.02, math.radians(1.0)
 CORRECTIONS = 10
-# From this one on they are nudges (`nudges.py`): so many others have not done it, as with friction.
+# From this correction on, nudges are used (`nudges.py`), because so many others have failed, as with friction.
 NUDGED_FROM = 3
-# How long a robot rolls on after its stop is learnt from each; never taken for longer than this.
+# The longest time that a robot is presumed to roll on after a stop; the time is learnt from each stop.
 MOST_ROLLED_S = 0.8
-# Steering back to the course: rad/s for each rad of the heading's error, at most `STEER_MOST`.
+# Steering back to the course: rad/s for each rad of heading error, at most `STEER_MOST`.
 STEER_PER_S = 1.5
-# It stands if two halves of this time tell the same place within these; at most so long is waited for it.
+# The robot is at rest if the mean poses of two halves of this time differ by less than these (m, rad). After the last
+# time it is presumed to be at rest.
 STILL_S, STILL_M, STILL_RAD, STANDS_WITHIN_S = 0.4, 0.002, math.radians(0.15), 2.0
-# A topic is late so long after its period, which is the longest of its last intervals. The bar is that the zero leaves
-# within 0.1 s after the mean one: where messages come so unevenly that this would be at risk, it is late so long after
-# the mean one, but no sooner than the last of these after the longest one.
+# A topic is late LATE_S after its period, which is the longest of its last intervals. The zero has to leave within 0.1
+# s after the mean interval. If the intervals are so uneven that this would be at risk, the topic is late
+# LATE_AFTER_MEAN_S after the mean interval, but no sooner than LATE_AFTER_LONGEST_S after the longest.
 LATE_S, LATE_AFTER_MEAN_S, LATE_AFTER_LONGEST_S = 0.06, 0.075, 0.035
-# Late for so long it is silent, and the drive ends: a computer that is held up stands, and goes on.
+# After being late for this time a topic is silent, and the drive ends. A shorter pause, such as that of a loaded
+# computer, only makes the robot stop.
 SILENT_S = 0.5
-# Messages whose intervals tell the period; it is never taken for longer than the second.
+# The number of intervals that determine the period of a topic, and the longest period.
 PERIODS, LONGEST_PERIOD_S = 8, 1.0
 FIRST_MESSAGES = 3
-# So long it is commanded and moves by less than a tenth of that, at least so far (m, rad): it does not move.
+# The robot is stuck if for this time it moves by less than this share of the commanded distance, and was commanded at
+# least so far (m, rad).
 STUCK_S, STUCK_SHARE, STUCK_M, STUCK_RAD = 3.0, 0.1, 0.06, 0.12
-# Between two looks at how fast the sensors let it go, where nothing new has come from them: as of the commands.
+# The period of computing the allowed speed if the sensors have sent nothing new: as that of the commands.
 LOOKS_AGAIN_S = 0.05
-# A step from one odometry message to the next that is no motion, beyond what the fastest command makes of it.
+# The largest step between two odometry messages, besides the distance of the fastest command, that counts as motion.
 JUMP_M, JUMP_RAD = 0.3, math.radians(40)
 
 
@@ -86,7 +91,7 @@ class Beat:
 
     @property
     def period_s(self) -> float:
-        """The longest of the last intervals."""
+        """The longest of the last intervals, in s."""
         return max(self._periods, default=LONGEST_PERIOD_S)
 
     @property
@@ -95,34 +100,36 @@ class Beat:
         return f" that can be used ({self.problem})" if self.problem else ""
 
     def late_s(self, now: float) -> float:
-        """For how long it has been late; negative while it is not."""
+        """Return for how many seconds the topic has been late; negative if it is not late."""
         return now - self._at - self._due_s
 
     def age_s(self, now: float) -> float:
-        """How old its last message is."""
+        """Return the age of the last message in s."""
         return now - self._at
 
 
 def late_in_s(beats: Iterable[Beat], now: float) -> float:
-    """In how many seconds the first of these is late, of those that are not."""
+    """Return in how many seconds the next topic becomes late, of those that are not late yet;
+    infinite if there is none.
+    """
     return min((-late_s for beat in beats if (late_s := beat.late_s(now)) <= 0), default=math.inf)
 
 
 class Standing:
-    """Whether a robot that was told to stand does, by the places of the last moments; their mean is where it stands."""
+    """Whether a robot that was commanded to stop is at rest, by its latest poses; their mean is where it is."""
 
     def __init__(self, now: float) -> None:
         self._since = now
         self._seen: deque[tuple[float, Pose]] = deque()
 
     def hear(self, pose: Pose, now: float) -> None:
-        """Another pose."""
+        """Record a pose and its time of reception."""
         self._seen.append((now, pose))
         while self._seen and self._seen[0][0] < now - STILL_S:
             self._seen.popleft()
 
     def place(self, now: float) -> Pose | None:
-        """Where it stands; None while it moves, or that is not known yet."""
+        """Return the pose at rest; None while the robot moves, or while that is not known yet."""
         if now - self._since < STILL_S or not self._seen:
             return None
         half = [pose for at, pose in self._seen if at < now - STILL_S / 2]
@@ -131,19 +138,20 @@ class Standing:
         if now - self._since > STANDS_WITHIN_S:
             return whole
         if not half or not rest:
-            return whole if now - self._since > 2 * STILL_S else None  # slow odometry
+            return whole if now - self._since > 2 * STILL_S else None  # odometry is slow
         before, after = _mean(half), _mean(rest)
         is_still = math.hypot(after.x - before.x, after.y - before.y) < STILL_M
         return whole if is_still and abs(after.yaw - before.yaw) < STILL_RAD else None
 
 
 class Drive:
-    """A controller (`controller.py`). `outcome` is `reached`, `guard`, `silent`, `stuck`, `jumped`, `missed`
-    or `time_out`.
+    """A controller (`controller.py`) that drives along a course.
 
-    Made of what the server asks for: `distance_m`, or `angle` (rad) with or without `radius_m`; `speed` (m/s, on the
-    spot rad/s), `time_limit_s`, and perhaps `pauses_s`, by which pauses may prolong it; `odometry` with `topic` and
-    `type`, and perhaps `sensors`, each with these and what `Clearance.of` takes.
+    `outcome` is `reached`, `guard`, `silent`, `stuck`, `jumped`, `missed` or `time_out`.
+
+    It is made from the server's JSON: `distance_m` (m), or `angle` (rad) with or without `radius_m`; `speed` (m/s, for
+    a turn in place rad/s); `time_limit_s`, and optionally `pauses_s`, by which pauses may prolong it; `odometry` with
+    `topic` and `type`; and optionally `sensors`, each with these and what `Clearance.of` takes.
     """
 
     def __init__(self, asked: Mapping[str, Any]) -> None:
@@ -182,11 +190,11 @@ class Drive:
         self._allowed_at = -math.inf
         self._nearest_m = NOTHING_NEAR
 
-    # ── what is heard ──────────────────────────────────────────────────────────────────────────────────────────
+    # ── input ──────────────────────────────────────────────────────────────────────────────────────────────────
 
     @property
     def is_settling(self) -> bool:
-        """Whether it stands to look where it has come to stand."""
+        """Whether the robot has stopped so that its final position can be measured."""
         return self._standing is not None
 
     def awaits(self) -> str:
@@ -226,10 +234,10 @@ class Drive:
         if self._standing:
             self._standing.hear(pose, now)
 
-    # ── what is commanded ──────────────────────────────────────────────────────────────────────────────────────
+    # ── output ─────────────────────────────────────────────────────────────────────────────────────────────────
 
     def step(self, now: float) -> Velocity | None:
-        """What to command now; None once it has ended."""
+        """Return the velocity to command now; None when the drive has ended."""
         assert self._pose
         if self._course is None:
             self._course, self._began_at, self._stepped_at = self._begun(self._pose), now, now
@@ -248,7 +256,9 @@ class Drive:
         return self._drive(now, seconds)
 
     def report(self) -> Mapping[str, object]:
-        """What odometry has measured so far: m, and on the spot degrees."""
+        """Return what odometry has measured so far, in m, or in degrees for a turn in place;
+        {} before the drive begins.
+        """
         if self._course is None:
             return {}
         place, is_turn = self._here(), self._course.is_turn
@@ -279,7 +289,9 @@ class Drive:
         return self._course.place(self._pose)
 
     def _along(self) -> float:
-        """How far it has come on a line or a circle, m; 0 before it begins, and on the spot."""
+        """Return how far the robot has come on a line or a circle, in m; 0 before it
+        begins, and for a turn in place.
+        """
         return 0.0 if self._course is None or self._course.is_turn else self._here().along
 
     def _drive(self, now: float, seconds: float) -> Velocity | None:
@@ -300,7 +312,7 @@ class Drive:
             return self._stand("", "", now)
         pushed = self._pushed(course.is_turn, creep, push, seconds)
         is_correction = self._corrections or self._squaring
-        most = STEER_MOST if self._squaring else self._fastest  # no faster than a policy was asked about
+        most = STEER_MOST if self._squaring else self._fastest  # no faster than the policy was asked to allow
         fastest = min(most, pushed + 3 * creep) if is_correction else most
         dead = slow_down * ANSWERS_S
         wanted = min(fastest, max(creep, math.sqrt(dead * dead + 2 * slow_down * abs(left)) - dead))
@@ -335,14 +347,19 @@ class Drive:
         return {"linear.x": self._speed, "angular.z": self._speed * course.curvature}
 
     def _steered(self, curvature: float, place: Place) -> float:
-        """The turning rate that leads back to the course, rad/s: none of it is faster than robots answer."""
+        """Return the turning rate that follows the course, and leads back to it, in rad/s.
+
+        The correction is limited, so that it is no faster than robots respond.
+        """
         speed = abs(self._speed)
         per_m = min(4.0, 0.56 / (speed * speed)) if speed else 0.0
         back = -STEER_PER_S * place.heading - per_m * self._speed * place.aside_m
         return self._speed * curvature + max(-STEER_MOST, min(STEER_MOST, back))
 
     def _pushed(self, is_turn: bool, creep: float, push: float, seconds: float) -> float:
-        """The slowest command that moves this robot: it grows while next to nothing moves, and falls back slowly."""
+        """Return the slowest command that moves this robot: it grows while almost nothing
+        moves, and falls back slowly.
+        """
         asked, moved, since_s = self._asked_and_moved(PUSH_AFTER_S)
         is_held = since_s > PUSH_AFTER_S * 0.9 and moved < PUSH_SHARE * asked
         grown = self._push[is_turn] + (push if is_held else -push / 4) * seconds
@@ -350,7 +367,9 @@ class Drive:
         return creep + self._push[is_turn]
 
     def _asked_and_moved(self, window_s: float) -> tuple[float, float, float]:
-        """How far it was commanded in the last seconds, how far it came, and of how much of that time this is known."""
+        """Return how far it was commanded and how far it came in the last seconds, and the part of that
+        time for which this is known.
+        """
         recent = [each for each in self._recent if each[0] >= self._stepped_at - window_s]
         if len(recent) < 2:
             return 0.0, 0.0, 0.0
@@ -360,9 +379,9 @@ class Drive:
     def _guarded(
         self, guard: Guard, course: Line | Circle | Turn, direction: int, speed: float, now: float
     ) -> float | None:
-        """How fast it may go by the sensors; None where that is not at all, and it ends."""
+        """Return the speed that the sensors allow; None if they allow none, which ends the drive."""
         is_blind = not course.is_turn and not guard.sees(0.0 if direction > 0 else math.pi)
-        if is_blind and not self._corrections:  # a correction is some centimetres
+        if is_blind and not self._corrections:  # a correction is only some centimetres
             way = "ahead" if direction > 0 else "back"
             topics = [beat.topic for role, beat in self._beats.items() if role != "odometry"]
             shows = f"{' and '.join(topics)} {'does' if len(topics) == 1 else 'do'} not show"
@@ -397,7 +416,7 @@ class Drive:
         self.outcome, self.why = outcome, why
 
     def _stand(self, ending: str, why: str, now: float) -> Velocity:
-        """Stop, and look where it came to stand; then it ends for that reason, or corrects what is left."""
+        """Stop, and measure where the robot stopped. Then the drive ends with `ending`, or corrects the difference."""
         self._standing, self._ending, self.why = Standing(now), ending, why
         return self._stop()
 
@@ -433,7 +452,7 @@ class Drive:
         return self._stop()
 
     def _is_there(self, place: Place, most_m: float, most_rad: float) -> bool:
-        """Whether that place is the end of the course, within these."""
+        """Return whether that place is the end of the course, within these tolerances."""
         assert self._course
         error = abs(self._course.whole - place.along)
         if self._course.is_turn:
@@ -448,7 +467,7 @@ class Drive:
         return self._nudges[course.is_turn].next(left, min(fastest, creep + self._push[course.is_turn]), fastest)
 
     def _learn(self, course: Line | Circle | Turn, pose: Pose) -> None:
-        """How far the last nudge carried the robot, or how long it goes on after a stop was commanded."""
+        """Record how far the last nudge carried the robot, or how long it rolled on after a stop."""
         if self._nudge:
             moved = (course.place(pose).along - self._nudged_along) * math.copysign(1.0, self._nudge.speed)
             self._nudges[course.is_turn].learn(self._nudged_s, moved)
@@ -461,7 +480,7 @@ class Drive:
         self._stopped_with = (0.0, 0.0)
 
     def _is_late(self, now: float, seconds: float) -> bool:
-        """Whether a topic is late, so that it has to stand; one that is silent ends it."""
+        """Return whether a topic is late, so that the robot has to stop. If a topic is silent, end the drive."""
         for role, beat in self._beats.items():
             late_s = beat.late_s(now)
             if late_s > SILENT_S:

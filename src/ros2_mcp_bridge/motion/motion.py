@@ -1,8 +1,8 @@
-"""Motion by feedback: a controller hears topics of the robot, and its velocities leave by the exit of all commands.
+"""Motion by feedback: a controller uses topics of the robot, and its velocities leave through the exit of all commands.
 
-A controller is pure: it is told what was heard and the time, and says what to command. So it is tested against
-simulated physics without ROS. The runner subscribes, decodes, steps and publishes; a stop, the latch, the end of the
-link lease and a cancelled request end it like a repeat, with the zero.
+A controller is pure: it gets messages and the time, and returns what to command. So it is tested against simulated
+physics without ROS. The runner subscribes, decodes, steps and publishes. A stop, the latch, the end of the link lease
+and a cancelled request end it like a repeat, with the zero.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ from ros2_mcp_common.wire.protocol import MotionProgress, MotionReply
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-# Between two looks at what was heard: a condition that holds, or an obstacle, is seen within it. Chosen: half of the
-# 20 ms in which a motion has to react, and 1 % of a core.
+# The period of looks, within which a condition or an obstacle is noticed: half of the 20 ms in which a motion has to
+# react, and 1 % of a core.
 LOOK_S = 0.01
-# The shortest pause, before the moment in which a topic is late. Chosen.
+# The shortest pause, before the moment at which a topic is late.
 SOON_S = 0.001
-# For a first message on every topic: a publisher that missed our announcement is discovered with the next one, 3 s
-# later (decision 13).
+# The longest wait for a first message on every topic: a publisher that missed our announcement is discovered with the
+# next one, 3 s later (decision 13).
 FIRST_HEARD_S = 5.0
-# As often as a person reads a new line of progress. Chosen.
+# The period of progress events: as often as a person reads a new line.
 TELL_EVERY_S = 0.5
-# Where the numbers of a velocity are in the types that have a header.
+# The path of the velocity in types with a header.
 _INNER = {"geometry_msgs/msg/TwistStamped": "twist.", "ackermann_msgs/msg/AckermannDriveStamped": "drive."}
 NOBODY = "Nobody listens to this command input: nothing was sent."
 
@@ -60,7 +60,7 @@ class Motion:
         self.started = time.monotonic()
 
     def wait_heard(self) -> Steps[bool]:
-        """Steps until the controller has heard what it needs; whether it has."""
+        """Steps that wait until the controller has received what it needs; return whether it has."""
         deadline = time.monotonic() + FIRST_HEARD_S
         while True:
             self._hear()
@@ -73,8 +73,10 @@ class Motion:
             yield LOOK_S
 
     def run(self, publisher: Publisher, tell: Callable[[], None]) -> Steps[None]:
-        """Steps that command what the controller says, at the rate, until it ends; the first one that moves, and the
-        zero after it, leave at once."""
+        """Steps that publish the controller's velocities at the rate, until it ends.
+
+        The first command that moves, and the zero after it, are sent at once.
+        """
         if not publisher.matched():
             self._end("nobody_listens", NOBODY)
             return
@@ -92,7 +94,7 @@ class Motion:
                 return
             if now >= due or moves != any(velocity.values()):
                 self.late += int((now - due) / self._period_s) if now > due else 0
-                due = max(due + self._period_s, now + self._period_s / 2)  # what is missed is not made up for
+                due = max(due + self._period_s, now + self._period_s / 2)  # missed periods are not made up for
                 moves = any(velocity.values())
                 if not self._publish(publisher, velocity):
                     return
@@ -102,7 +104,7 @@ class Motion:
             yield max(min(LOOK_S, self.controller.late_in_s(time.monotonic())), SOON_S)
 
     def destroy(self) -> None:
-        """End hearing."""
+        """Destroy the subscriptions."""
         for _, ear in self._ears:
             ear.destroy()
 
@@ -111,7 +113,7 @@ class Motion:
             ear.hear(lambda message, role=role, ear=ear: self.controller.hear(role, message, ear.received_at))
 
     def _publish(self, publisher: Publisher, velocity: Velocity) -> bool:
-        """Hand one command to the exit; False where the policy lets no more out. The first one then raises."""
+        """Publish one command. Return False if the policy refuses it; if it refuses the first one, raise."""
         message = self._request.interface()
         if publisher.velocity is not None and publisher.velocity.is_stamped:
             message.header.frame_id = self._request.text("frame", default="")
@@ -134,8 +136,9 @@ class Motion:
 
 
 class Motions:
-    """Runs motions; `kinds` makes the controller of each kind, `use` gives the publisher of a request, and whether it
-    was created for it.
+    """Runs motions. `kinds` makes the controller of each kind.
+
+    `use` gives the publisher of a request, and whether it was created for it.
     """
 
     def __init__(
@@ -156,7 +159,7 @@ class Motions:
         self._kinds = kinds
 
     def move(self, request: Request) -> Steps[MotionReply]:
-        """Move until the controller ends it, or something else does; then the zero."""
+        """Steps that move the robot until the controller or something else ends the motion, and then send the zero."""
         motion, wait_match_s = self._made(request), request.number("wait_match_s", 0.0)
         name, ended_by, guarded = request.text("name"), "", Guarded()
 
@@ -181,7 +184,7 @@ class Motions:
                     except Cancelled as cancelled:
                         ended_by = cancelled.ended_by
                     finally:
-                        request.task = None  # it ends now, and cannot be cancelled any more
+                        request.task = None  # it is ending, and cannot be cancelled any more
                         elapsed_s = round(time.monotonic() - motion.started, 6)
                         if motion.sent:
                             velocity.send_zero()
@@ -206,7 +209,10 @@ class Motions:
         }
 
     def _made(self, request: Request) -> Motion:
-        """The motion that the body of a request asks for; raises `OperationError` of kind `bad_request`."""
+        """Return the motion that the body of a request describes.
+
+        Raise `OperationError` of kind `bad_request` if it is wrong.
+        """
         try:
             asked = cast("Mapping[str, Any]", json.loads(request.body))
             controller = self._kinds[asked["kind"]](asked)

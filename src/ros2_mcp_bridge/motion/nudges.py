@@ -1,32 +1,34 @@
-"""Nudges: short commands of a reckoned length, for what is left when a robot cannot move as slowly as it should.
+"""Nudges: short commands of a computed length, for the rest of a course when a robot cannot move as slowly as needed.
 
-A robot with friction does not turn its wheels below some speed, and what odometry tells of that speed comes too late to
-stop it in time. But how far one short command carries it does not depend on that delay: so it is given, its way is
-measured when the robot stands, and the next one is as much longer or shorter as it has to be. No ROS; m or rad, and s.
+A robot with friction does not turn its wheels below some speed, and the odometry of that motion comes too late to stop
+it in time. But how far one short command carries it does not depend on that delay. So a command is given, the distance
+is measured when the robot is at rest, and the next command is longer or shorter accordingly. No ROS; m or rad, and s.
 """
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
-# The shortest and the longest, s: two looks of the runner, and what is still short beside a drive.
+# The shortest and the longest nudge, in s: two looks of the runner, and a time that is still short compared with a
+# drive.
 LEAST_S, MOST_S = 0.02, 0.6
-# The way of a nudge grows with its time, or with the square of that while the robot still speeds up: in between.
+# The exponent of the change in length. The distance grows with the length, or with its square while the robot still
+# accelerates: this is in between.
 POWER = 0.7
-# One that moved nothing is followed by one that is so much faster and longer; none is changed by more than the second
-# factor at once. Chosen.
+# After a nudge that moved nothing, the next is faster and longer by the first factor. No change exceeds the second
+# factor.
 FASTER, MOST_CHANGED = 1.4, 3.0
 
 
 class Nudge(NamedTuple):
-    """One: how fast, with its direction (m/s or rad/s), and for how long."""
+    """One nudge: its speed, with the sign of its direction (m/s or rad/s), and its length in s."""
 
     speed: float
     length_s: float
 
 
 class Nudges:
-    """What was learnt of those of one drive, all of the same kind (along, or on the spot)."""
+    """What was learnt from the nudges of one drive, which are all of the same kind (along the course, or in place)."""
 
     def __init__(self, least_moved: float) -> None:
         self._least_moved = least_moved
@@ -35,7 +37,10 @@ class Nudges:
         self._moved = 0.0
 
     def next(self, left: float, slowest: float, fastest: float) -> Nudge:
-        """The one that should carry it over what is `left`. `slowest` is the least command that may move it."""
+        """Return the nudge that should carry the robot by `left` (m or rad).
+
+        `slowest` is the least speed that may move it.
+        """
         if not self._length_s:
             self._speed = slowest
             wanted_s = abs(left) / slowest
@@ -49,5 +54,5 @@ class Nudges:
         return Nudge(self._speed if left > 0 else -self._speed, min(MOST_S, max(LEAST_S, wanted_s)))
 
     def learn(self, length_s: float, moved: float) -> None:
-        """How long the last one really was, and how far it carried the robot in its direction."""
+        """Record how long the last nudge really was (s), and how far it carried the robot in its direction."""
         self._length_s, self._moved = length_s, moved

@@ -1,4 +1,4 @@
-"""The points of a sensor_msgs/msg/PointCloud2, with the standard library alone. No ROS."""
+"""The points of a sensor_msgs/msg/PointCloud2, read with the standard library alone. No ROS."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ import struct
 from collections.abc import Iterator
 from typing import Any
 
-# So many points of a cloud are looked at, evenly spread. Reading one costs 1 µs, so that a cloud of a depth camera
-# (640 × 480, of which this is every 8th column of every 8th row, 0.9° apart) holds up the ROS thread for 5 ms.
+# The most points of a cloud that are read, evenly spread. Reading one costs 1 µs, so that a cloud of a depth camera
+# (640 × 480, of which every 8th column of every 8th row is read, 0.9° apart) takes 5 ms of the ROS thread.
 MOST_POINTS = 6000
-# `datatype` of sensor_msgs/msg/PointField, and the letter of the module struct: FLOAT32 and FLOAT64.
+# The format letters of the module struct for `datatype` of sensor_msgs/msg/PointField: FLOAT32 and FLOAT64.
 _LETTERS = {7: "f", 8: "d"}
 
 
 def places(cloud: Any) -> Iterator[tuple[float, float, float]]:
-    """x, y and z (m) of the points of a cloud that are finite, in its own frame: all of them, or `MOST_POINTS`.
+    """Yield x, y and z (m) of the finite points of a cloud, in its own frame: of all points, or of about `MOST_POINTS`.
 
     Raises:
         ValueError: if it has no x, y and z of floating point, or fewer bytes than its header says.
@@ -47,7 +47,7 @@ def places(cloud: Any) -> Iterator[tuple[float, float, float]]:
 
 
 def _strides(rows: int, columns: int) -> tuple[int, int]:
-    """Every how many rows and columns are looked at: the same of both where the cloud is a picture."""
+    """Return the strides of rows and columns to read. They are equal if the cloud is an image."""
     excess = rows * columns / MOST_POINTS
     if excess <= 1:
         return 1, 1

@@ -1,6 +1,7 @@
-"""Moving at one velocity until a condition on a topic holds. Pure: times are given, monotonic, in s.
+"""Moving at one velocity until a condition on a topic holds. Pure: times are arguments, monotonic, in s.
 
-It stands while that topic, or odometry, is late, and ends where it stays silent: nobody drives on what is not seen.
+The robot stops while that topic, or odometry, is late, and the motion ends if the topic stays silent: the robot must
+not drive on without feedback.
 """
 
 from __future__ import annotations
@@ -16,14 +17,14 @@ from ros2_mcp_bridge.ros import interfaces
 from ros2_mcp_bridge.ros.message_types import MessageTypes
 from ros2_mcp_common.finite import not_finite
 
-# The way is measured from one place to the next that is as far as this from it, m: what odometry trembles is no way.
+# The distance is summed in steps of at least this length, in m, so that noise of odometry does not add up.
 STRIDE_M = 0.02
-# The periods of topics are known from so many messages on; of one that tells of events nothing has to come.
+# The messages after which the period of a topic is known. A topic of events need not send any.
 FIRST_MESSAGES = 3
 
 
 class Way:
-    """How far odometry says that a robot has come, along its path."""
+    """The length of the path that the robot has travelled according to odometry."""
 
     def __init__(self) -> None:
         self._measured_m = 0.0
@@ -31,7 +32,10 @@ class Way:
         self._now: tuple[float, float, float] | None = None
 
     def hear(self, message: Any) -> None:
-        """Of nav_msgs/msg/Odometry, or of what else has a pose; raises `ValueError` for a place that is no number."""
+        """Take in a nav_msgs/msg/Odometry, or another message with a pose.
+
+        Raise `ValueError` if the position is not finite.
+        """
         place = getattr(message.pose, "pose", message.pose).position
         within = "pose.pose.position" if hasattr(message.pose, "pose") else "pose.position"
         if why := not_finite(place, "x", "y", "z", within=within):
@@ -45,20 +49,20 @@ class Way:
             self._at = now
 
     def begin(self) -> None:
-        """From here on."""
+        """Start to measure from the current position."""
         self._measured_m, self._at = 0.0, self._now
 
     @property
     def length_m(self) -> float:
-        """The way up to now."""
+        """The length up to now, in m."""
         return self._measured_m + (math.dist(self._at, self._now) if self._at and self._now else 0.0)
 
 
 class Until:
-    """The controller: see `motion.Controller`. `outcome` is `met`, `distance` or `silent`.
+    """A controller (see `controller.Controller`). `outcome` is `met`, `distance` or `silent`.
 
-    `velocity` are the numbers of the command by their names; `may_be_silent` for a topic that tells of events alone;
-    `odometry` (topic and type) with `max_distance_m`, where the way has a limit or is to be told.
+    `velocity` has the numbers of the command by name. `may_be_silent` is for a topic that reports only events.
+    `odometry` is needed with `max_distance_m`, or if the distance is to be reported.
     """
 
     def __init__(
@@ -90,7 +94,10 @@ class Until:
 
     @staticmethod
     def of(asked: Mapping[str, Any]) -> Until:
-        """What the server asks for; raises `KeyError`, `TypeError` or `ValueError` for what cannot be asked."""
+        """Make a controller from the server's JSON.
+
+        Raise `KeyError`, `TypeError` or `ValueError` if that is not possible.
+        """
         types = MessageTypes(interfaces.load(asked["type"]))
         odometry, most = asked.get("odometry"), asked.get("max_distance_m")
         return Until(
@@ -103,7 +110,7 @@ class Until:
         )
 
     def awaits(self) -> str:
-        """Topics of which too little has come; none where the condition is met already."""
+        """Return the topics of which too few messages have come; "" if the condition is met already."""
         if self._asking.is_met:
             return ""
         return " and ".join(
@@ -117,7 +124,7 @@ class Until:
         return late_in_s(self._beats.values(), now)
 
     def hear(self, role: str, message: Any, now: float) -> None:
-        """A message that the condition is asked of, or odometry."""
+        """Take in odometry, or a message on which to evaluate the condition."""
         if role == "odometry":
             try:
                 self._way.hear(message)
@@ -129,7 +136,7 @@ class Until:
         self._beats[role].heard(now)
 
     def step(self, now: float) -> Velocity | None:
-        """The velocity, zeros while a topic is late; None once it has ended."""
+        """Return the velocity, or zeros while a topic is late; None when it has ended."""
         if self._began_at is None:
             self._began_at = now
             self._way.begin()
@@ -150,7 +157,7 @@ class Until:
         return self._velocity
 
     def report(self) -> Mapping[str, object]:
-        """What the condition was asked of, the way in m (None without odometry), and times in s."""
+        """Return the report of the condition, the distance in m (None without odometry), and times in s."""
         return {
             **self._asking.report(),
             "distance_m": round(self._way.length_m, 4) if "odometry" in self._beats else None,

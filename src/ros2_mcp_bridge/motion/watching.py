@@ -1,4 +1,4 @@
-"""The watchdog's ears: what it is told of the robot comes from here, and what follows is carried out."""
+"""The topics of the watchdog: passes it the robot's feedback, and stops the robot if it finds something."""
 
 from __future__ import annotations
 
@@ -23,34 +23,37 @@ from ros2_mcp_common.policy.feedback import Watchdog, rules_of
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-# While the robot is driven; a message waits no longer than that. Part of `feedback.REACTION_S`. Chosen.
+# The period of looks while the robot is driven, and so the longest wait of a message. Part of `feedback.REACTION_S`.
 LOOK_S = 0.02
-# While it rests: enough to notice that it is driven, and to keep the queues short. Chosen.
+# The period while it rests: often enough to notice that it is driven, and to keep the queues short.
 REST_LOOK_S = 0.1
-# Whoever floods the topic must not keep the ROS thread; the rest is heard at the next look. Chosen.
+# The longest time for one topic in one look, so that a flood does not hold the ROS thread; the rest is read at the next
+# look.
 HEARS_AT_MOST_S = 0.01
-# A message waits longer only where this process was held up for longer. Chosen.
+# The longest wait of a message that is believed; a longer one means that this process was held up, or a clock was set.
 WAITED_AT_MOST_S = 1.0
 BY = "watchdog"
 
 
 class Heard(Protocol):
-    """What names a topic: a rule of the watchdog, a feed of a motion."""
+    """An object that names a topic: a rule of the watchdog, or a feed of a motion."""
 
     @property
     def topic(self) -> str:
-        """Its full name."""
+        """The full name of the topic."""
         ...
 
     @property
     def type(self) -> str:
-        """Its full type."""
+        """The full type of the topic."""
         ...
 
 
 class Ear:
-    """One topic of feedback, followed as its publishers come and go. While it gives a message, `received_at` is when
-    the middleware received it (monotonic, in s): it may have waited for the next look.
+    """A subscription to one feedback topic, which follows its publishers as they come and go.
+
+    While it passes a message on, `received_at` is when the middleware received it (monotonic, s): it
+    may have waited since then.
     """
 
     def __init__(self, node: Node, graph: Graph, heard: Heard) -> None:
@@ -64,15 +67,16 @@ class Ear:
         self._old: NewestOfOld[Sample] | None = None
 
     def hear(self, take_in: Callable[[Any], None]) -> None:
-        """Give `take_in` the messages that wait, decoded; of what a latched topic replays the newest. One that cannot
-        be taken or understood is not heard: then the topic becomes stale, and the watchdog watches on.
+        """Pass the waiting messages, decoded, to `take_in`; of those that a latched topic replays, only the newest.
+
+        A message that cannot be decoded or used is ignored: then the topic becomes stale, and the watchdog goes on.
         """
         deadline = time.monotonic() + HEARS_AT_MOST_S
 
         def decode(sample: Sample) -> None:
-            waited_s = (time.time_ns() - sample.received_ns) / 1e9  # by a clock that may be set
+            waited_s = (time.time_ns() - sample.received_ns) / 1e9  # by a clock that may have been set
             self.received_at = time.monotonic() - min(max(waited_s, 0.0), WAITED_AT_MOST_S)
-            with suppress(Exception):  # anybody can publish a broken one, and a type need not have all that is read
+            with suppress(Exception):  # a message may be broken, and its type may lack fields
                 take_in(rcl.deserialize(sample.data, self._interface))
 
         def pass_on(sample: Sample) -> None:
@@ -92,7 +96,7 @@ class Ear:
 
     @property
     def is_settling(self) -> bool:
-        """Whether what a latched topic kept may still be about to come."""
+        """Whether messages that a latched topic kept may still be about to come."""
         return self._old is not None and self._old.is_settling(time.monotonic())
 
     def _resubscribe(self) -> None:
@@ -103,12 +107,14 @@ class Ear:
             self._old = NewestOfOld(opened_ns, time.monotonic()) if self._source.is_latched else None
 
     def destroy(self) -> None:
-        """End hearing."""
+        """Destroy the subscription."""
         self._source.destroy()
 
 
 class Watching:
-    """The watchdog of one bridge: hears, judges, and where something is found stops the robot and sets the latch."""
+    """The watchdog of one bridge: receives feedback, judges it, and if it finds something stops the
+    robot and sets the latch.
+    """
 
     def __init__(self, node: Node, graph: Graph, *, latch: Latch, stop: Callable[[], object]) -> None:
         self._node = node
@@ -122,7 +128,7 @@ class Watching:
         is_driven: Callable[[], bool],
         by_goal: Callable[[], bool],
     ) -> Steps[None]:
-        """Steps that watch for ever, once the rules have come, if they ask for it."""
+        """Steps that watch for ever, once the policy's rules have come, if these require it."""
         while (given := rules()) is None:
             yield Seldom(REST_LOOK_S)
         speed, pose = rules_of(given)
@@ -135,7 +141,7 @@ class Watching:
                 for rule, take in ((speed, _speed_to), (pose, _pose_to))
                 if rule
             ]
-        except OperationError as error:  # its type is not there: it is never heard, so that nothing drives for long
+        except OperationError as error:  # without its type nothing is received, so that nothing can drive for long
             sys.stderr.write(f"the watchdog hears nothing: {error}\n")
             ears = []
 
@@ -146,10 +152,12 @@ class Watching:
         yield from rounds(watchdog, hear, is_driven, self._end, by_goal=by_goal)
 
     def _end(self, found: str) -> None:
-        """Zeros first; the latch holds at once, and is written beside, because that takes as long as the disk."""
+        """Send zeros, then set the latch: in memory at once, in its file on another thread, because writing
+        takes as long as the disk.
+        """
         self._stop()
         if (state := self._latch.look()).is_set and state.by == BY:
-            return  # set once more its count would grow, and nobody could reset it
+            return  # setting it again would raise its count, so that no reset would succeed
         self._latch.hold(by=BY, reason=found)
         sys.stderr.write(f"the watchdog stops the robot: {found}\n")
         threading.Thread(target=self._latch.write_at_last, daemon=True).start()
@@ -163,7 +171,9 @@ def rounds(
     now: Callable[[], float] = time.monotonic,
     by_goal: Callable[[], bool] = lambda: False,
 ) -> Steps[None]:
-    """Steps that go on for ever: tell it what is driven, let it hear what has come, and `end` what it finds."""
+    """Steps that go on for ever: tell the watchdog whether the robot is driven, pass it the messages that have
+    come, and `end` on a finding.
+    """
     while True:
         watchdog.told(is_driven(), now(), by_goal=by_goal())
         hear()
@@ -178,7 +188,7 @@ def _speed_to(watchdog: Watchdog) -> Callable[[Any], None]:
 
 def _pose_to(watchdog: Watchdog) -> Callable[[Any], None]:
     def take(message: Any) -> None:
-        header = getattr(message, "header", None)  # a type without one tells a place in no frame
+        header = getattr(message, "header", None)  # without a header, the pose is in no frame
         watchdog.heard_pose(message, getattr(header, "frame_id", ""), time.monotonic())
 
     return take

@@ -1,1 +1,1 @@
-"""What the bridge asks of rclpy: context, clock, interfaces, QoS, raw publishers and subscriptions."""
+"""Everything that uses rclpy: context, clock, interfaces, QoS, raw publishers and subscriptions, the graph."""

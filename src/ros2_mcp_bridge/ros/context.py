@@ -1,4 +1,4 @@
-"""Entering and leaving ROS: the context, the node, the executor."""
+"""Joining and leaving ROS: the context, the node, the executor."""
 
 from __future__ import annotations
 
@@ -22,18 +22,20 @@ if TYPE_CHECKING:
     from rclpy.executors import Executor
     from rclpy.node import Node
 
-# With four others, 2 of 10 new participants heard all of them at once (decision 13): three times the chance.
+# How many more participants are tried. With four others present, 2 of 10 new participants discovered all of them at
+# once (decision 13); three participants triple the chance.
 MORE_CANDIDATES = 2
-# The participants of this machine answer an announcement after 0.2 to 1 ms (decision 13), a busy one later.
+# The time for answers: participants on this machine answer an announcement after 0.2 to 1 ms (decision 13), on a busy
+# machine later.
 ANSWERED_S = 0.2
-# What rcl logs goes to stderr, which is the bridge's log; it writes no file on the robot.
+# rcl logs to stderr, which is the bridge's log, and writes no file on the robot.
 WITHOUT_LOG_FILES = ["--ros-args", "--disable-external-lib-logs"]
-# While these answers are waited for; each time reads the kernel's table of ports. Chosen.
+# The polling period of this wait; each time reads the kernel's table of ports.
 _LOOK_EVERY_S = 0.01
 
 
 def enter(node_name: str) -> tuple[Node, Executor]:
-    """Initialise ROS and make the bridge's node; returns it with its executor."""
+    """Initialise ROS and create the bridge's node. Return it with its executor."""
     node = join(node_name)
     try:
         from rclpy.experimental.events_executor import EventsExecutor as BestExecutor
@@ -45,10 +47,10 @@ def enter(node_name: str) -> tuple[Node, Executor]:
 
 
 def join(node_name: str) -> Node:
-    """Initialise ROS and make a node, as light as it can be.
+    """Initialise ROS and create a node with as few entities as possible.
 
-    A participant that has not discovered everybody on this machine at once discovers the others only at their next
-    announcement, up to 3 s later: then more are tried, and the one that has discovered most stays.
+    A participant that has not discovered all others on this machine at once discovers the rest only at their next
+    announcement, up to 3 s later. Then more participants are tried, and the one that has discovered most is kept.
     """
     node = _new_node(node_name)
     deadline = time.monotonic() + ANSWERED_S
@@ -65,7 +67,7 @@ def join(node_name: str) -> Node:
 
 
 def leave(node: Node, executor: Executor) -> None:
-    """Undo `enter`. Whoever lists the node does not any more, and nothing of it stays in shared memory."""
+    """Undo `enter`: the node disappears from the graph, and nothing of it stays in shared memory."""
     executor.remove_node(node)
     executor.shutdown()
     rcl.destroy_endpoints()
@@ -73,7 +75,7 @@ def leave(node: Node, executor: Executor) -> None:
 
 
 def hello(node: Node, executor: Executor) -> dict[str, object]:
-    """The event that tells the server who we are."""
+    """Return the event that introduces this bridge to the server."""
     packages = Path(str(rclpy.__file__)).parent.parent
     wheels = (found.name.split("_")[1] for found in packages.glob("ros_*_rclpy-*.dist-info"))
     introduction = Hello(
@@ -103,10 +105,11 @@ def _new_node(node_name: str) -> Node:
 
 @contextmanager
 def _receiving_after_sending() -> Generator[None, None, None]:
-    """Let threads that are started here run only when this one waits: they share its processor and stand back.
+    """A context manager in which newly started threads run only while this one waits: they share its
+    processor at lower priority.
 
-    A new participant of Fast DDS 2.14 announces itself a moment before it heeds what its threads receive, so that it
-    misses answers that come within a fraction of a millisecond, as those of this machine do. See decision 13.
+    A new participant of Fast DDS 2.14 announces itself a moment before it processes what its threads receive, so it
+    misses answers that come within a fraction of a millisecond, as those from this machine do. See decision 13.
     """
     if not hasattr(os, "sched_setaffinity") or os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK != os.SCHED_OTHER:
         yield
@@ -116,15 +119,15 @@ def _receiving_after_sending() -> Generator[None, None, None]:
         # The processor that this thread runs on (field 39 of its stat) is seldom one that others keep busy.
         after_name = Path("/proc/thread-self/stat").read_text().rpartition(")")[2]
         os.sched_setaffinity(0, {int(after_name.split()[36])})
-        try:  # real time for this thread alone, where that is allowed
+        try:  # real-time priority for this thread alone, where that is allowed
             os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(1))
-        except PermissionError:  # else batch for all, of which none interrupts another
+        except PermissionError:  # otherwise batch for all: none preempts another
             os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
     try:
         yield
     finally:
         for thread in Path("/proc/self/task").iterdir():
-            with suppress(OSError):  # it may have ended meanwhile
+            with suppress(OSError):  # the thread may have ended meanwhile
                 os.sched_setaffinity(int(thread.name), processors)
                 os.sched_setscheduler(int(thread.name), os.SCHED_OTHER | os.SCHED_RESET_ON_FORK, os.sched_param(0))
 

@@ -1,4 +1,4 @@
-"""The texts of interface definitions, read from the ament index; needs no rclpy."""
+"""The texts of interface definitions, read from the ament index. Needs no rclpy."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _USED_BY_ACTIONS = (
 
 
 def list_interfaces(_request: Request) -> InterfacesReply:
-    """All `package/kind/Name` of the ament index, sorted."""
+    """Return the names `package/kind/Name` of all interfaces in the ament index, sorted."""
     found: set[str] = set()
     for prefix in _prefixes():
         for index in prefix.glob("share/ament_index/resource_index/rosidl_interfaces/*"):
@@ -39,7 +39,7 @@ def list_interfaces(_request: Request) -> InterfacesReply:
 
 
 def find(request: Request) -> DefinitionsReply:
-    """Definitions of `types` with everything that they refer to, and the list of types that are missing.
+    """Return the definitions of `types` with everything that they refer to, and the list of types that were not found.
 
     The parts of an action or service (`Fibonacci_FeedbackMessage`) are defined by the whole (`Fibonacci`).
     """

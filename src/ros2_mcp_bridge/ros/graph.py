@@ -1,4 +1,4 @@
-"""What is in the ROS graph, as soon as discovery has settled."""
+"""Requests about the ROS graph, which are answered as soon as discovery has settled."""
 
 from __future__ import annotations
 
@@ -27,28 +27,28 @@ if TYPE_CHECKING:
     from rclpy.node import Node
     from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-# Each time the whole graph is listed; about seven listings fit into QUIET_S. Chosen.
+# The period at which the whole graph is listed; about seven listings fit into QUIET_S.
 POLL_S = 0.06
 # The graph is quiet when nothing has changed for this time. It need not be as long as the period of announcements,
-# because the participants of this machine are counted besides. Chosen.
+# because the participants on this machine are counted, too.
 QUIET_S = 0.4
-# Fast DDS announces itself every 3 s (decision 13): after that and a little more, everybody has been discovered.
+# Fast DDS announces itself every 3 s (decision 13): a little after that, every participant has been discovered.
 ANNOUNCEMENT_PERIOD_S = 3.5
-# A graph that keeps changing is listed as it is after this time. Chosen.
+# A graph that keeps changing is listed as it is after this time.
 LONGEST_SETTLING_S = 10.0
-# What `settle_s` is if it is not given: as long as the period of announcements (decision 13).
+# The default of `settle_s`: the period of announcements (decision 13).
 SETTLE_S = 3.0
-# For the names of nodes, which come a little after their endpoints: mostly milliseconds. Where they do not come at all,
-# as after the robot was frozen for longer than its lease, they are waited for once. Chosen.
+# The longest wait for the names of nodes, which come a little after their endpoints, mostly milliseconds. If they do
+# not come at all, as after the robot was frozen for longer than its lease, they are waited for only once.
 NAMES_S = 1.0
-# While a request waits; each time costs a look at one number, or at the endpoints of one topic. Chosen.
+# The polling period of a waiting request; each time costs a look at one number, or at the endpoints of one topic.
 WAIT_POLL_S = 0.02
 UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
 CLOCK = "/clock"
 
 
 class Graph:
-    """Answers the requests about the graph; each is steps, because it may have to wait."""
+    """Answers the requests about the graph; most are steps, because they may have to wait."""
 
     def __init__(self, node: Node) -> None:
         self.settled = False
@@ -56,13 +56,16 @@ class Graph:
         self._nameless: set[str] = set()
 
     def settle(self) -> Steps[None]:
-        """Steps that watch discovery until the graph has been quiet for a while, or has had ample time."""
+        """Steps that watch discovery until the graph has been quiet for some time, or the
+        longest settling time is over.
+        """
         started = looked_at = time.monotonic()
         seen, quiet_s = None, 0.0
         while not self.settled:
             yield POLL_S
             now, current = time.monotonic(), self._snapshot()
-            # Our own lateness is no quiet: whoever stalled with us has not told us anything meanwhile.
+            # Lateness of this process is no quiet: other processes that stalled with it have not sent anything
+            # meanwhile.
             quiet_s = quiet_s + min(now - looked_at, 2 * POLL_S) if current == seen else 0.0
             seen, looked_at = current, now
             topics = [name for name, _ in self._node.get_topic_names_and_types()]
@@ -71,7 +74,7 @@ class Graph:
             self.settled = (is_quiet and is_whole) or now - started >= LONGEST_SETTLING_S
 
     def topics(self, request: Request) -> Steps[TopicsReply]:
-        """Every topic with its types and numbers of endpoints, and every node."""
+        """Steps that return every topic with its types and numbers of endpoints, and every node."""
         yield from self._wait_settled(request)
         found = self._node.get_topic_names_and_types()
         are_counted = len(found) <= request.number("count_most", math.inf)
@@ -80,33 +83,36 @@ class Graph:
         return {"topics": topics, "nodes": self._nodes(), "settled": self.settled}
 
     def counted(self, request: Request) -> CountedReply:
-        """The numbers of endpoints of some topics."""
+        """Return the numbers of publishers and subscribers of the named topics."""
         types = dict(self._node.get_topic_names_and_types())
         return {"counted": self._counted([(name, types.get(name, ())) for name in request.texts("topics")])}
 
     def services(self, request: Request) -> Steps[ServicesReply]:
-        """Every service with its types."""
+        """Steps that return every service with its types."""
         yield from self._wait_settled(request)
         return {"services": self._node.get_service_names_and_types(), "settled": self.settled}
 
     def servers(self, request: Request) -> Steps[ServersReply]:
-        """The nodes that serve a service, ROS tells it node by node; those that share a name count each."""
+        """Steps that return the nodes that provide a service, found by querying each node.
+
+        Nodes with the same name are listed separately.
+        """
         service = request.text("service")
         yield from self._wait_settled(request)
         found: list[tuple[str, str]] = []
         for name, namespace in self._node.get_node_names_and_namespaces():
-            with suppress(rcl.RCLError):  # it has left meanwhile
+            with suppress(rcl.RCLError):  # the node has left meanwhile
                 served = self._node.get_service_names_and_types_by_node(name, namespace)
                 found += [(name, namespace)] if any(service == one for one, _ in served) else []
         return {"servers": found}
 
     def nodes(self, request: Request) -> Steps[NodesReply]:
-        """Every node."""
+        """Steps that return every node."""
         yield from self._wait_settled(request)
         return {"nodes": self._nodes(), "settled": self.settled}
 
     def node(self, request: Request) -> Steps[NodeReply]:
-        """What one node publishes, subscribes, serves and calls."""
+        """Steps that return the topics and services of one node: what it publishes, subscribes to, serves and calls."""
         name, namespace = request.text("name"), request.text("namespace")
         yield from self._wait_settled(request)
         if (name, namespace) not in self._node.get_node_names_and_namespaces():
@@ -119,7 +125,7 @@ class Graph:
         }
 
     def endpoints(self, request: Request) -> Steps[EndpointsReply]:
-        """The publishers and subscribers of a topic with their QoS."""
+        """Steps that return the publishers and subscribers of a topic with their QoS."""
         topic = request.text("topic")
         deadline = time.monotonic() + min(NAMES_S, request.number("settle_s", SETTLE_S))
         yield from self._wait_settled(request)
@@ -134,7 +140,11 @@ class Graph:
             yield WAIT_POLL_S
 
     def wait_endpoints(self, request: Request) -> Steps[EndpointsReply]:
-        """The same, as soon as there are enough of them."""
+        """Steps that return the publishers and subscribers of a topic, as soon as there are enough of them.
+
+        Raises:
+            OperationError: of kind `timeout`, if there are not enough in time.
+        """
         topic = request.text("topic")
         publishers, subscribers = request.number("publishers", 0), request.number("subscribers", 0)
         deadline = time.monotonic() + request.number("timeout_s")
@@ -150,11 +160,11 @@ class Graph:
             yield WAIT_POLL_S
 
     def subscribers(self, topic: str) -> list[TopicEndpointInfo]:
-        """rclpy's information about every subscriber of a topic but stoppers."""
+        """Return rclpy's information about every subscriber of a topic, except stoppers."""
         return _without_stoppers(self._node.get_subscriptions_info_by_topic(topic))
 
     def own_subscribers(self, topic: str, type_name: str) -> int:
-        """The number of its subscribers of that type that are this bridge's own."""
+        """Return the number of subscribers of a topic, with this type, that belong to this bridge."""
         own = self._node.get_name(), self._node.get_namespace()
         return sum(
             (info.node_name, info.node_namespace) == own and info.topic_type == type_name
@@ -162,29 +172,30 @@ class Graph:
         )
 
     def count(self, topic: str) -> tuple[int, int]:
-        """How many publishers and subscribers a topic has, those of stoppers among them."""
+        """Return the numbers of publishers and subscribers of a topic, including those of stoppers."""
         return rcl.count_publishers(self._node, topic), rcl.count_subscribers(self._node, topic)
 
     def publishers(self, topic: str) -> list[TopicEndpointInfo]:
-        """rclpy's information about every publisher of a topic but stoppers."""
+        """Return rclpy's information about every publisher of a topic, except stoppers."""
         return _without_stoppers(self._node.get_publishers_info_by_topic(topic))
 
     def stoppers(self, topic: str) -> int:
-        """The number of publishers that stoppers keep ready on a topic."""
+        """Return the number of publishers of stoppers on a topic."""
         return len(self._node.get_publishers_info_by_topic(topic)) - len(self.publishers(topic))
 
     def publisher_gids(self, topic: str) -> set[bytes]:
-        """The global identifiers of a topic's publishers."""
+        """Return the global identifiers (GID) of a topic's publishers, except stoppers."""
         return {participants.gid(info) for info in self.publishers(topic)}
 
     def _nodes(self) -> list[tuple[str, str]]:
         found = self._node.get_node_names_and_namespaces()
         return [node for node in found if not participants.is_stopper(node[0])]
 
-    # Stoppers publish velocities, and listen to the simulated time: other topics are counted without looking at names.
+    # Stoppers publish velocity commands, and subscribe to the simulated time: the endpoints of other topics are counted
+    # without reading their names.
 
     def _counted(self, topics: Sequence[tuple[str, Iterable[str]]]) -> list[tuple[int, int]]:
-        """The numbers of publishers and subscribers of topics, which come with their types."""
+        """Return the numbers of publishers and subscribers of topics, which are given with their types."""
         counts = rcl.counts(self._node, [name for name, _ in topics])
         return [
             (
@@ -218,9 +229,10 @@ class Graph:
         return node.get_topic_names_and_types(), node.get_service_names_and_types(), nodes
 
     def _all_discovered(self) -> bool:
-        """Whether all participants on this machine have been discovered.
+        """Return whether all participants on this machine have been discovered.
 
-        Where participants may be elsewhere too, the kernel cannot count them: then one other node has to be there.
+        If participants may also be on other machines, the kernel cannot count them: then at least one
+        other node has to be there.
         """
         if not participants.all_discovered(self._node):
             return False
@@ -241,7 +253,7 @@ def _without_stoppers(infos: list[TopicEndpointInfo]) -> list[TopicEndpointInfo]
 
 
 def _endpoint(info: TopicEndpointInfo) -> Endpoint:
-    found_hash = str(getattr(info, "topic_type_hash", ""))  # Humble tells none
+    found_hash = str(getattr(info, "topic_type_hash", ""))  # not in Humble
     return {
         "node": info.node_name,
         "namespace": info.node_namespace,

@@ -1,4 +1,4 @@
-"""Python classes of interfaces, by the names that the graph uses."""
+"""Loading the Python classes of interfaces by their names in the graph."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from typing import Any
 from ros2_mcp_bridge.request import OperationError
 from ros2_mcp_bridge.ros import definitions
 
-# the topics and services that an action is made of have types of their own, which rclpy keeps in Action.Impl
+# The topics and services of an action have their own types, which rclpy keeps in Action.Impl.
 _PARTS_OF_ACTIONS = {
     "SendGoal": "SendGoalService",
     "GetResult": "GetResultService",
     "FeedbackMessage": "FeedbackMessage",
 }
 
-# A type has one name: Python would also find it by others, which no table of types knows.
+# Only the one proper name is accepted: Python would also find a type by others, which no table of types contains.
 _NAME = re.compile(r"[A-Za-z]\w*/(msg|srv|action)/[A-Za-z]\w*", re.ASCII)
 
 _NOT_INSTALLED = "Names look like std_msgs/msg/String; the package must be installed and sourced where the bridge runs."
@@ -32,12 +32,14 @@ stood_in: set[str] = set()
 """The types that the middleware knows by a stand-in (`stand_ins.py`): it takes no other for them in this process."""
 
 
-# More types than a robot has; a class stays loaded anyway, so that forgetting one frees nothing.
+# More types than a robot has. A class stays loaded anyway, so that evicting one frees nothing.
 @lru_cache(maxsize=1024)
 def load(type_name: str) -> Any:
-    """The class of `std_msgs/msg/String`, `nav2_msgs/action/Wait_SendGoal` and the like, its type support loaded.
+    """Return the class of `std_msgs/msg/String`, `nav2_msgs/action/Wait_SendGoal` and the like,
+    with its type support loaded.
 
-    Raises `OperationError` of kind `unknown_type`.
+    Raises:
+        OperationError: of kind `unknown_type`, if it cannot be loaded.
     """
     from rclpy.type_support import check_for_type_support  # pyright: ignore[reportUnknownVariableType]
 

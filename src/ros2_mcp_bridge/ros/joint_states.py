@@ -1,4 +1,4 @@
-"""Where the joints of the robot are, as it tells it: taken from the middleware when somebody asks, and not before."""
+"""The measured joint states of the robot, taken from the middleware only when they are needed."""
 
 from __future__ import annotations
 
@@ -19,29 +19,31 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
-# Joints tell where they are at 10 to 1,000 Hz. What is older may be far from where the joint is by now: to hold there
-# would be to go back there. Chosen.
+# The age at which a position is stale. Joint states come at 10 to 1,000 Hz. A joint may be far from an older position,
+# and a hold there would move it back.
 STALE_S = 0.5
-# Of joint states: arm, gripper, wheels; a robot that has more of them is unknown to us. Chosen.
+# The most topics with joint states: arm, gripper, wheels. No robot with more is known to us.
 MOST_TOPICS = 8
-# Whoever hangs while it takes must not keep the other thread, which goes on with what was taken before. Chosen.
+# The longest wait for the lock: a thread that hangs while it takes messages must not block the other, which then uses
+# what was taken before.
 TAKE_S = 0.05
 NS_PER_S = 1_000_000_000
-# For a first message with the joints of a trajectory, once per topic, before it is sent: a publisher that missed our
-# announcement is discovered with the next one, 3 s later (decision 13).
+# The longest wait for a first message with the joints of a trajectory, once per topic, before it is sent: a publisher
+# that missed our announcement is discovered with the next one, 3 s later (decision 13).
 MEASURED_S = 3.5
-# Between looks while joints are waited for: they tell of themselves at 10 to 1,000 Hz.
+# The polling period of that wait: joint states come at 10 to 1,000 Hz.
 LOOK_S = 0.02
 
 
 class JointStates:
-    """The newest position of each joint, of all topics with joint states that there are.
+    """The newest position of each joint, from all topics with joint states.
 
-    A subscription that nobody takes from costs nothing but the middleware's own work: its queue has one place.
+    A subscription from which nothing is taken costs only the middleware's own work: its queue has one place.
 
-    What this bridge publishes itself measures nothing. The middleware does not tell who sent a sample (rclpy reports no
-    publisher), so the bridge notes the joints that it names: until those samples are stale, their positions are
-    unknown. `relied_on` returns the joints that would have to be held now; nothing may be published of these.
+    Joint states that this bridge publishes itself are no measurement. The middleware does not report who sent a
+    sample (rclpy gives no publisher), so the bridge records the joints in them: until those samples are stale, the
+    positions of these joints are unknown. `relied_on` returns the joints that would have to be held now; no joint
+    states of these may be published.
     """
 
     def __init__(self, node: Node, relied_on: Callable[[], Collection[str]] = tuple) -> None:
@@ -57,7 +59,7 @@ class JointStates:
         self._looked_at = -math.inf
 
     def follow(self) -> None:
-        """Subscribe to what is there by now. ROS thread only."""
+        """Subscribe to the topics with joint states that exist by now. ROS thread only."""
         if self._interface is None:
             self._interface = interfaces.load(JOINT_STATE)
         profile = qos.profile({"reliability": "best_effort"}, max_depth=1)
@@ -66,7 +68,7 @@ class JointStates:
                 self._subscriptions[name] = rcl.subscription(self._node, self._interface, name, profile)
 
     def missing(self, joints: Sequence[str]) -> list[str]:
-        """Those that nobody has told of lately. From any thread."""
+        """Return the joints without a recent measurement. Thread-safe."""
         self._look()
         oldest = time.monotonic() - STALE_S
         return [
@@ -77,9 +79,10 @@ class JointStates:
         ]
 
     def positions(self, joints: Sequence[str]) -> list[float]:
-        """Where these joints are now. From any thread.
+        """Return the current positions of these joints, in rad or m. Thread-safe.
 
-        Raises `ValueError`, in words, where that is not known.
+        Raises:
+            ValueError: in words, if a position is not known.
         """
         if missing := self.missing(joints):
             own = " but those that this server publishes itself" if self._published_at.keys() & missing else ""
@@ -87,10 +90,11 @@ class JointStates:
         return [self._positions[joint][0] for joint in joints]
 
     def publishes(self, message: Any) -> None:
-        """This bridge is about to publish a JointState. ROS thread only.
+        """Record that this bridge is about to publish a JointState. ROS thread only.
 
-        Raises `OperationError` of kind `refused` while one of its joints moves by a trajectory of this bridge: the hold
-        that ends this motion would jump to the position in the message.
+        Raises:
+            OperationError: of kind `refused`, while one of its joints moves by a trajectory of this bridge: the hold
+                that ends this motion would jump to the position in the message.
         """
         joints = dict.fromkeys(map(str, message.name))
         if moving := [joint for joint in joints if joint in self.relied_on()]:
@@ -104,14 +108,24 @@ class JointStates:
         self._published_at = {**fresh, **dict.fromkeys(joints, now)}
 
     def known(self, joints: Sequence[str]) -> Joints:
-        """How these joints move now, and their limits in the robot's description. From any thread. Raises as above."""
+        """Return the current states of these joints, and their limits in the robot's description. Thread-safe.
+
+        Raises:
+            ValueError: in words, if a position is not known.
+        """
         positions = self.positions(joints)
         measured = {name: State(at, self._speeds.get(name)) for name, at in zip(joints, positions, strict=True)}
         return Joints(measured, self.described)
 
     def wait(self, request: Request) -> Steps[JointsReply]:
-        """How joints move now, waited for at most `within_s`: asked before the first trajectory. The body, if there is
-        one, has the limits of the robot's description: those of joints by name, as `JointBounds`.
+        """Steps that return the current joint states, after waiting up to `within_s` for them. Used
+        before the first trajectory.
+
+        The body, if there is one, has the limits from the robot's description, by joint, as JSON of `JointBounds`.
+        Joints without a measurement are omitted.
+
+        Raises:
+            OperationError: of kind `bad_request`, if these limits cannot be read.
         """
         if request.body:
             try:
@@ -128,14 +142,16 @@ class JointStates:
         return {"joints": {name: (state.position, state.speed) for name, state in measured.items()}}
 
     def clear(self) -> None:
-        """End following."""
+        """Destroy the subscriptions."""
         for subscription in self._subscriptions.values():
             subscription.destroy_when_not_in_use()
         self._subscriptions.clear()
 
     def _look(self) -> None:
-        """Take what has come. Its age is known by two clocks: by when it was looked last, and by the middleware's
-        stamp, which is wrong where the machine's time was set meanwhile.
+        """Take the messages that have come.
+
+        Two clocks bound their age: the time of the last look, and the middleware's stamp, which is wrong if the
+        machine's time was set meanwhile.
         """
         if not self._lock.acquire(timeout=TAKE_S):
             return
@@ -152,7 +168,7 @@ class JointStates:
     def _take_in(self, data: bytes, at: float) -> None:
         try:
             message = rcl.deserialize(data, self._interface)
-        except Exception:  # noqa: BLE001 - anybody can publish a broken one: it tells nothing
+        except Exception:  # noqa: BLE001 - any node can publish a broken message: it is ignored
             return
         speeds = dict(zip(message.name, message.velocity, strict=False))
         for name, position in zip(message.name, message.position, strict=False):

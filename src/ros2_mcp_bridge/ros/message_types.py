@@ -1,4 +1,4 @@
-"""What the message classes of rclpy tell of their types: fields and constants, as a definition would."""
+"""The types of messages as rclpy's classes describe them: fields and constants, as in a definition."""
 
 from __future__ import annotations
 
@@ -10,37 +10,39 @@ from typing import Any, cast
 from ros2_mcp_bridge.ros import interfaces
 from ros2_mcp_common.language.field_types import FieldType, Single
 
-# As rosidl writes types into `get_fields_and_field_types`: `sequence<double, 5>`, `float[36]`, `string<10>`.
+# The syntax of types in `get_fields_and_field_types`: `sequence<double, 5>`, `float[36]`, `string<10>`.
 _SEQUENCE = re.compile(r"sequence<(?P<base>.+?)(, (?P<size>\d+))?>")
 _ARRAY = re.compile(r"(?P<base>.+)\[(?P<size>\d+)\]")
 _TEXT = re.compile(r"(?P<base>w?string)(<(?P<bound>\d+)>)?")
 _NAMES = {"boolean": "bool", "octet": "byte", "float": "float32", "double": "float64"}
-"""What the generator calls differently from definitions; a `char` is a `uint8` there."""
+"""The names of types that differ between generator and definitions; the generator writes `uint8` for a `char`."""
 _CONSTANT = re.compile(r"[A-Z][A-Z0-9_]*")
-# The generator gives each message that is empty one field, which no definition has.
+# The generator adds one field to each empty message, which is in no definition.
 _PLACEHOLDER = "structure_needs_at_least_one_member"
 
 
 @dataclass(frozen=True)
 class MessageField:
-    """A field, as its class tells of it."""
+    """A field, as its class describes it."""
 
     name: str
     type: FieldType
 
 
 class MessageTypes:
-    """The types below one class, such as `sensor_msgs.msg.LaserScan`; `name` is that of its type."""
+    """The types of one message class, such as `sensor_msgs.msg.LaserScan`, and of the messages
+    in it; `name` is its type.
+    """
 
     def __init__(self, message_class: Any) -> None:
         self.name = _type_of(message_class)
         self._classes: dict[str, Any] = {self.name: message_class}
 
     def fields(self, type_name: str) -> Mapping[str, MessageField]:
-        """The fields of a message by their names, in their order.
+        """Return the fields of a message by name, in their order.
 
         Raises:
-            OperationError: of kind `unknown_type`, for what cannot be imported.
+            OperationError: of kind `unknown_type`, for a type that cannot be imported.
         """
         message_class = self._class(type_name)
         found: dict[str, MessageField] = {}
@@ -58,7 +60,7 @@ class MessageTypes:
         return found
 
     def constants(self, type_name: str) -> Mapping[str, Single]:
-        """Its constants; a `byte` is an integer."""
+        """Return the constants of a message; a `byte` is an integer."""
         named = cast("Mapping[str, Any]", self._class(type_name).__dict__)
         return {
             name: value[0] if isinstance(value, bytes) else value
@@ -73,7 +75,7 @@ class MessageTypes:
 
 
 def _type_of(message_class: Any) -> str:
-    """`geometry_msgs/msg/Point` of `geometry_msgs.msg._point.Point`."""
+    """Return the type of a class: `geometry_msgs/msg/Point` for `geometry_msgs.msg._point.Point`."""
     package, kind, *_ = message_class.__module__.split(".")
     return f"{package}/{kind}/{message_class.__name__}"
 

@@ -1,4 +1,4 @@
-"""Quality of service: between the stream's JSON and rclpy's profiles."""
+"""Quality of service: conversions between the stream's JSON and rclpy's profiles."""
 
 from __future__ import annotations
 
@@ -22,9 +22,10 @@ MAX_DEPTH = 1_000_000
 
 
 def profile(qos: Mapping[str, object], min_depth: int = 1, max_depth: int = MAX_DEPTH) -> QoSProfile:
-    """An rclpy profile of a request's `qos` object, its depth within the limits.
+    """Return the rclpy profile for a request's `qos` object, its depth clamped to the limits.
 
-    Raises `OperationError` of kind `bad_request`.
+    Raises:
+        OperationError: of kind `bad_request`, if a policy is wrong.
     """
     depth = qos.get("depth", 10)
     if isinstance(depth, bool) or not isinstance(depth, int) or depth < 0:
@@ -38,7 +39,7 @@ def profile(qos: Mapping[str, object], min_depth: int = 1, max_depth: int = MAX_
 
 
 def describe(profile_found: QoSProfile) -> EndpointQoS:
-    """The `qos` object of an endpoint; what the middleware does not tell is "unknown", infinity is None."""
+    """Return the `qos` object of an endpoint: "unknown" for what the middleware does not report, None for infinity."""
     history = profile_found.history.name.lower()
     return {
         "reliability": profile_found.reliability.name.lower(),
@@ -53,7 +54,10 @@ def describe(profile_found: QoSProfile) -> EndpointQoS:
 
 
 def offers_enough(offered: QoSProfile, requested: QoSProfile) -> bool:
-    """Whether a publisher of one profile can match a subscriber of another, by reliability and durability."""
+    """Return whether a publisher with profile `offered` can match a subscriber with profile `requested`.
+
+    Compares reliability and durability.
+    """
     return not (
         (offered.reliability.name == "BEST_EFFORT" and requested.reliability.name == "RELIABLE")
         or (offered.durability.name == "VOLATILE" and requested.durability.name == "TRANSIENT_LOCAL")

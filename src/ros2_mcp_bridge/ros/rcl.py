@@ -1,7 +1,7 @@
-"""What of rclpy has no types, or lies below its public classes, typed here: the only place that knows those parts.
+"""Typed access to parts of rclpy that have no types or lie below its public classes: only this module uses those parts.
 
-The endpoints are those of rclpy's C++ part. No executor knows them, so that publishing and receiving cost no Python of
-rclpy's; see decision 7.
+The endpoints are those of rclpy's C++ part. They belong to no executor, so that publishing and receiving run no Python
+code of rclpy; see decision 7.
 """
 
 from __future__ import annotations
@@ -26,43 +26,43 @@ RCLError: type[Exception] = rclpy_implementation.RCLError
 
 
 class RawPublisher(Protocol):
-    """Publishes serialized messages."""
+    """A publisher of serialized messages."""
 
     def publish_raw(self, data: bytes) -> None:
-        """Hand one message to the middleware."""
+        """Publish one serialized message."""
         ...
 
     def get_subscription_count(self) -> int:
-        """The number of matched subscribers."""
+        """Return the number of matched subscribers."""
         ...
 
     def wait_for_all_acked(self, timeout: object) -> bool:
-        """Whether every reliable subscriber has acknowledged everything within the time."""
+        """Return whether every reliable subscriber has acknowledged everything within the timeout."""
         ...
 
     def destroy_when_not_in_use(self) -> None:
-        """End it."""
+        """Destroy the publisher."""
         ...
 
 
 class RawSubscription(Protocol):
-    """Receives serialized messages."""
+    """A subscription that receives serialized messages."""
 
     def take_message(self, interface: Any, raw: bool) -> tuple[bytes, dict[str, Any]] | None:
-        """The next message that waits, with what the middleware tells of it."""
+        """Return the next message in the queue and its metadata, or None."""
         ...
 
     def destroy_when_not_in_use(self) -> None:
-        """End it."""
+        """Destroy the subscription."""
         ...
 
 
-# Each holds its node: as long as there is one, the node does not leave ROS, though it has been destroyed.
+# Each endpoint holds its node: as long as there is one, the node does not leave ROS, even after it was destroyed.
 _endpoints: WeakSet[RawPublisher | RawSubscription] = WeakSet()
 
 
 def publisher(node: Node, interface: Any, topic: str, profile: QoSProfile) -> RawPublisher:
-    """A new publisher of a node."""
+    """Create a publisher of a node."""
     with node.handle:
         raw = rclpy_implementation.Publisher(node.handle, interface, topic, profile.get_c_qos_profile())
     _endpoints.add(raw)
@@ -70,7 +70,7 @@ def publisher(node: Node, interface: Any, topic: str, profile: QoSProfile) -> Ra
 
 
 def subscription(node: Node, interface: Any, topic: str, profile: QoSProfile) -> RawSubscription:
-    """A new subscription of a node."""
+    """Create a subscription of a node."""
     with node.handle:
         raw = rclpy_implementation.Subscription(node.handle, interface, topic, profile.get_c_qos_profile())
     _endpoints.add(raw)
@@ -78,45 +78,50 @@ def subscription(node: Node, interface: Any, topic: str, profile: QoSProfile) ->
 
 
 def destroy_endpoints() -> None:
-    """End all publishers and subscriptions that are left: those of work that was under way to the end."""
+    """Destroy all remaining publishers and subscriptions: those of work that was under way until the end."""
     for raw in list(_endpoints):
         raw.destroy_when_not_in_use()
 
 
 def client(node: Node, interface: Any, service: str, profile: QoSProfile) -> Client:
-    """A new client of a node, which its executor knows."""
+    """Create a client of a node; it belongs to the node's executor."""
     return node.create_client(interface, service, qos_profile=profile)  # pyright: ignore[reportUnknownMemberType]
 
 
 def count_publishers(node: Node, topic: str) -> int:
-    """How many publish on a topic, by its full name: rclpy's own counting takes four times as long, to look at it."""
+    """Return the number of publishers of a topic, given by its full name. rclpy's own method
+    takes four times as long.
+    """
     with node.handle:
         return node.handle.get_count_publishers(topic)
 
 
 def count_subscribers(node: Node, topic: str) -> int:
-    """The number of its subscribers."""
+    """Return the number of subscribers of a topic, given by its full name."""
     with node.handle:
         return node.handle.get_count_subscribers(topic)
 
 
 def counts(node: Node, topics: Sequence[str]) -> list[tuple[int, int]]:
-    """The numbers of publishers and subscribers of topics: to hold the node once for all of them halves the time."""
+    """Return the numbers of publishers and subscribers of topics.
+
+    Acquiring the node once for all of them halves the time.
+    """
     with node.handle:
         publishers, subscribers = node.handle.get_count_publishers, node.handle.get_count_subscribers
         return [(publishers(topic), subscribers(topic)) for topic in topics]
 
 
 def is_acknowledged(raw: RawPublisher) -> bool:
-    """Whether every reliable subscriber has acknowledged everything; waits for nothing."""
+    """Return whether every reliable subscriber has acknowledged everything, without waiting."""
     return raw.wait_for_all_acked(Duration(seconds=0)._duration_handle)  # pyright: ignore[reportPrivateUsage]
 
 
 def serialize(message: Any) -> bytes:
-    """The CDR of a message."""
+    """Return a message as CDR."""
     return serialize_message(message)
 
 
 def deserialize(data: bytes, message_class: Any) -> Any:
-    """The message of that class in CDR; the middlewares raise errors of many kinds."""
+    """Return the message of that class from its CDR; the middlewares raise errors of many kinds."""
     return deserialize_message(data, message_class)

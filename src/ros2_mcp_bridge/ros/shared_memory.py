@@ -1,8 +1,8 @@
-"""Whether the shared memory that messages come through is still the one that others find.
+"""Detecting that the shared memory through which messages come has been replaced.
 
 Fast DDS lets a participant receive through `/dev/shm/fastrtps_portN`, where N is the UDP port that it would use for the
-same. A process that takes it for a dead one's may put a new file in its place, most often soon after a killed process
-was replaced; then nothing arrives any more, for good.
+same. Another process that takes the file for that of a dead process may replace it, most often soon after a killed
+process was replaced. Then nothing arrives any more, permanently.
 """
 
 from __future__ import annotations
@@ -18,12 +18,14 @@ _LOCK_OF_A_PORT = re.compile(r"/dev/shm/fast\w+_port(\d+)_el")
 _MAPPED_PORT = re.compile(r"/dev/shm/fast\w+_port(\d+)( \(deleted\))?$", re.MULTILINE)
 
 _FOLDER = Path("/dev/shm")
-# Two changes within a tick of the file system's clock (4 ms) look like one. Chosen, with much room.
+# Two changes within a tick of the file system's clock (4 ms) look like one; this is far longer.
 _TICK_NS = 1_000_000_000
 
 
 def newest_change() -> int | None:
-    """When a file of shared memory last came or went, by the file system; None where that may change unseen."""
+    """Return when a file of shared memory was last created or removed, in ns by the file system; None
+    if a change may be unseen.
+    """
     if not _FOLDER.exists():
         return None
     changed_ns = _FOLDER.stat().st_mtime_ns
@@ -31,7 +33,7 @@ def newest_change() -> int | None:
 
 
 def is_lost(domain_id: int) -> bool:
-    """Whether this process waits at a port of a domain whose file has been replaced or removed."""
+    """Return whether this process receives at a port of the domain whose file has been replaced or removed."""
     maps = Path("/proc/self/maps")
     if not maps.exists():
         return False
@@ -41,10 +43,10 @@ def is_lost(domain_id: int) -> bool:
 
 
 def _own_ports() -> set[str]:
-    """Who listens at a port keeps its lock file open."""
+    """Return the ports at which this process receives: it keeps their lock files open."""
     ports: set[str] = set()
     for descriptor in Path("/proc/self/fd").iterdir():
-        with suppress(OSError):  # that of the listing itself is closed by now
+        with suppress(OSError):  # the descriptor of the listing itself is closed by now
             lock = _LOCK_OF_A_PORT.match(str(descriptor.readlink()))
             if lock:
                 ports.add(lock.group(1))

@@ -1,1 +1,1 @@
-"""The process that sends the zero when its bridge has died."""
+"""The stopper: a process that sends the zeros when its bridge has died or hangs."""

@@ -1,10 +1,11 @@
-"""The stopper as a process: it sends the zeros where its bridge cannot, because that has died or hangs, and cancels
-the goals where the server has died, too.
+"""The stopper: a process that sends the zeros if its bridge has died or hangs, and cancels the goals if
+the server has died, too.
 
-Its stdin is the lifeline (see `lifeline.py`): the end of it tells of the bridge's death, silence of a hang; that it is
-stopped, the kernel tells. It has a participant of its own, and publishers that are matched before anything moves, so
-that it discovers nobody when it has to act. There are two of them, which know nothing of each other and act alike.
-See docs/decisions/0030-a-second-process-that-stops.md and 0062-a-third-party-that-stops.md.
+Its stdin is the lifeline (see `lifeline.py`). The end of the stream means that the bridge has died, silence that it
+hangs; whether it is suspended (SIGSTOP), /proc says. The stopper has its own participant, and publishers that are
+matched before anything moves, so that it need not wait for discovery when it has to act. There are two stoppers, which
+do not know each other and do the same. See docs/decisions/0030-a-second-process-that-stops.md and
+0062-a-third-party-that-stops.md.
 """
 
 from __future__ import annotations
@@ -37,33 +38,37 @@ if TYPE_CHECKING:
     from rclpy.client import Client
     from rclpy.node import Node
 
-# Five beats (BEAT_S of the lifeline): a bridge that is late by so much may hang. Decided.
+# Five beats (BEAT_S of the lifeline): a bridge that is silent for so long while something moves may hang.
 SILENCE_S = 0.25
-# A turn while something moves: so soon after it is one, a silence is seen. A turn that lasted for longer than two of
-# them was this process's own lateness, and no silence of the bridge. Chosen.
+# The period of turns while something moves, and so the delay with which a silence is noticed. If a turn took longer
+# than two periods, this process itself was late, and the excess does not count as silence of the bridge.
 TURN_S = 0.02
-# While nothing moves: for late subscribers of topics, of which the bridge is told. Chosen.
+# The period of turns while nothing moves, in which late subscribers are noticed and reported to the bridge.
 IDLE_S = 0.25
-# For so long after a new topic, turns are as short as matching: the first command waits for it. Chosen.
+# For this long after a new topic, turns are as short as MATCHING_TURN_S, because the first command waits for the match.
 MATCHING_S = 2.0
 MATCHING_TURN_S = 0.003
-# After the bridge's death: a subscriber that has not been discovered announces itself every 3 s (decision 13).
+# How long zeros are sent after the bridge's death: an undiscovered subscriber announces itself every 3 s (decision 13).
 LATE_S = 4.0
-# In which a successor of the bridge is looked for, which takes over. Chosen: each time costs 0.1 ms a topic.
+# The period at which the topics are checked for a new publisher, which takes over from the bridge. A check costs 0.1 ms
+# a topic.
 SUCCESSOR_EVERY_S = 0.1
-# From its start to its end if ROS does not come up, as of the bridge; and beyond LATE_S, if something hangs at its end.
+# After this time the stopper exits if ROS does not start; the bridge has the same limit.
 ROS_IS_UP_WITHIN_S = 30.0
 GIVE_UP_AFTER_S = 1.0
 READ_BYTES = 65536
-# Of the calls that are left: as many as goals that may be left at a time.
+# As many calls as there can be goals to cancel at a time.
 CALLS = QoSProfile(depth=64)
 
 
 def main(name: str, lifeline: int, told: int) -> NoReturn:
-    """Run the stopper until its lifeline ends, and until the robot has been stopped then; `ps` shows that name."""
+    """Run the stopper until its lifeline ends and the robot has been stopped; `name` is shown by ps(1).
+
+    Never returns.
+    """
     survival.rename(name)
     survival.spare()
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # it ends with its bridge, and not before it
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # it must not end before its bridge
         signal.signal(number, signal.SIG_IGN)
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     os.set_blocking(told, False)
@@ -78,11 +83,11 @@ def main(name: str, lifeline: int, told: int) -> NoReturn:
     Stopper(node, bridge, lifeline, told).run(first)
     ros.destroy(node)
     sys.stderr.flush()
-    os._exit(0)  # no thread of the middleware holds up the end
+    os._exit(0)  # without waiting for threads of the middleware
 
 
 class ZeroPublisher:
-    """A publisher of zeros. It is an `Exit` of a velocity topic."""
+    """A publisher of zeros; implements `Exit` of a velocity topic."""
 
     def __init__(self, node: Node, interface: Any, topic: str, kind: tuple[str, str]) -> None:
         wanted = {"reliability": kind[0], "durability": kind[1]}
@@ -90,31 +95,31 @@ class ZeroPublisher:
         self._raw = rcl.publisher(node, interface, topic, qos.profile(wanted, max_depth=1))
 
     def publish_zero(self, data: bytes) -> None:
-        """Hand it to the middleware."""
+        """Publish this serialized zero."""
         self._raw.publish_raw(data)
 
     def matched(self) -> int:
-        """The number of subscribers that would get it now."""
+        """Return the number of matched subscribers."""
         return self._raw.get_subscription_count()
 
     def has_all_matched(self) -> bool:
-        """Is not waited for here."""
+        """Return True: the stopper does not wait for matches."""
         return True
 
     def acknowledged(self) -> None:
-        """Is not asked here."""
+        """Return None: the stopper does not use it."""
 
     def done(self) -> bool:
-        """Whether nobody who acknowledges has still to do so."""
+        """Return whether no acknowledgement is outstanding."""
         return rcl.is_acknowledged(self._raw)
 
     def destroy(self) -> None:
-        """End it."""
+        """Destroy the publisher."""
         self._raw.destroy_when_not_in_use()
 
 
 class Call:
-    """One that is left to be made where bridge and server are dead: it cancels a goal, or makes a vehicle stand."""
+    """A service call to be made if bridge and server are dead: it cancels a goal, or stops a vehicle."""
 
     def __init__(self, client: Client, request: Any, server: int) -> None:
         self._client = client
@@ -123,14 +128,17 @@ class Call:
         self._is_made = False
 
     def make(self) -> None:
-        """Once, as soon as its service is there and the server is gone: one that lives does it, or goes on."""
+        """Make the call, once, as soon as its service is available and the server is gone.
+
+        A living server acts itself.
+        """
         if not self._is_made and _is_gone(self._server) and self._client.service_is_ready():
             self._is_made = True
             self._client.call_async(self._request)
 
 
 class Stopper:
-    """What it was told of each topic, and the zeros that it sends; single-threaded."""
+    """The state of each topic, as reported by the bridge, and the zeros sent for it. Single-threaded."""
 
     def __init__(self, node: Node, bridge: int, lifeline: int, told: int) -> None:
         self._node = node
@@ -153,7 +161,7 @@ class Stopper:
         self._zeros: list[Zero] = []
 
     def run(self, first: bytes) -> None:
-        """Take in what the bridge tells, and stop what moves if it falls silent, until it has ended."""
+        """Read the lifeline until it ends; stop what moves while the bridge is silent or suspended, and at the end."""
         self._take_in(first)
         looked_at = time.monotonic()
         while True:
@@ -181,8 +189,11 @@ class Stopper:
         return [topic for topic in self._topics.values() if topic.moves]
 
     def _look_for_silence(self, turn_s: float) -> None:
-        """A silence counts only as far as this process was there to hear it; a stop needs none (SIGSTOP; `t`, in which
-        a debugger or profiler holds it for moments, is none).
+        """Add a turn to the silence of the bridge, and send zeros if the silence is too long
+        or the bridge is suspended.
+
+        A silence counts only as far as this process itself was not late. A suspended bridge (state `T`, SIGSTOP) counts
+        at once; `t`, in which a debugger or profiler holds a process for moments, does not.
         """
         moving = self._moving()
         self._silent_s = self._silent_s + min(turn_s, 2 * TURN_S) if moving else 0.0
@@ -195,8 +206,12 @@ class Stopper:
             zero.send()
 
     def _stop_for_good(self) -> None:
-        """The bridge is dead. Zeros now, and for whoever is discovered late, until its successor or another comes."""
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())  # whoever read it may have died, too
+        """Stop what moves after the bridge's death: send zeros now, and to subscribers discovered within 4 s.
+
+        A topic is left alone as soon as it has a new publisher: a new bridge, or another node that drives the robot. If
+        the server is dead, too, the calls left to the stopper are made.
+        """
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())  # its reader may have died, too
         zeros = [Zero(topic) for topic in self._moving()]
         before = {zero.topic: self._graph.publisher_gids(zero.topic.name) for zero in zeros}
         deadline, look_at = time.monotonic() + LATE_S, 0.0
@@ -225,7 +240,10 @@ class Stopper:
                 sys.stderr.write(f"the stopper cannot stop {what}: {error.message}\n")
 
     def _heed_call(self, told: dict[str, Any]) -> None:
-        """A call that is left to be made, or no longer. Its client is kept: the next goal of that action needs it."""
+        """Add or remove a call to be made after a death.
+
+        Its client is kept, because the next goal of that action needs it.
+        """
         if "service" not in told:
             self._calls.pop(told["call"], None)
             return
@@ -239,7 +257,10 @@ class Stopper:
         self._calls[told["call"]] = Call(self._clients[key], request, told["server"])
 
     def _heed(self, told: dict[str, Any]) -> None:
-        """One line of the bridge: what is to be known of a topic; one without publishers is not driven any more."""
+        """Update a topic from one line of the bridge.
+
+        A line without publishers says that the topic is no longer driven.
+        """
         name, type_name = key = told["topic"], told["type"]
         wanted = {(*key, reliability, durability) for reliability, durability in told["profiles"]}
         for exit_key in [found for found in self._exits if found[:2] == key and found not in wanted]:
@@ -276,25 +297,29 @@ class Stopper:
                 self._tell({"topic": topic.name, "type": topic.type, "matched": matched})
 
     def _tell(self, line: dict[str, object]) -> None:
-        """Tell the bridge, if it still reads."""
+        """Send a line to the bridge, ignoring that it may no longer read."""
         with suppress(OSError):
             os.write(self._told, json.dumps(line).encode() + b"\n")
 
 
 def _is_gone(process: int) -> bool:
-    """Whether a process of this machine has ended, though nobody may have asked for its end yet; of 0 and 1, which are
-    no server (a container, a server that had ended before), it is not known.
+    """Return whether a process of this machine has ended, reaped or not.
+
+    For 0 and 1, which cannot be the server (a container, or a server that ended earlier), it
+    is not known: return False.
     """
     return process > 1 and _state(process) in ("", "Z", "X")
 
 
 def _state(process: int) -> str:
-    """The state of a process of this machine, a letter as in proc_pid_stat(5); "" if there is none."""
+    """Return the state of a process of this machine as a letter of proc_pid_stat(5), or "" if
+    there is no such process.
+    """
     try:
         return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
-    except (FileNotFoundError, ProcessLookupError):  # the second if it ends while it is read
+    except (FileNotFoundError, ProcessLookupError):  # the second if the process ends during the read
         return ""
 
 
 def _untold(_topic: str, _frame_id: str) -> None:
-    """Nobody here wants to know the frame of a command."""
+    """Ignore a new frame of a command: the stopper reports none."""

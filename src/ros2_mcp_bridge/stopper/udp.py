@@ -1,9 +1,9 @@
-"""Entering ROS over UDP alone: what a killed process leaves locked in shared memory then holds up nobody here.
+"""Joining ROS over UDP alone, so that locks left by a killed process in shared memory delay nothing here.
 
-Who writes to a port of Fast DDS's shared memory, and who waits at one, locks it; a process that is killed meanwhile
-leaves it locked, and the others wait for 1 s. Which transports there are can be said only in a profile, since
-rmw_fastrtps adds shared memory to whatever else it is told where ROS stays on this machine.
-See docs/decisions/0033-the-stopper-speaks-udp-alone.md.
+A process that writes to a port of Fast DDS's shared memory, or waits at one, locks it. If it is killed meanwhile, the
+port stays locked, and others wait for 1 s. The transports can be chosen only in an XML profile, since rmw_fastrtps adds
+shared memory to any other setting where ROS is restricted to this machine. See
+docs/decisions/0033-the-stopper-speaks-udp-alone.md.
 """
 
 from __future__ import annotations
@@ -18,19 +18,21 @@ from rclpy.utilities import get_rmw_implementation_identifier
 
 from ros2_mcp_bridge.ros import participants
 
-# Where Fast DDS itself keeps files, in memory; or where temporary files go, as that may be full. Fast DDS takes only a
-# profile that has a place in a file system. The file is gone as soon as it has been read.
+# Folders for the profile, in this order: where Fast DDS itself keeps files, in memory, or the one for temporary files
+# if that is full. Fast DDS accepts a profile only as a file. It is deleted as soon as it has been read.
 _SHARED_MEMORY = "/dev/shm"
 _FOLDERS = (_SHARED_MEMORY, None)
-# A participant's segment takes 0.55 MB there, and each of its ports 0.05 MB; with much room.
+# Free bytes in /dev/shm that a participant needs: its segment takes 0.55 MB, each of its ports 0.05 MB, with a large
+# margin.
 _PARTICIPANT_BYTES = 1_000_000
 # Fast DDS 2 reads the first, Fast DDS 3 the second.
 _PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 _PROFILE_FILES = ("DEFAULT_FASTRTPS_PROFILES.xml", "DEFAULT_FASTDDS_PROFILES.xml")
-# With one of these somebody has chosen how participants find or reach each other; that is not changed.
+# If one of these is set, the user has chosen how participants find or reach each other, and that is not changed.
 _CHOSEN_VARIABLES = (*_PROFILE_VARIABLES, "FASTDDS_BUILTIN_TRANSPORTS", "ROS_DISCOVERY_SERVER", "ROS_STATIC_PEERS")
 _RANGE, _LOCAL_ONLY = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY"
-# As rmw_fastrtps has it where ROS stays on this machine: no multicast, and the first 32 participants are asked.
+# The setting that rmw_fastrtps uses where ROS is restricted to this machine: no multicast, and the first 32
+# participants are asked.
 _STAYS_HERE = """<builtin>
     <metatrafficUnicastLocatorList><locator/></metatrafficUnicastLocatorList>
     <initialPeersList><locator><udpv4><address>127.0.0.1</address></udpv4></locator></initialPeersList>
@@ -56,27 +58,28 @@ _PROFILE = """<?xml version="1.0" encoding="UTF-8"?>
 
 
 def profile(*, stays_here: bool) -> str:
-    """The profile, in XML; `stays_here` where ROS does not leave this machine."""
+    """Return the XML profile; `stays_here` if ROS is restricted to this machine."""
     peers = "<maxInitialPeersRange>32</maxInitialPeersRange>" if stays_here else ""
     return _PROFILE.format(peers=peers, discovery=_STAYS_HERE if stays_here else "")
 
 
 @contextmanager
 def alone() -> Generator[None, None, None]:
-    """A context in which participants of Fast DDS are made without shared memory, if nobody has chosen transports.
+    """A context manager in which Fast DDS participants are created without shared memory, unless the
+    user has chosen transports.
 
-    The first participant of the process has to be made in it: the profile is read once.
+    The first participant of the process has to be created in it, because the profile is read only once.
     """
     if not _is_ours_to_choose():
         yield
         return
     stays_here, former = participants.reach_is_local(), dict(os.environ)
     path = _written(profile(stays_here=stays_here))
-    if path is None:  # where no file has room, no shared memory that could be locked has
+    if path is None:  # without room for a file there is none for shared memory, either
         yield
         return
     os.environ.update(dict.fromkeys(_PROFILE_VARIABLES, str(path)))
-    if stays_here:  # which the profile says now
+    if stays_here:  # the profile contains the restriction
         os.environ[_RANGE] = "SYSTEM_DEFAULT"
         os.environ.pop(_LOCAL_ONLY, None)
     try:
@@ -91,11 +94,12 @@ def alone() -> Generator[None, None, None]:
 
 
 def alone_if_memory_is_full() -> AbstractContextManager[None]:
-    """As `alone` where /dev/shm has no room for another participant, else a context that changes nothing.
+    """Return the context of `alone` if /dev/shm has no room for another participant, otherwise
+    one that changes nothing.
 
-    Fast DDS itself goes on without shared memory then, but leaves an empty file there each time.
+    Fast DDS itself would go on without shared memory, but would leave an empty file there each time.
     """
-    with suppress(OSError):  # where there is no such folder
+    with suppress(OSError):  # if there is no such folder
         room = os.statvfs(_SHARED_MEMORY)
         if room.f_bavail * room.f_frsize < _PARTICIPANT_BYTES:
             return alone()
@@ -103,7 +107,7 @@ def alone_if_memory_is_full() -> AbstractContextManager[None]:
 
 
 def _written(text: str) -> Path | None:
-    """A new file with that text, in the first of the folders that has room for it."""
+    """Write the text to a new file in the first folder that has room, and return its path; None if none has."""
     for folder in _FOLDERS:
         path = None
         try:
@@ -123,6 +127,6 @@ def _is_ours_to_choose() -> bool:
         return False
     if os.environ.get(_RANGE, "").upper() == "OFF" or any(map(os.environ.get, _CHOSEN_VARIABLES)):
         return False
-    with suppress(OSError):  # a working folder that is gone has no profile either
+    with suppress(OSError):  # a deleted working folder has no profile
         return not any((Path.cwd() / name).exists() for name in _PROFILE_FILES)
     return True

@@ -1,1 +1,1 @@
-"""Topics and clients: the graph, subscriptions, publishers, relays, and calls of services and actions."""
+"""Topics and services: subscriptions, publishers, relays, and calls of services and actions."""

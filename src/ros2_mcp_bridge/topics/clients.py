@@ -1,4 +1,4 @@
-"""Service calls: request bytes in, response bytes out, many at once."""
+"""Service calls: serialized request in, serialized response out, many at once."""
 
 from __future__ import annotations
 
@@ -29,28 +29,28 @@ if TYPE_CHECKING:
     from rclpy.node import Node
     from rclpy.task import Future
 
-# An answer wakes its request; this is only for noticing that a server has gone or time is up. Chosen.
+# The polling period of a call: an answer wakes its request, this only detects that the server has gone or time is up.
 POLL_S = 0.1
-# While a server is waited for: rclpy does not notify of its appearance. Chosen.
+# The polling period while a server is awaited: rclpy does not report that it appears.
 APPEARS_POLL_S = 0.005
-# A server that has just come up throws its answer away if it has not discovered our client yet. A server that was there
-# at once, or came within the first of these times, has had time to discover us; any other is given the second. Both are
-# chosen, not measured.
+# A server that has just started drops its answer if it has not discovered our client yet. If it was there at once, or
+# came within JUST_STARTED_S, it has had time to discover the client; otherwise it is given KNOWS_US_S.
 JUST_STARTED_S = 0.3
 KNOWS_US_S = 0.5
-# Fast DDS drops an answer where the server has not discovered our reader 0.1 s after the request came. What discovery
-# lost it repairs within 3 s; then what changes nothing is asked once more, unless the server has answered us before.
+# Fast DDS drops an answer if the server has not discovered our reader 0.1 s after the request came. Discovery repairs
+# its own losses within 3 s. Then a request that changes nothing is sent once more, unless the server has answered
+# before.
 ASKS_AGAIN_S = 3.0
-# Discovery can lose sight of a server for a short time; a server that is missing for longer is gone. Chosen.
+# Discovery can lose a server for a short time; a server missing for longer than this is gone.
 GONE_AFTER_S = 0.3
-# The default depth of 10 loses responses where more are on their way at the same moment.
+# The default depth of 10 loses responses if more arrive at the same moment.
 MANY_AT_ONCE = QoSProfile(depth=500, reliability=QoSReliabilityPolicy.RELIABLE)
 
 ServiceKey = tuple[str, str]
 
 
 class Clients:
-    """Pooled clients of services, those of actions included."""
+    """Pooled clients of services, including those of actions."""
 
     def __init__(self, node: Node, failsafes: FailSafes, limiter: Limiter, lifeline: Lifeline) -> None:
         self._node = node
@@ -62,11 +62,16 @@ class Clients:
         self._paces: WeakKeyDictionary[Client, Pace] = WeakKeyDictionary()
 
     def call(self, request: Request) -> Steps[tuple[CallReply, bytes]]:
-        """Send a request and wait for its response."""
+        """Return steps that send a request and wait for its response."""
         return self.answered(request, request.number("timeout_s"))
 
     def answered(self, request: Request, timeout_s: float) -> Steps[tuple[CallReply, bytes]]:
-        """Steps that send a request, and wait at most so long for its response."""
+        """Steps that send a request, and wait for its response, at most `timeout_s` seconds.
+
+        Raises:
+            OperationError: of kind `not_found`, `timeout` or `server_gone`, if there is no response.
+            Cancelled: if the request must not act any more.
+        """
         service, wait_s = request.text("service"), request.number("wait_s", 0.0)
         started = time.monotonic()
         latest = started + request.number("within_s", wait_s + timeout_s)
@@ -102,21 +107,25 @@ class Clients:
         return {"waited_s": round(sent_at - started, 6), "elapsed_s": elapsed_s}, body
 
     def look(self) -> None:
-        """Wake those whose answers have come: after each round, for rclpy's own callbacks take two rounds more."""
+        """Wake the requests whose answers have come.
+
+        Called after each turn, because rclpy's callbacks take two turns more.
+        """
         for future in [future for future in self._awaited if future.done()]:
             request, pace = self._awaited.pop(future)
             pace.answered(request)
             request.wake()
 
     def unserved(self) -> set[ServiceKey]:
-        """The services that we have a client of and nobody serves: pairs of name and type."""
+        """Return the services, as (name, type), of which this bridge has a client but that have no server."""
         return {key for key, client in self.pool.entities().items() if not client.service_is_ready()}
 
     def failsafe(self, request: Request) -> Steps[protocol.Cancelled]:
-        """A request that cancels a goal, or makes a vehicle stand, at the end, if its server is there, unless this
-        request is cancelled before. Where this process and the server die together, the stopper sends it.
+        """Steps that keep a fail-safe in force: a request that cancels a goal, or stops a vehicle, is sent at the end.
 
-        No other: it is sent where the latch is set, too.
+        It is sent when the server is gone, if the service is available, unless this request is cancelled before. If
+        this process and the server die together, a stopper sends it. No other kind of request is accepted, because it
+        is sent even while the latch is set.
         """
         with self._use(request) as (client, message):
             service, type_name = request.text("service"), request.text("type")
@@ -132,8 +141,10 @@ class Clients:
                 return (yield from self._failsafes.until_cancelled(request, call_if_ready, ends))
 
     def _send(self, client: Client, request: Request, message: Any) -> Future:
-        """The exit of requests; raises `OperationError` for what the policy does not let out, and for what would move
-        without a fail-safe that ends it.
+        """Send a request; the exit of requests.
+
+        Raises:
+            OperationError: if the policy refuses it, or if it would start a motion without a fail-safe that ends it.
         """
         motion = begun_by(request.text("service"), request.text("type"), message)
         if motion and _can_be_ended(motion):
@@ -143,7 +154,9 @@ class Clients:
 
     @contextmanager
     def _use(self, request: Request) -> Generator[tuple[Client, Any], None, None]:
-        """The pooled client of the service that a request names, and the message to send."""
+        """A context manager that gives the pooled client of the service that a request
+        names, and the message to send.
+        """
         service, type_name = request.text("service"), request.text("type")
         try:
             message = rcl.deserialize(request.body, request.interface.Request)
@@ -152,15 +165,15 @@ class Clients:
             raise OperationError("bad_request", problem) from error
         if request.flag("brakes") and not brakes(service, type_name, message):
             raise OperationError("bad_request", f"{service} is not asked to make a vehicle stand: it is an order.")
-        stamps.zero(message)  # whatever the server let through: a trajectory begins when it arrives
-        self._limiter.check_call(request, message, leaves=False)  # before anything is made, or waited for
+        stamps.zero(message)  # in any case, a trajectory begins when it arrives
+        self._limiter.check_call(request, message, leaves=False)  # before anything is created, or waited for
         create = partial(rcl.client, self._node, request.interface, service, MANY_AT_ONCE)
         with self.pool.use((service, type_name), create) as (client, _):
             yield client, message
 
 
 def _can_be_ended(motion: Motion) -> bool:
-    """Whether a fail-safe can be left: where SetMode is not installed, no request makes a vehicle stand."""
+    """Return whether a fail-safe for this motion is possible: without SetMode installed, no request stops a vehicle."""
     if motion.goal_id:
         return True
     try:
@@ -182,7 +195,11 @@ def _wait_server(client: Client, service: str, wait_s: float, latest: float) -> 
 
 
 def _wait_response(client: Client, service: str, futures: Sequence[Future], until: float) -> Steps[bool]:
-    """Whether one of the requests was answered before that time, on the steady clock."""
+    """Steps that return whether one of the requests was answered before `until` (monotonic, s).
+
+    Raises:
+        OperationError: of kind `server_gone`, if the server disappears.
+    """
     last_ready = time.monotonic()
     while not any(future.done() for future in futures):
         now = time.monotonic()

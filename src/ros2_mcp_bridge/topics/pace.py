@@ -1,4 +1,4 @@
-"""How fast requests go to one service: its server loses those for which its queue, usually of 10, has no room."""
+"""Pacing of requests to one service, whose server loses requests when its queue, usually of 10, is full."""
 
 from __future__ import annotations
 
@@ -7,28 +7,32 @@ from collections import deque
 
 from ros2_mcp_bridge.request import OperationError, Request, Steps
 
-# Of the 10 places in the queue of a server with the default profile; two are left for its other clients.
+# How many of the 10 places in a server's default queue are used; two are left for its other clients.
 ROOM = 8
-# Presumed time in which a server takes one request while it answers none: some take all at once and answer late.
-# With two places left, a server that is not run for twice as long loses nothing. Chosen, not measured.
+# The presumed time in which a server takes one request while it answers none: some take all at once and answer late.
+# With two places left, a server that does not run for twice this time loses nothing.
 TAKEN_EVERY_S = 0.2
 NOT_SENT = "The call was not sent in time: too many other calls wait for answers."
 
 
 class Pace:
-    """Presumes that a server takes requests in their order, and one every 0.2 s while it answers none.
+    """Paces requests, presuming that a server takes them in order, and one every 0.2 s while it answers none.
 
-    So the first requests go out at once, the others as fast as they are answered, and at least 5 a second.
+    So the first requests are sent at once, the others as fast as they are answered, and at least 5 a second.
     """
 
     def __init__(self) -> None:
         self.has_answered = False
         self._queue: deque[Request] = deque()
-        self._untaken: dict[Request, None] = {}  # requests in the order in which they were sent
+        self._untaken: dict[Request, None] = {}  # in the order of sending
         self._taken_at = time.monotonic()
 
     def wait_turn(self, request: Request, latest: float) -> Steps[None]:
-        """Steps that end when the request may be sent; `latest` is the time to give up, on the steady clock."""
+        """Steps that end when the request may be sent.
+
+        Raises:
+            OperationError: of kind `timeout`, if that is not so by `latest` (monotonic, s).
+        """
         if not self._queue:
             self._take(int((time.monotonic() - self._taken_at) / TAKEN_EVERY_S))
         self._queue.append(request)
@@ -43,14 +47,15 @@ class Pace:
             self._wake_next()
 
     def answered(self, request: Request) -> None:
-        """Its answer has come: it was taken, and all that were sent before it."""
+        """Record that the request was answered: so it was taken, and all that were sent before it."""
         self.has_answered = True
         if request in self._untaken:
             self._take(list(self._untaken).index(request) + 1)
         self._wake_next()
 
     def _has_room(self) -> bool:
-        # One each time, however long it has been: while this process was not run, the server may not have run either.
+        # Only one each time, however long it has been: while this process did not run, the server may not have run,
+        # either.
         if time.monotonic() - self._taken_at >= TAKEN_EVERY_S:
             self._take(1)
         return len(self._untaken) < ROOM

@@ -1,4 +1,6 @@
-"""Entities that are kept for the next request that needs the same one: bounded, and destroyed when idle."""
+"""Entities that are kept for the next request that needs the same one: their number is
+bounded, idle ones are destroyed.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +14,8 @@ from ros2_mcp_common.wire.limits import MAX_POOLED
 K = TypeVar("K", bound=Hashable)
 T = TypeVar("T")
 
-# Discovery of a new entity costs every peer work and the next request some milliseconds; an agent that publishes or
-# calls again usually does within a minute. Chosen, not measured.
+# How long an unused entity is kept. Discovery of a new one costs every peer work and the next request some
+# milliseconds; an agent that publishes or calls again usually does so within a minute.
 IDLE_S = 60.0
 
 
@@ -25,8 +27,9 @@ class _Entry(Generic[T]):
 
 
 class Pool(Generic[K, T]):
-    """Entities by key. Those in use, or that `keeps` says are needed, are never destroyed; of the others the least
-    recently used go first.
+    """Entities by key, of which the least recently used are destroyed when there are too many.
+
+    An entity that is in use, or that `keeps` says is needed, is never destroyed.
     """
 
     def __init__(
@@ -47,12 +50,12 @@ class Pool(Generic[K, T]):
         return len(self._entries)
 
     def entities(self) -> dict[K, T]:
-        """All entities by their keys."""
+        """Return all entities by key."""
         return {key: entry.entity for key, entry in self._entries.items()}
 
     @contextmanager
     def use(self, key: K, create: Callable[[], T]) -> Generator[tuple[T, bool], None, None]:
-        """The entity of that key and whether it was just created."""
+        """A context manager that gives the entity of that key, and whether it was just created."""
         created = key not in self._entries
         if created:
             self._make_room()
@@ -66,14 +69,14 @@ class Pool(Generic[K, T]):
             entry.last_used = time.monotonic()
 
     def expire(self) -> None:
-        """Destroy what nobody has used for `idle_s` seconds."""
+        """Destroy the entities that were not used for `idle_s` seconds."""
         now = time.monotonic()
         for key, entry in list(self._entries.items()):
             if self._is_idle(entry) and now - entry.last_used > self._idle_s:
                 self._remove(key)
 
     def clear(self) -> None:
-        """Destroy everything, used or not."""
+        """Destroy all entities, used or not."""
         for key in list(self._entries):
             self._remove(key)
 

@@ -1,4 +1,4 @@
-"""Publishing bytes: once with proof of who got it, or repeatedly at a rate that the bridge keeps by itself."""
+"""Publishing messages: once, with proof of who received it, or repeatedly at a rate that the bridge keeps."""
 
 from __future__ import annotations
 
@@ -23,32 +23,34 @@ from ros2_mcp_common.wire.protocol import PublishReply, RepeatBegun, RepeatReply
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-# While a publication waits for a match or an acknowledgement: on one machine, either comes within milliseconds.
+# The polling period while a publication waits for a match or an acknowledgement. On one machine, either comes within
+# milliseconds.
 POLL_S = 0.002
-# Fast DDS answers 5 ms after it was asked: so long an acknowledgement is looked for more often, at 30 µs a look.
+# Fast DDS acknowledges 5 ms after it was asked. For SOON_S the acknowledgement is polled more often, at 30 µs a look.
 SOON_S, SOON_POLL_S = 0.01, 0.0005
-# Chosen: if no further subscriber has matched for so long, the others are not waited for, only counted.
+# If no further subscriber has matched for this time, the remaining ones are not waited for, only counted.
 NO_MORE_MATCHES_S = 0.1
-# A repeat waits for the acknowledgement of its first message only, which a second one would replace; afterwards it goes
-# on without. Chosen.
+# The longest wait of a repeat for the acknowledgement of its first message, which the second one would replace.
 FIRST_ACK_S = 0.5
-# Before the answer of a repeat that has ended: its final message was sent twice, and does not depend on this. Chosen.
+# The longest wait before the answer of a repeat that has ended. Its final message was sent twice and does not depend on
+# it.
 FINAL_ACK_S = 0.1
-# A subscriber discovers a new publisher a little later than the publisher discovers the subscriber. Chosen.
+# The wait for best-effort subscribers of a new publisher: a subscriber discovers the publisher a little later than the
+# publisher discovers the subscriber.
 DISCOVERED_S = 0.1
-# A listing of the subscribers costs as much as publishing. It holds while their number is the same, for so long: then
-# one that has taken the place of another is seen, too. Only what is told of a message depends on it. Chosen.
+# For this time a listing of the subscribers is valid while their number is the same; then a replaced subscriber is
+# seen, too. A listing costs as much as publishing, and only what is reported of a message depends on it.
 LISTED_S = 1.0
-# A latched publisher keeps as many messages for late joiners as it was asked for, up to this. Chosen.
+# The most messages that a latched publisher keeps for late subscribers.
 MAX_LATCHED_DEPTH = 1000
-# A period counts as missed, or the end as reached, with this share of a period to spare: sums of floats are inexact.
+# The tolerance for rounding, as a share of a period, with which a period is missed or the end is reached.
 ROUNDING = 1e-6
 
 
 class Publisher:
-    """A publisher of serialized messages, with the `velocity` topic that it belongs to, if it is of such a type.
+    """A publisher of serialized messages, with its `velocity` topic if its type is a velocity command or trajectory.
 
-    `publish` is the one exit of what the server or another node has made; `limits` is what the policy says of it.
+    `publish` is the only exit for messages of the server or another node; `limits` are those of the policy.
     """
 
     def __init__(
@@ -62,19 +64,17 @@ class Publisher:
         request: Request,
         max_depth: int | None = None,
     ) -> None:
-        self.limits = limiter.topic(request)  # first of all: nothing is made for what is not allowed
+        self.limits = limiter.topic(request)  # first of all: raises before anything is created
         self._graph = graph
         self._velocities = velocities
         self._topic, self._type = request.text("topic"), request.text("type")
         self._joint_states = joint_states if self._type == JOINT_STATE else None
         # Fast DDS asks for acknowledgement at once (5 ms) only when its history is full, else every 3 s. A depth of 1
-        # is always full. Nobody can tell the difference but late joiners of a transient-local topic.
+        # is always full. Only late subscribers of a transient-local topic would notice the depth.
         is_volatile = request.qos().get("durability") != "transient_local"
         max_depth = max_depth or (1 if is_volatile else MAX_LATCHED_DEPTH)
         wanted = request.qos()
-        if (
-            self._type in MOTION_TYPES
-        ):  # whoever comes late, or was held up, gets the newest command: after a stop, the zero
+        if self._type in MOTION_TYPES:  # a late or delayed subscriber gets the newest command: after a stop, the zero
             wanted, max_depth = {**wanted, "history": "keep_last"}, 1
         self._profile = qos.profile(wanted, max_depth=max_depth)
         self.kind: tuple[str, str] = (self._profile.reliability.name.lower(), self._profile.durability.name.lower())
@@ -83,7 +83,7 @@ class Publisher:
         self._listed: tuple[tuple[int, int], float, list[bool], int] | None = None
         self._interface = request.interface
         self._raw = rcl.publisher(node, request.interface, self._topic, self._profile)
-        self.velocity = velocities.topic(request)  # not before: nothing is kept of a publisher that could not be made
+        self.velocity = velocities.topic(request)  # not earlier: a publisher that could not be created leaves nothing
         if self.velocity is not None:
             self.velocity.publishers[self] = None
             self.velocity.rested = self.limits.rest
@@ -92,7 +92,7 @@ class Publisher:
             self.limits.zeros[self] = self._send_default
 
     def outgoing(self, data: bytes, request: Request) -> Outgoing:
-        """What `publish` takes; raises `OperationError` for what is refused."""
+        """Return the message as `publish` takes it. Raise `OperationError` if it is refused or cannot be decoded."""
         if needs_value := self.limits.needs_value(request):
             check_size(data)
         if self.velocity is not None:
@@ -105,45 +105,49 @@ class Publisher:
         return message
 
     def publish(self, message: Outgoing, request: Request) -> bool:
-        """Hand one message to the middleware: returns whether less was sent than was wanted, by a limit or its ramp.
+        """Publish one message. Return whether its values were reduced by a limit or its ramp.
 
-        Raises `Cancelled` if its request is not to act any more, `OperationError` if the policy does not let it out.
+        Raises:
+            Cancelled: if its request must not act any more.
+            OperationError: if the policy refuses the message.
         """
         with self.limits.passing(message.value, request) as is_held_back:
             request.leave()
             if self._joint_states:
                 self._joint_states.publishes(message.value)
-            data = message.data()  # from here on it moves, as far as the stopper knows
+            data = message.data()  # from here on the stoppers treat the topic as moving
             self._raw.publish_raw(data)
         message.has_left()
         return message.is_clamped or is_held_back
 
     def publish_zero(self, data: bytes) -> None:
-        """Hand a zero to the middleware: no stop holds it back. From any thread."""
+        """Publish a serialized zero; neither a stop nor the policy holds it back. Thread-safe."""
         self._raw.publish_raw(data)
 
     def _send_default(self) -> None:
-        """What ends a command of a type that is no velocity, where a limit says how long it may hold."""
+        """Publish the default value, which ends a command of another type when a limit's hold time is over."""
         self.publish_zero(rcl.serialize(self._interface()))
 
     def is_needed(self) -> bool:
-        """Whether a zero may have to go through it."""
+        """Return whether a zero may have to be sent through this publisher."""
         return self.limits.is_held or (self.velocity is not None and self.velocity.is_driven)
 
     def matched(self) -> int:
-        """The number of subscribers that would get a message now."""
+        """Return the number of matched subscribers."""
         return self._raw.get_subscription_count()
 
     def ours(self) -> int:
-        """The number of matched subscribers that are this server's own: its reads, recordings, relays, black box."""
+        """Return the number of matched subscribers of this server itself: its reads, recordings, relays, black box."""
         return min(self._lately_listed()[1], self.matched())
 
     def endpoints(self) -> tuple[int, int]:
-        """How many publishers and subscribers its topic has, whoever they are."""
+        """Return the numbers of all publishers and subscribers of its topic."""
         return self._graph.count(self._topic)
 
     def wait_match(self, created: bool, wait_s: float) -> Steps[None]:
-        """Steps until every subscriber in the graph that can match does, or no more of them come, or time is up."""
+        """Steps that wait until every compatible subscriber in the graph is matched, no more of
+        them come, or the time is up.
+        """
         changed_at = time.monotonic()
         deadline, before = changed_at + wait_s, None
         while time.monotonic() < deadline:
@@ -156,24 +160,24 @@ class Publisher:
             yield POLL_S
         self._accepted = before
         if created and self.matched() and not all(self._subscribers_reliable()):
-            yield DISCOVERED_S  # a best-effort subscriber would not ask for what it has missed
+            yield DISCOVERED_S  # a best-effort subscriber does not request missed messages
 
     def has_all_matched(self) -> bool:
-        """Whether every subscriber that can match does, as far as discovery has come."""
+        """Return whether every compatible subscriber discovered so far is matched, and discovery has settled."""
         return self._graph.settled and self.matched() >= len(self._subscribers_reliable())
 
     def wait_clock(self) -> Steps[None]:
-        """Steps until the time of its stamps is known."""
+        """Steps that wait until the time for its stamps is known."""
         if self.velocity is not None:
             yield from self.velocity.wait_clock()
 
     def call_stopper(self, message: Outgoing | None = None) -> None:
-        """A velocity is to come: this message, if it is known already. A zero waits for nobody."""
+        """Start the stoppers for a velocity command to come: `message`, if it is known already. A zero needs none."""
         if self.velocity is not None and (message is None or message.moves):
             self.velocity.call_stopper()
 
     def wait_stopper(self, message: Outgoing | None = None) -> Steps[Guarded]:
-        """Steps until the stopper is ready for it, as far as it is waited for."""
+        """Steps that wait, for a limited time, until the stoppers are ready for the message."""
         if self.velocity is None or (message is not None and not message.moves):
             return Guarded()
         return (yield from self.velocity.wait_stopper())
@@ -181,8 +185,10 @@ class Publisher:
     def publish_acknowledged(
         self, message: Outgoing, request: Request, wait_s: float
     ) -> Steps[tuple[int, bool | None, bool]]:
-        """Steps that publish one message after the other: returns the number of matches, `wait_acknowledged`, and
-        whether less was sent than was wanted.
+        """Steps that publish a message, one at a time, and wait for its acknowledgement.
+
+        Return the number of matched subscribers, the result of `wait_acknowledged`, and
+        whether the values were reduced.
         """
         while self.is_busy:
             yield POLL_S
@@ -190,14 +196,16 @@ class Publisher:
         try:
             matched = self.matched()
             is_limited = self.publish(message, request)
-            yield 0.0  # what else is to be published goes first
+            yield 0.0  # other messages to publish go first
             acked = yield from self.wait_acknowledged(wait_s)
         finally:
             self.is_busy = False
         return matched, acked, is_limited
 
     def wait_acknowledged(self, wait_s: float) -> Steps[bool | None]:
-        """Steps until all that acknowledge have done so, or time is up: returns `acknowledged`."""
+        """Steps that wait until all subscribers that acknowledge have done so, or the time is
+        up; return `acknowledged`.
+        """
         began_at = time.monotonic()
         while (is_acked := self._acknowledged(self._lately_listed()[0])) is False:
             waited_s = time.monotonic() - began_at
@@ -207,9 +215,9 @@ class Publisher:
         return is_acked
 
     def acknowledged(self) -> bool | None:
-        """Whether every subscriber has acknowledged everything; None where one of them acknowledges nothing.
+        """Return whether all subscribers have acknowledged everything, or None if one of them never acknowledges.
 
-        False as long as a reliable one has not: it is worth waiting for.
+        False as long as a reliable subscriber has not: then it is worth waiting.
         """
         return self._acknowledged(self._subscribers_reliable())
 
@@ -222,11 +230,11 @@ class Publisher:
         return True if all(reliable) and len(reliable) >= matched else None
 
     def done(self) -> bool:
-        """Whether every reliable subscriber has acknowledged everything."""
+        """Return whether every reliable subscriber has acknowledged everything."""
         return rcl.is_acknowledged(self._raw)
 
     def destroy(self) -> None:
-        """End it."""
+        """Destroy the publisher."""
         if self.velocity is not None:
             self.velocity.publishers.pop(self, None)
             self._velocities.forget(self.velocity)
@@ -235,7 +243,9 @@ class Publisher:
         self._raw.destroy_when_not_in_use()
 
     def _lately_listed(self) -> tuple[list[bool], int]:
-        """`_subscribers_reliable`, and how many subscribers of its type are this bridge's own."""
+        """Return a recent `_subscribers_reliable`, and the number of subscribers of its type
+        that are this bridge's own.
+        """
         now, present = time.monotonic(), (self.matched(), self._graph.count(self._topic)[1])
         if self._listed is None or self._listed[0] != present or now - self._listed[1] > LISTED_S:
             own = self._graph.own_subscribers(self._topic, self._type)
@@ -243,7 +253,7 @@ class Publisher:
         return self._listed[2:]
 
     def _subscribers_reliable(self) -> list[bool]:
-        """For each subscriber in the graph that can match, whether it is reliable."""
+        """Return, for each compatible subscriber in the graph, whether it is reliable."""
         return [
             info.qos_profile.reliability.name == "RELIABLE"
             for info in self._graph.subscribers(self._topic)
@@ -252,7 +262,7 @@ class Publisher:
 
 
 class Repeat:
-    """Repeated publishing of one message; `send_event` tells the server when the first one has left."""
+    """Repeated publishing of one message; `send_event` reports to the server that the first one was sent."""
 
     def __init__(self, request: Request, send_event: Callable[[RepeatBegun], None]) -> None:
         self._request = request
@@ -263,12 +273,13 @@ class Repeat:
         self.started = time.monotonic()
 
     def run(self, publisher: Publisher, message: Outgoing, rate_hz: float, duration_s: float) -> Steps[None]:
-        """Steps that publish at the rate; periods that were missed are counted and not made up for."""
+        """Steps that publish at the rate. Missed periods are counted as `late` and not made up for."""
         period = 1.0 / rate_hz
         self._publish(publisher, message)
         if self._request.has("name"):
             self._send_event(RepeatBegun(event="begun", name=self._request.text("name")))
-        # A subscriber may not know a new publisher yet, and with a depth of 1 the second message replaces the first.
+        # A subscriber may not have discovered a new publisher yet, and with a depth of 1 the second message replaces
+        # the first.
         yield from publisher.wait_acknowledged(FIRST_ACK_S)
         self.started = due = time.monotonic()
         end = self.started + duration_s
@@ -289,7 +300,7 @@ class Repeat:
 
 
 class Publishers:
-    """Pooled publishers and what is done with them; `send_event` tells the server that a repeat has begun."""
+    """Pooled publishers and the operations on them; `send_event` reports to the server that a repeat has begun."""
 
     def __init__(
         self,
@@ -303,7 +314,7 @@ class Publishers:
         self.pool: Pool[Hashable, Publisher] = Pool(Publisher.destroy, keeps=Publisher.is_needed)
 
     def publish(self, request: Request) -> Steps[PublishReply]:
-        """Publish once, when the subscribers are matched, and wait for their acknowledgement."""
+        """Steps that publish once, when the subscribers are matched, and wait for their acknowledgement."""
         wait_match_s, wait_ack_s = request.number("wait_match_s", 0.0), request.number("wait_ack_s", 0.0)
         started = time.monotonic()
         with self.use(request) as (publisher, created):
@@ -329,7 +340,7 @@ class Publishers:
         }
 
     def repeat(self, request: Request) -> Steps[RepeatReply]:
-        """Publish at a rate for a while, then the zero where it is a velocity command."""
+        """Steps that publish at a rate for a duration, and then the zero if it is a velocity command."""
         rate_hz, duration_s = request.rate(), request.number("duration_s")
         wait_match_s, ended_by, guarded = request.number("wait_match_s", 0.0), "", Guarded()
         with self.use(request) as (publisher, created):
@@ -345,7 +356,7 @@ class Publishers:
                 except Cancelled as cancelled:
                     ended_by = cancelled.ended_by
                 finally:
-                    request.task = None  # it ends now, and cannot be cancelled any more
+                    request.task = None  # it is ending, and cannot be cancelled any more
                     elapsed_s = round(time.monotonic() - repeat.started, 6)
                     if velocity is not None:
                         velocity.send_zero()
@@ -365,9 +376,9 @@ class Publishers:
         }
 
     def failsafe(self, request: Request) -> Steps[protocol.Cancelled]:
-        """The topic is driven, and gets its zero when the server is gone, unless the request is cancelled before.
+        """Steps that hold a topic, which gets its zero when the server is gone, until the request is cancelled.
 
-        With `now` it gets one at once, as of a robot that a former bridge has left moving.
+        With `now` it gets a zero at once, for a robot that a former bridge has left moving.
         """
         with self.use(request) as (publisher, _):
             velocity = publisher.velocity
@@ -387,6 +398,8 @@ class Publishers:
                     return {"cancelled": True}
 
     def use(self, request: Request) -> AbstractContextManager[tuple[Publisher, bool]]:
-        """The pooled publisher that a request names: a context of it and whether it was created for it."""
+        """Return a context manager of the pooled publisher that a request names, and whether it
+        was created for the request.
+        """
         key = (request.text("topic"), request.text("type"), tuple(sorted(request.qos().items())))
         return self.pool.use(key, lambda: self._create(request=request))

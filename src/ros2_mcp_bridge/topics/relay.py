@@ -1,6 +1,6 @@
-"""Relays: the messages of one topic appear on another, as bytes, for a while.
+"""Relays: the messages of one topic are published on another, as bytes, for a while.
 
-A relay without a source is fed by the server, which sees values and so can compare and change them.
+A relay without a source is fed by the server, which decodes values and so can compare and change them.
 """
 
 from __future__ import annotations
@@ -34,20 +34,23 @@ from ros2_mcp_common.wire.protocol import EndedBy, RelayCounts, RelayEnd, RelayF
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-# A relay that is fed has nothing to do but to notice that its time is over. Chosen.
+# The period of a relay that is fed, which only has to notice the end of its duration.
 FED_PERIOD_S = 0.25
-# The publishers are looked up only while none is matched. Chosen.
+# The period at which publishers are looked up, which is done only while none is matched.
 CHECK_EVERY_S = 0.1
-# A burst must fit while a subscriber is slow; a relay that drives has 1 (decision 10).
+# The depth of the publisher: a burst has to fit while a subscriber is slow. A relay of velocity commands has 1
+# (decision 10).
 DEPTH = 100
-# As for repeats, only the first message is waited for; a relay begins more rarely and has more to lose. Chosen.
+# The longest wait for the acknowledgement of the first message, as for repeats; longer, because relays begin more
+# rarely and have more to lose.
 FIRST_ACK_S = 1.0
-# Fast DDS asks every 3 s for what is missing: a subscriber that discovered us late then gets all of it.
+# The longest wait at the end: Fast DDS asks every 3 s for missing messages, so a subscriber that discovered the
+# publisher late then gets all of them.
 LAST_ACK_S = 3.5
 
 
 class FollowedSource:
-    """The subscription of a relay as publishers come and go: made when the first is there, and made anew for others.
+    """The subscription of a relay, created when a first publisher is there, and again when others replace it.
 
     Its QoS is the strongest that every publisher offers.
     """
@@ -61,7 +64,7 @@ class FollowedSource:
         self.subscription: RawSubscription | None = None
 
     def resubscribe(self) -> None:
-        """Every 0.1 s, where nobody is matched: subscribe so that all publishers in the graph match."""
+        """Subscribe so that all publishers in the graph match; done every 0.1 s, while none is matched."""
         if time.monotonic() < self._checked_next:
             return
         self._checked_next = time.monotonic() + CHECK_EVERY_S
@@ -83,25 +86,27 @@ class FollowedSource:
 
     @property
     def is_latched(self) -> bool:
-        """Whether it is given what was sent before."""
+        """Whether it receives messages sent before it subscribed."""
         return self._chosen is not None and self._chosen["durability"] == "transient_local"
 
     def destroy(self) -> None:
-        """End receiving."""
+        """Destroy the subscription."""
         if self.subscription is not None:
             self.subscription.destroy()
 
 
 class Relay:
-    """One relay with its entities and counts: `passed` messages were published, of which `limited` less than they
-    were; `dropped` were held back by the rate, and `refused` by the policy, or as velocity commands that are not finite
-    or cannot be decoded.
+    """One relay with its entities and counts.
+
+    `passed` messages were published, `limited` of them with values reduced to the limits. `dropped` were held back by
+    the rate. `refused` were held back by the policy, or are velocity commands that are not finite or cannot be decoded.
     """
 
     def __init__(
         self, *, node: Node, graph: Graph, loop: Loop, create: Callable[..., Publisher], request: Request
     ) -> None:
-        # A depth of 1 is acknowledged at once (see `Publisher`), which a zero needs; else a burst must fit.
+        # A depth of 1 is acknowledged at once (see `Publisher`), which a zero needs; for other types a burst has to
+        # fit.
         self._awaits_first_ack = request.text("type") in MOTION_TYPES
         self._rhythm = Rhythm(request.rate()) if request.has("rate_hz") else None
         self._source = FollowedSource(node, graph, request) if request.has("source") else None
@@ -118,7 +123,9 @@ class Relay:
         self._guarded = Guarded()
 
     def run(self, duration_s: float) -> Steps[None]:
-        """Steps that relay: first wait for the subscribers, so that they miss nothing."""
+        """Steps that relay for the duration (0: without end), after the subscribers have matched,
+        so that they miss nothing.
+        """
         self.publisher.call_stopper()
         yield from self.publisher.wait_match(True, self._request.number("wait_match_s", 0.0))
         yield from self.publisher.wait_clock()
@@ -131,9 +138,11 @@ class Relay:
             yield max(0.0, min(pause, end - time.monotonic()))
 
     def publish(self, data: bytes) -> None:
-        """Pass one message on, unless it has ended; afterwards `wait_first_ack`, before the next replaces it.
+        """Publish one message, unless the relay has ended. Call `wait_first_ack` afterwards, before
+        the next one replaces it.
 
-        Raises `Cancelled` if the relay is not to act any more.
+        Raises:
+            Cancelled: if the relay must not act any more.
         """
         if not self.is_running:
             return
@@ -147,7 +156,7 @@ class Relay:
             self.passed += 1
 
     def wait_first_ack(self) -> Steps[None]:
-        """Steps until the first message is acknowledged, where there is no room for a second one beside it.
+        """Steps that wait until the first message is acknowledged, if the queue has no room for a second one.
 
         A subscriber discovers a new publisher a little later than the publisher discovers the subscriber.
         """
@@ -156,21 +165,23 @@ class Relay:
             yield from self.publisher.wait_acknowledged(FIRST_ACK_S)
 
     def finish(self) -> Steps[RelayEnd]:
-        """Steps that pass on what has come, send the zero of a velocity and wait until it has arrived; its counts."""
+        """Steps that relay what has arrived, send the zero of a velocity command, and wait for its
+        arrival; return the counts.
+        """
         deadline = time.monotonic() + LAST_DRAIN_S
-        with suppress(Cancelled):  # a stop, which lets nothing pass on
+        with suppress(Cancelled):  # after a stop nothing passes
             while self.is_running and self._relay_waiting() == 0.0 and time.monotonic() < deadline:
                 yield 0.0
         counts, velocity = self.counts(), self.publisher.velocity
         self.is_running = False
         if velocity is not None and self._has_begun:
             velocity.send_zero()
-        self.publisher.limits.end()  # nobody else could: the publisher ends with the relay
+        self.publisher.limits.end()  # no other code could: the publisher ends with the relay
         yield from self.publisher.wait_acknowledged(LAST_ACK_S)
         return {**counts, "final_sent": velocity is not None and self._has_begun}
 
     def counts(self) -> RelayCounts:
-        """What became of the messages so far."""
+        """Return the counts so far."""
         subscription = self._source.subscription if self._source else None
         return {
             "running": self.is_running,
@@ -187,13 +198,13 @@ class Relay:
         }
 
     def destroy(self) -> None:
-        """End it."""
+        """Destroy the subscription and the publisher."""
         if self._source is not None:
             self._source.destroy()
         self.publisher.destroy()
 
     def _relay_waiting(self) -> float:
-        """Relay what the middleware holds, from whoever publishes; returns when to come again, in seconds."""
+        """Relay the messages in the middleware's queue; return in how many seconds to call again."""
         if self._source is None:
             return FED_PERIOD_S
         self._source.resubscribe()
@@ -206,7 +217,7 @@ class Relay:
         return started + DRAIN_PERIOD_S - time.monotonic()
 
     def _take_in(self, sample: Sample) -> bool:
-        """Relay one sample; true where it must be acknowledged before the next."""
+        """Relay one sample. Return True if it must be acknowledged before the next one."""
         if self._rhythm is None or self._rhythm.passes(sample.received_ns):
             self.publish(sample.data)
         else:
@@ -223,7 +234,9 @@ class Relays:
         self._open: dict[str, Relay] = {}
 
     def relay(self, request: Request) -> Steps[RelayReply]:
-        """Relay until its time is over or the request is ended, then send the zero where it is a velocity."""
+        """Steps that relay until the duration is over or the request is ended, and then send the
+        zero of a velocity command.
+        """
         name, duration_s = request.text("name"), request.number("duration_s", 0.0)
         if name in self._open:
             raise OperationError("bad_request", f"There is a relay {name!r} already.")
@@ -237,7 +250,7 @@ class Relays:
                 except Cancelled as cancelled:
                     relay.ended_by = cancelled.ended_by
                 finally:
-                    request.task = None  # it ends now, and cannot be cancelled any more
+                    request.task = None  # it is ending, and cannot be cancelled any more
                     counts = yield from relay.finish()
         finally:
             self._open.pop(name, None)
@@ -245,7 +258,9 @@ class Relays:
         return {**counts, "ended_by": relay.ended_by}
 
     def feed(self, request: Request) -> Steps[RelayFeedReply]:
-        """Publish messages through a relay of that name: the body is one after the other, of these sizes."""
+        """Steps that publish messages through the relay of that name: the body contains them one after
+        the other, in these sizes.
+        """
         relay, offset = self._open.get(request.text("name")), 0
         sizes = request.sizes("sizes")
         if relay is not None and relay.ended_by in ("stop", "lease", "latch", "stopper"):
@@ -267,14 +282,14 @@ class Relays:
         return {"passed": relay.passed}
 
     def counts(self, _request: Request) -> RelaysReply:
-        """What became of the messages of every relay so far."""
+        """Return the counts of every relay so far."""
         return {"relays": {name: relay.counts() for name, relay in self._open.items()}}
 
     def publishers(self) -> list[Publisher]:
-        """Those through which messages may still be under way."""
+        """Return the publishers of all relays, through which messages may still be under way."""
         return [relay.publisher for relay in self._open.values()]
 
     def clear(self) -> None:
-        """End all."""
+        """Destroy all relays."""
         while self._open:
             self._open.popitem()[1].destroy()

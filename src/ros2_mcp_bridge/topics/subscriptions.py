@@ -1,4 +1,4 @@
-"""Raw subscriptions, drained by the loop instead of by the executor, which takes one message at a time."""
+"""Raw subscriptions, drained by the loop instead of by the executor, which takes only one message at a time."""
 
 from __future__ import annotations
 
@@ -20,29 +20,29 @@ if TYPE_CHECKING:
     from rclpy.node import Node
     from rclpy.qos import QoSProfile
 
-# How long a message may wait for us. Shorter costs processor time without traffic; with this, 1 kHz costs 5 to 6 % of a
-# core (decision 7).
+# The period of draining, and so the longest wait of a message. A shorter one costs processor time without traffic; with
+# this, 1 kHz costs 5 to 6 % of a core (decision 7).
 DRAIN_PERIOD_S = 0.005
-# No subscription may ask for less: each round costs 0.2 ms with ten subscriptions. Chosen.
+# The shortest period that a subscription may request: each round costs 0.2 ms with ten subscriptions.
 LEAST_DRAIN_PERIOD_S = 0.002
-# A flood must leave the ROS thread to the others now and then; it goes on in the next round. Chosen.
+# The longest draining in one turn: under a flood, the rest is drained in the next turn, after other work.
 DRAIN_AT_MOST_S = 0.01
-# What has arrived before the end is sent, a flood that goes on is not. Chosen.
+# The longest draining at the end: messages that have arrived are sent, a flood that goes on is not.
 LAST_DRAIN_S = 0.1
-# The queue of the middleware is what bridges the time between two rounds (decision 7): 0.2 s of 5 kHz.
+# The depth of the middleware's queue, which holds messages between two rounds (decision 7): 0.2 s of 5 kHz.
 DEPTH_FOR_ALL = 1000
-# Looking at the clock and the queues costs time, too: it is done once for so many messages. Chosen.
+# Clock and queues are checked once in so many messages, because that costs time, too.
 _LOOK_EVERY_MESSAGES = 16
 NO_SEQUENCE = (None, 0, 2**64 - 1)
 CDR_HEAD_BYTES = 4
 
 
 class RawSubscription:
-    """A raw subscription that no executor knows. `lost` counts the messages that never reached it.
+    """A raw subscription outside any executor. `lost` counts the messages that never reached it.
 
-    Those are gaps in a publisher's sequence numbers. A message does not tell its publisher, so that gaps can be
-    counted only while there is exactly one; otherwise, and where the middleware has no sequence numbers, `lost` is
-    None, for good.
+    Losses are gaps in a publisher's sequence numbers. A message does not identify its publisher, so gaps
+    can be counted only while there is exactly one. Otherwise, or if the middleware has no sequence numbers,
+    `lost` is None from then on.
     """
 
     def __init__(self, node: Node, graph: Graph, topic: str, interface: Any, profile: QoSProfile) -> None:
@@ -55,35 +55,39 @@ class RawSubscription:
         self._raw = rcl.subscription(node, interface, topic, profile)
 
     def publisher_count(self) -> int:
-        """The number of publishers that it is matched with; where rclpy does not tell (Humble), of those there are.
+        """Return the number of matched publishers, without those of stoppers, which publish nothing.
 
-        Those of stoppers, which say nothing, do not count.
+        Where rclpy does not report matches (Humble), it is the number of publishers in the graph.
         """
         count: Callable[[], int] | None = getattr(self._raw, "get_publisher_count", None)
         matched = len(self._graph.publishers(self._topic)) if count is None else count()
         return matched - self._graph.stoppers(self._topic) if count and matched > 1 else matched
 
     def drain(self, take_in: Callable[[Sample], bool | None], is_enough: Callable[[], bool]) -> bool:
-        """Give `take_in` what the middleware holds; False if it, or now and then `is_enough`, ended that early."""
+        """Pass the messages in the middleware's queue to `take_in`.
+
+        Return False if `take_in` returned True, or `is_enough`, asked now and then, did: then messages may be left.
+        """
         for number, sample in enumerate(self._waiting(), 1):
             if take_in(sample) or (number % _LOOK_EVERY_MESSAGES == 0 and is_enough()):
                 return False
         return True
 
     def check_publishers(self) -> None:
-        """Give up counting what is lost when there is more than one publisher."""
+        """Stop counting losses if there is more than one publisher."""
         if self.lost is not None and self.publisher_count() > 1:
             self.lost = None
 
     def destroy(self) -> None:
-        """End receiving."""
+        """Destroy the subscription."""
         self._raw.destroy_when_not_in_use()
 
     def _waiting(self) -> Iterator[Sample]:
-        """What the middleware holds.
+        """Yield the messages in the middleware's queue.
 
-        While Fast DDS puts a large message together, it can hand out an empty one, again and again, with a time of 1970
-        (seen after another subscriber was killed). No message is shorter than the head of its CDR: it is not one yet.
+        While Fast DDS assembles a large message, it can return an empty one, again and again, with a time
+        of 1970 (seen after another subscriber was killed). A message is never shorter than the head of its
+        CDR, so this is not one yet.
         """
         while (taken := self._raw.take_message(self._interface, True)) and len(taken[0]) >= CDR_HEAD_BYTES:
             data, info = taken
@@ -96,7 +100,9 @@ class RawSubscription:
             yield Sample(received_ns, info.get("source_timestamp") or 0, sequence, data, self.lost)
 
     def _lost_before(self, sequence: int | None, lost: int) -> int | None:
-        """How many were lost up to this message, if `lost` were up to the last one; None where that is not known."""
+        """Return how many messages were lost up to this one, if `lost` were up to the last
+        one; None if it is not known.
+        """
         if sequence is None:
             return None
         if self._last is None or sequence <= self._last:  # the first message, or the first of a restarted publisher
@@ -108,7 +114,7 @@ class RawSubscription:
 
 
 class Subscription(RawSubscription):
-    """A subscription of the server with the queue of its samples."""
+    """A subscription of the server, with the queue of its samples."""
 
     def __init__(self, number: int, node: Node, graph: Graph, request: Request) -> None:
         keeps_all = request.choice("keep", ("all", "latest")) == "all"
@@ -122,14 +128,16 @@ class Subscription(RawSubscription):
         opened_ns = time.time_ns()
         super().__init__(node, graph, request.text("topic"), request.interface, profile)
         if not keeps_all:
-            self.lost = None  # overwritten in the middleware, as asked for: not a loss to count
+            self.lost = None  # overwritten in the middleware, as requested: no loss
         self._has_failed = False
         is_latched = request.qos().get("durability") == "transient_local"
         judges = request.flag("newest_of_old") and is_latched
         self._old = NewestOfOld[Sample](opened_ns, time.monotonic()) if judges else None
 
     def drain_to(self, outbox: Outbox, is_enough: Callable[[], bool]) -> bool:
-        """Move what the middleware holds to the outbox; returns False if `is_enough` ended it before all was taken."""
+        """Move messages from the middleware to the outbox; return False if `is_enough` ended
+        that before all were taken.
+        """
         samples: list[Sample] = []
         seen_before = self._seen
 
@@ -147,7 +155,7 @@ class Subscription(RawSubscription):
             if self._old:
                 give_on(self._old.due(time.monotonic()))
         except rcl.RCLError as error:
-            is_empty = True  # this one is tried again, and the others go on
+            is_empty = True  # this subscription is tried again, the others go on
             if not self._has_failed:
                 log_failure(None, error)  # once
             self._has_failed, self.lost = True, None
@@ -159,7 +167,7 @@ class Subscription(RawSubscription):
         return is_empty
 
     def _head_of(self, sample: Sample) -> Sample:
-        """The sample with no more of its bytes than were asked for."""
+        """Return the sample with no more bytes than were requested."""
         size = len(sample.data)
         if not self._head_bytes or size <= self._head_bytes:
             return sample
@@ -182,23 +190,23 @@ class Subscriptions:
         return len(self._open)
 
     def subscribe(self, request: Request) -> SubscribeReply:
-        """Begin to receive."""
+        """Start to receive, and return the number of the subscription."""
         number = next(self._numbers)
         self._open[number] = Subscription(number, self._node, self._graph, request)
         if self._draining is None or not self._draining.open:
             self._draining = self._loop.start(self._drain_all(), log_failure)
-        self._draining.wake()  # the other subscriptions may let it sleep for longer
+        self._draining.wake()  # the other subscriptions may have a longer period
         return {"sub": number}
 
     def unsubscribe(self, request: Request) -> Steps[None]:
-        """Send what has arrived, and end; the queue of samples sends the answer."""
+        """Steps that send what has arrived, and end the subscription. The queue of samples sends the answer."""
         subscription = self._of(request)
         del self._open[subscription.queue.number]
         yield from self._send_rest(subscription, request, is_last=True)
         subscription.destroy()
 
     def counts_of(self, request: Request) -> Counts | Steps[None]:
-        """What has come of a subscription up to now; sent at once, or after what has arrived."""
+        """Return the counts of a subscription, or with `after_samples` steps that send them after what has arrived."""
         subscription = self._of(request)
         if request.flag("after_samples"):
             return self._send_rest(subscription, request, is_last=False)
@@ -211,7 +219,10 @@ class Subscriptions:
         return subscription
 
     def _send_rest(self, subscription: Subscription, request: Request, *, is_last: bool) -> Steps[None]:
-        """Send what has arrived, and answer after it; another one may end meanwhile what is not ended here."""
+        """Steps that send what has arrived, and then answer.
+
+        Unless `is_last`, another request may end the subscription meanwhile.
+        """
         deadline = time.monotonic() + LAST_DRAIN_S
         while (is_last or subscription.queue.number in self._open) and time.monotonic() < deadline:
             if subscription.drain_to(self._outbox, self._loop.has_due):
@@ -220,7 +231,7 @@ class Subscriptions:
         self._outbox.reply_after_samples(subscription.queue, request.id, subscription.lost, is_last=is_last)
 
     def clear(self) -> None:
-        """End all."""
+        """Destroy all subscriptions."""
         while self._open:
             self._open.popitem()[1].destroy()
 

@@ -1,1 +1,1 @@
-"""The languages of conditions, paths and types of fields, as agents write them and the bridge evaluates them."""
+"""The languages of conditions, paths and field types, as agents write them and server and bridge evaluate them."""

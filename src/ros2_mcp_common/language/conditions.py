@@ -1,14 +1,14 @@
 """Conditions on a message's fields: `pose.pose.position.x > 1.0 and twist.twist.linear.x == 0`.
 
-`status[*].level` are the levels of all elements, and `any(status, name == "imu" and level > 1)` looks at one after the
-other: the names in its condition are those of an element. Of a laser scan `nearest(-20, 20)` is the free way between
-two angles.
+`status[*].level` are the levels of all elements. `any(status, name == "imu" and level > 1)` tests the elements one
+by one: the names in its condition are fields of an element. For a laser scan, `nearest(-20, 20)` is the free
+distance between two angles.
 
-Python's grammar is used to read them, and nothing of Python to run them: each permitted piece of syntax becomes a small
-function of our own, every name is checked against the definition, and every kind against its operator.
+Conditions are parsed with Python's grammar but not run as Python: each permitted piece of syntax becomes a small
+function of this module, every name is checked against the definition, and every kind against its operator.
 
-Server and bridge share this module, so that a condition means the same wherever it is asked: of messages of rosbags,
-and of rclpy. Needs no ROS. Its reference is docs/reference/conditions.md.
+Server and bridge share this module, so that a condition means the same in both: for messages of rosbags and of rclpy.
+Needs no ROS. Its reference is docs/reference/conditions.md.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from ros2_mcp_common.language import scans
 from ros2_mcp_common.language.field_types import TEXTS, Types
 from ros2_mcp_common.language.paths import FieldPath, PathError, parse
 
-# Characters. Far more than a condition that can still be understood.
+# The longest condition in characters, far more than anyone could understand.
 MAX_LENGTH = 1000
-# Levels of nesting. Evaluation recurses, and Python's own parser gives up at about 200.
+# The deepest nesting. Evaluation recurses, and Python's own parser gives up at about 200 levels.
 MAX_DEPTH = 40
-# Integers above every type of ROS are refused; without a bound a literal of 1000 digits would be computed with.
+# Larger integers, beyond every ROS type, are rejected: otherwise a literal of 1000 digits would be used in arithmetic.
 _LARGEST = 2**64
 
 Evaluate = Callable[[object], Any]
@@ -60,12 +60,15 @@ _ALLOWED = (
     "range_at(deg) and nearest(from_deg, to_deg); status[*].level are the levels of all elements."
 )
 _COMPARE_IT = "Compare it, such as: … > 1.0."
-# What Python cannot read, `[*]`, or a text, in which nothing is replaced.
+# Matches `[*]`, which is no Python, and string literals, in which it is not replaced.
 _ALL_ELEMENTS = re.compile(r"""('(?:\\.|[^'\\])*'|"(?:\\.|[^"\\])*")|\[\s*\*\s*\]""")
 
 
 class ConditionError(ValueError):
-    """A text that is no condition; the hint says what would be one. For a field that is not there: `PathError`."""
+    """Raised for a text that is no condition; the hint says what is allowed.
+
+    A missing field raises `PathError` instead.
+    """
 
     def __init__(self, message: str, hint: str = "") -> None:
         super().__init__(f"{message} {hint}".rstrip())
@@ -74,14 +77,17 @@ class ConditionError(ValueError):
 
 
 class Undecided(Exception):
-    """The condition has no answer for this message, because of a list that is too short: the message says which."""
+    """Raised if the condition cannot be evaluated for this message, for example because a list is too
+    short; the text says why.
+    """
 
 
 @dataclass(frozen=True)
 class Condition:
-    """A condition that fits the type; `fields` are the paths that it looks at, in order.
+    """A condition checked against a message type; `fields` are the paths that it reads, in order.
 
-    `computed` has what it computes of them, such as `min(ranges)`, by its text; a list in it is no path of its own.
+    `computed` has the functions it computes, such as `min(ranges)`, by their text; a list
+    inside one is not in `fields`.
     """
 
     text: str
@@ -90,14 +96,16 @@ class Condition:
     _evaluate: Evaluate
 
     def holds(self, message: object) -> bool | None:
-        """Whether it holds for a message; None where that cannot be said (a list is too short, division by zero)."""
+        """Return whether the condition is true for a message; None if undecidable (a list is too
+        short, division by zero).
+        """
         try:
             return bool(self._evaluate(message))
         except (Undecided, ArithmeticError):
             return None
 
     def values(self, message: object) -> dict[str, float | str | None]:
-        """What it computes of a message, as JSON; None where that cannot be said."""
+        """Return the computed values of a message by their text, as JSON; None for one that cannot be computed."""
         found: dict[str, float | str | None] = {}
         for text, evaluate in self.computed.items():
             try:
@@ -109,7 +117,7 @@ class Condition:
         return found
 
     def why_undecided(self, message: object) -> str:
-        """In words, why that cannot be said for a message; empty where it can."""
+        """Return why the condition cannot be evaluated for a message; "" if it can."""
         try:
             self._evaluate(message)
         except (Undecided, ArithmeticError) as error:
@@ -118,11 +126,11 @@ class Condition:
 
 
 def condition(types: Types, type_name: str, text: str) -> Condition:
-    """Reads a condition and checks it against the type.
+    """Parse a condition and check it against the type.
 
     Raises:
         ConditionError: if the text is not a condition.
-        PathError: for a field that does not exist, with the nearest that does.
+        PathError: for a field that does not exist; names the nearest that does.
     """
     compiler = _Compiler(types, type_name)
     term = compiler.term(_parse(text))
@@ -137,7 +145,7 @@ def _parse(text: str) -> ast.expr:
     if len(text) > MAX_LENGTH:
         raise ConditionError(f"The condition has {len(text)} characters.", f"At most {MAX_LENGTH} are read.")
     try:
-        with warnings.catch_warnings():  # Python warns of `1 is 1` and the like on stderr; we refuse them ourselves
+        with warnings.catch_warnings():  # Python warns of `1 is 1` and the like; we reject them
             warnings.simplefilter("ignore")
             tree = ast.parse(_ALL_ELEMENTS.sub(lambda found: found[1] or "[:]", text.strip()), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
@@ -157,10 +165,10 @@ def _parse(text: str) -> ast.expr:
 
 @dataclass(frozen=True)
 class _Term:
-    """A part of the condition: how to evaluate it, and its kind: `number`, `truth`, `text`, `list` or `message`.
+    """A compiled part of a condition: how to evaluate it, and its kind: `number`, `truth`, `text`, `list` or `message`.
 
-    `type` is the type of a field, `element` the kind of a list's elements. `is_single` is a field or a constant, and
-    not something computed.
+    `type` is the type of a field, `element` the kind of a list's elements. `is_single`: it is a field or a
+    constant, and not computed.
     """
 
     kind: str
@@ -176,14 +184,14 @@ class _Term:
 
     @property
     def words(self) -> str:
-        """What it is, for errors."""
+        """The kind in words, for errors."""
         if self.type:
             return f"a {self.kind} ({self.type})"
         return "true or false" if self.kind == "truth" else f"a {self.kind}"
 
     @property
     def hint(self) -> str:
-        """How to use it, where it cannot be compared or computed with as it is."""
+        """How to use the term if it cannot be compared or computed with as it is."""
         hints = {
             "message": "Name one of its fields.",
             "list": "Pick an element, such as [0], or use min(), max(), len(), any() or all().",
@@ -193,9 +201,9 @@ class _Term:
 
 @dataclass
 class _Compiler:
-    """Makes terms of syntax; `fields` are the paths that were met so far, in order (the values mean nothing).
+    """Compiles syntax to terms; `fields` are the paths found so far, in order (the values mean nothing).
 
-    `within` is the path of the list whose elements the condition is about, with a dot; empty for a whole message.
+    `within` is the path, with a dot, of the list to whose elements the condition applies; "" for a whole message.
     """
 
     types: Types
@@ -205,7 +213,7 @@ class _Compiler:
     computed: dict[str, Evaluate] = field(default_factory=dict[str, Evaluate])
 
     def term(self, piece: ast.expr) -> _Term:
-        """The term of any piece; raises `ConditionError` for syntax that is not permitted."""
+        """Compile any piece of syntax. Raise `ConditionError` if it is not permitted."""
         if isinstance(piece, ast.BoolOp):
             parts = [self._of_kind(value, "truth") for value in piece.values]
             decide = all if isinstance(piece.op, ast.And) else any
@@ -260,12 +268,12 @@ class _Compiler:
         if not self.within:
             self.computed[_text_of(piece)] = evaluate
             for term, argument in zip(arguments, piece.args):  # noqa: B905 - `strict` is of 3.10
-                if term.kind in ("list", "message") and len(arguments) == 1:  # the result says more than its elements
+                if term.kind in ("list", "message") and len(arguments) == 1:  # the result is shown instead of the list
                     self.fields.pop(_text_of(argument), None)
         return _Term("number", evaluate)
 
     def _of_scan(self, piece: ast.Call, name: str) -> _Term:
-        """A range of a laser scan by one angle, or the smallest between two."""
+        """Compile `range_at(deg)` or `nearest(from_deg, to_deg)` of a laser scan."""
         count, hint = _OF_SCANS[name]
         if self.type_name != scans.LASER_SCAN or self.within:
             raise ConditionError(f"{name}() works only on a topic of type {scans.LASER_SCAN}.", _ALLOWED)
@@ -286,7 +294,7 @@ class _Compiler:
         return _Term("number", evaluate)
 
     def _quantified(self, piece: ast.Call, decisive: bool) -> _Term:
-        """`any` or `all` of a list of booleans, or of the elements of a list of messages, each asked the condition."""
+        """Compile `any` or `all` of a list of booleans, or of a condition on the elements of a list of messages."""
         subject, conditions = piece.args[0], piece.args[1:]
         if not conditions:
             flags = self.term(subject)
@@ -332,7 +340,7 @@ class _Compiler:
 
 
 def _reading(path: FieldPath) -> Evaluate:
-    """What reads the value at a path; raises `Undecided` where a list is too short."""
+    """Return a function that reads the value at a path; it raises `Undecided` if a list is too short."""
 
     def read(message: object) -> Any:
         try:
@@ -344,10 +352,11 @@ def _reading(path: FieldPath) -> Evaluate:
 
 
 def _decided(asked: Evaluate, elements: Sequence[object], decisive: bool) -> bool:
-    """`decisive` as soon as the condition is so for one element (true decides `any`, false decides `all`).
+    """Return `decisive` if one element's answer is `decisive` (True decides `any`, False decides
+    `all`), else its opposite.
 
     Raises:
-        Undecided, ArithmeticError: if no element decides, and of one it cannot be said.
+        Undecided, ArithmeticError: if no element decides and one cannot be evaluated.
     """
     undecided: Exception | None = None
     for element in elements:
@@ -369,7 +378,7 @@ def _constant(value: object) -> _Term:
 
 
 def _comparing(piece: ast.Compare, sign: ast.cmpop, left: _Term, right: _Term) -> Callable[[Any, Any], bool]:
-    """The comparison, if these two can be compared so."""
+    """Return the function of a comparison. Raise `ConditionError` if the two terms cannot be compared in this way."""
     kinds = {left.kind, right.kind}
     way, compare = _COMPARISONS.get(type(sign), ("", operator.eq))
     possible = {
@@ -384,7 +393,7 @@ def _comparing(piece: ast.Compare, sign: ast.cmpop, left: _Term, right: _Term) -
 
 
 def _extreme(choose: Callable[..., Any], first: Any, *others: Any) -> Any:
-    """The smallest or largest of several numbers, or of one list of them; NaN left out."""
+    """Return the smallest or largest of several numbers, or of one list of numbers; NaN is ignored."""
     values: Any = (first, *others) if others else first
     numbers = [value for value in _plain(values) if not math.isnan(value)]
     if not numbers:
@@ -393,10 +402,9 @@ def _extreme(choose: Callable[..., Any], first: Any, *others: Any) -> Any:
 
 
 def _plain(values: Any) -> Any:
-    """A list of Python's own numbers, in the place of an array.
+    """Return an array as a list of Python numbers.
 
-    It is quicker with them than with NumPy's (60 instead of 86 µs for 1000 elements), and float32 are compared as they
-    are elsewhere.
+    They are faster here than NumPy's (60 instead of 86 µs for 1000 elements), and float32 are compared as elsewhere.
     """
     return values.tolist() if hasattr(values, "tolist") else values
 
@@ -408,7 +416,7 @@ def _square_root(value: float) -> float:
 
 
 def _yaw(quaternion: Any) -> float:
-    """The heading in radians, -π to π: x forward, z up, counterclockwise. Its length does not matter."""
+    """Return the heading in rad, -π to π, counterclockwise about z. The quaternion may have any length."""
     x, y, z, w = (float(getattr(quaternion, name)) for name in "xyzw")
     if not any((x, y, z, w)):
         raise Undecided("yaw() of a quaternion of zeros is no direction.")
@@ -421,7 +429,7 @@ def _accepts_several(kinds: Sequence[str]) -> bool:
 
 _QUATERNION = "geometry_msgs/msg/Quaternion"
 _SEVERAL = "Give it one list of numbers, or several numbers."
-# What can be called: what it computes, which kinds of arguments it accepts, and the hint where they are others.
+# The functions: what each computes, which kinds of arguments it accepts, and the hint for others.
 _FUNCTIONS: Mapping[str, tuple[Callable[..., Any], Callable[[Sequence[str]], bool], str]] = {
     "abs": (abs, lambda kinds: list(kinds) == ["number"], "Give it one number."),
     "min": (partial(_extreme, min), _accepts_several, _SEVERAL),
@@ -436,9 +444,9 @@ _FUNCTIONS: Mapping[str, tuple[Callable[..., Any], Callable[[Sequence[str]], boo
         "Give it one quaternion, such as yaw(pose.pose.orientation).",
     ),
 }
-# What can be asked of the elements of a list, and which answer of one element decides it.
+# The quantifiers of lists, each with the answer of one element that decides it.
 _QUANTIFIERS: Mapping[str, bool] = {"any": True, "all": False}
-# What can be asked of a laser scan: of how many angles, and the hint where it is asked otherwise.
+# The functions of a laser scan: the number of angles, and the hint for another number.
 _OF_SCANS: Mapping[str, tuple[int, str]] = {
     "range_at": (1, "Give it one angle in degrees, counterclockwise from the scan's x axis: range_at(90)."),
     "nearest": (2, "Give it two angles in degrees, counterclockwise from the first to the second: nearest(-20, 20)."),

@@ -1,4 +1,4 @@
-"""The types of fields, as definitions of messages write them. Server and bridge share them; nothing here needs ROS."""
+"""The types of fields, as message definitions write them. Server and bridge share them. Needs no ROS."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ INTEGERS: Mapping[str, tuple[int, int]] = {
     **{f"uint{bits}": (0, 2**bits - 1) for bits in (8, 16, 32, 64)},
     **{f"int{bits}": (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) for bits in (8, 16, 32, 64)},
 }
-"""The integer types with the smallest and the largest value; `byte` and `char` are unsigned in ROS 2."""
+"""The integer types, each with its least and largest value; `byte` and `char` are unsigned in ROS 2."""
 FLOATS = frozenset({"float32", "float64"})
 TEXTS = frozenset({"string", "wstring"})
 OCTETS = frozenset({"uint8", "byte", "char"})
@@ -37,12 +37,12 @@ class FieldType:
 
     @property
     def is_message(self) -> bool:
-        """Whether it is made of messages."""
-        return "/" in self.base or ":" in self.base  # as in `json:app.State`, of a recording
+        """Whether the values are messages."""
+        return "/" in self.base or ":" in self.base  # such as `json:app.State` in a recording
 
     @property
     def is_number(self) -> bool:
-        """Whether it is made of integers or floating-point numbers."""
+        """Whether the values are integers or floating-point numbers."""
         return self.base in INTEGERS or self.base in FLOATS
 
     @property
@@ -60,26 +60,26 @@ class FieldType:
 
 
 class TypedField(Protocol):
-    """A field of a message, whatever else is known of it."""
+    """A field of a message: at least its name and type."""
 
     @property
     def name(self) -> str:
-        """Its name in the definition."""
+        """The name in the definition."""
         ...
 
     @property
     def type(self) -> FieldType:
-        """Its type."""
+        """The type of the field."""
         ...
 
 
 class Types(Protocol):
-    """What is known of the types of messages: the server reads definitions, the bridge asks the classes of rclpy."""
+    """The known message types: the server reads definitions, the bridge reads the classes of rclpy."""
 
     def fields(self, type_name: str) -> Mapping[str, TypedField]:
-        """The fields of a message by their names, in their order."""
+        """Return the fields of a message by name, in their order."""
         ...
 
     def constants(self, type_name: str) -> Mapping[str, Single]:
-        """Its constants; a `byte` is an integer."""
+        """Return the constants of a message; a `byte` is an integer."""
         ...

@@ -1,7 +1,7 @@
 """Paths to fields: `pose.pose.position`, `ranges[0:10]`, `name[-1]`, `transforms[*].header.frame_id`.
 
-`transforms[child_frame_id == "base_link"]` are the elements of which that is so. Server and bridge share them: they
-read messages of rosbags as well as of rclpy. Needs no ROS.
+`transforms[child_frame_id == "base_link"]` selects the elements with that value. Server and bridge share the paths,
+which read messages of rosbags as well as of rclpy. Needs no ROS.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _NOT_AN_INDEX = 'Write [3], [-1], [0:10], [::5], [*] or [name == "x"].'
 
 
 class PathError(ValueError):
-    """A path that does not exist, or leads to nothing in a message; the hint says what would be right."""
+    """Raised for a path that does not exist, or has no value in a message; the hint says what would be right."""
 
     def __init__(self, path: str, message: str, hint: str = "") -> None:
         super().__init__(f"{path}: {message}" if path else message)
@@ -39,13 +39,13 @@ class PathError(ValueError):
 
 @dataclass(frozen=True)
 class Where:
-    """Of the elements of a list of messages those in which the value at `path` is this one."""
+    """Selects those elements of a list of messages whose value at `path` equals `value`."""
 
     path: FieldPath
     value: str | int
 
     def among(self, elements: Sequence[object]) -> list[object]:
-        """Those elements."""
+        """Return the selected elements."""
         return [element for element in elements if self.path.value_in(element) == self.value]
 
 
@@ -54,42 +54,45 @@ Pick = int | slice | Where | None
 
 @dataclass(frozen=True)
 class Step:
-    """One field on the way, and what of it is picked: one element, a slice, or (None) the field as it is."""
+    """One field of a path, and the selection from it: one element, a slice, elements by value, or
+    None for the whole field.
+    """
 
     field: TypedField
     pick: Pick = None
 
     @property
     def type(self) -> FieldType:
-        """The type of the field, or of one element where some are picked."""
+        """The type of the field, or of one element if elements are selected."""
         return self.field.type if self.pick is None else self.field.type.element
 
 
 @dataclass(frozen=True)
 class FieldPath:
-    """A path that fits the definition; made with `parse`."""
+    """A path that fits the definition of a type; made by `parse`."""
 
     path: str
     steps: tuple[Step, ...]
 
     @property
     def type(self) -> FieldType:
-        """The type at the end of the path; of one element where several are picked."""
+        """The type at the end of the path; that of one element if several are selected."""
         return self.steps[-1].type
 
     @property
     def is_list(self) -> bool:
-        """Whether it stands for several values."""
+        """Whether the path leads to several values."""
         return self.type.arity != "single" or any(isinstance(step.pick, (slice, Where)) for step in self.steps)
 
     def finds_none_in(self, message: object) -> bool:
-        """Whether it asks for elements with a value, and the message has none."""
+        """Return whether the path selects elements by value and the message has none."""
         return any(isinstance(step.pick, Where) for step in self.steps) and not len(self.value_in(message))
 
     def element(self, number: int) -> int | None:
-        """The index of one of its values in the message's own list.
+        """Return the index, in the message's own list, of the value with this number.
 
-        None where it cannot be told: several lists lead there, or it is counted from the end of one of any length.
+        Return None if it cannot be known: several lists lead there, elements are selected by value, or the slice counts
+        from the end of a list of variable length.
         """
         lists = [step for step in self.steps if isinstance(step.pick, (slice, Where))]
         if self.type.arity != "single":
@@ -107,10 +110,11 @@ class FieldPath:
         return start + number * (pick.step or 1)
 
     def value_in(self, message: object) -> Any:
-        """The value in a message; beyond a slice, a flat list of all that the path leads to.
+        """Return the value in a message. If elements of a list are selected before the last field, it is
+        a flat list of all values.
 
         Raises:
-            PathError: where a list has no such element, or a JSON message has no such field, or null.
+            PathError: if a list has no such element, or a JSON message has no such field, or null.
         """
         try:
             if all(step.pick is None for step in self.steps):
@@ -126,10 +130,10 @@ class FieldPath:
 
 
 def parse(types: Types, type_name: str, path: str) -> FieldPath:
-    """Reads a path and checks it against the definition.
+    """Parse a path and check it against the definition.
 
     Raises:
-        PathError: for a path that does not exist, with the nearest that does.
+        PathError: for a path that does not exist; names the nearest that does.
     """
     steps: list[Step] = []
     inside = FieldType(type_name)
@@ -147,9 +151,9 @@ def parse(types: Types, type_name: str, path: str) -> FieldPath:
 
 
 def _first_of(types: Types, inside: FieldType, rest: str) -> tuple[str, str, str | None]:
-    """Name and brackets of the first field of a path, both empty where it is none, and what follows it, if anything.
+    """Return name and brackets of the first field of a path ("" if there is none), and the rest of the path or None.
 
-    JSON has names that are like none of ROS (`front light`, `v.x`): such a name stands in a path as it is.
+    Names in JSON may be unlike those of ROS (`front light`, `v.x`): such a name is written in a path as it is.
     """
     if inside.is_message and inside.arity == "single":
         odd = [name for name in types.fields(inside.base) if not _PART.fullmatch(name) and rest.startswith(name)]
@@ -163,12 +167,12 @@ def _first_of(types: Types, inside: FieldType, rest: str) -> tuple[str, str, str
 
 
 def value_at(message: object, path: str) -> Any:
-    """The value at a path that is made of names and dots."""
+    """Return the value at a path of names and dots only."""
     return _getter(tuple(path.split(".")))(message)
 
 
 def attribute(name: str) -> str:
-    """How a field of that name is called in Python: a word of Python's gets a `_`, as rosbags does it."""
+    """Return the Python attribute of a field: with a `_` appended to a Python keyword, as rosbags does."""
     return f"{name}_" if keyword.iskeyword(name) else name
 
 
@@ -176,7 +180,7 @@ def attribute(name: str) -> str:
 def _getter(path: tuple[str, ...]) -> Callable[[object], Any]:
     if all(map(str.isidentifier, path)):
         return attrgetter(".".join(map(attribute, path)))
-    return lambda message: reduce(getattr, path, message)  # a name in JSON may have dots and blanks
+    return lambda message: reduce(getattr, path, message)  # a name in JSON may contain dots and spaces
 
 
 def _step(types: Types, path: str, inside: FieldType, name: str, brackets: str) -> Step:
@@ -210,7 +214,7 @@ def _step(types: Types, path: str, inside: FieldType, name: str, brackets: str) 
 
 
 def _where(types: Types, path: str, field: TypedField, found: re.Match[str]) -> Where:
-    """The elements that `[name == "x"]` means; raises `PathError` where they can have no such value."""
+    """Return the selection that `[name == "x"]` means. Raise `PathError` if the elements cannot have such a value."""
     below = parse(types, field.type.base, found["path"]) if field.type.is_message else None
     value = int(found["number"]) if found["number"] else found["text"] or found["other"] or ""
     kind = below.type if below and not below.is_list else None
@@ -220,22 +224,22 @@ def _where(types: Types, path: str, field: TypedField, found: re.Match[str]) -> 
 
 
 def several_of(values: Any, pick: slice | Where) -> Any:
-    """What is picked of a list or an array."""
+    """Return the selected elements of a list or an array."""
     return values[pick] if isinstance(pick, slice) else pick.among(values)
 
 
 def no_element(path: str, index: int, length: int) -> PathError:
-    """The error of an index that a list of that length does not have."""
+    """Return the error for an index that a list of that length does not have."""
     there = f"only [0] to [{length - 1}]" if length else "it is empty"
     return PathError(path, f"there is no element [{index}], {there}.")
 
 
 def element_at(values: Any, index: int, path: str) -> Any:
-    """One element of a list or array; raises `PathError` where it is shorter."""
+    """Return one element of a list or array. Raise `PathError` if it is too short."""
     if not -len(values) <= index < len(values):
         raise no_element(path, index, len(values))
     element = values[index]
-    return element.item() if type(element).__module__ == "numpy" else element  # a number of NumPy's, or a message
+    return element.item() if type(element).__module__ == "numpy" else element  # NumPy numbers as Python's
 
 
 def _follow(path: str, steps: Sequence[Step], value: Any) -> Any:
@@ -257,7 +261,9 @@ def _leaves(value: Any) -> Sequence[Any]:
 
 
 def _integers(value: Any) -> Any:
-    """A `byte`, or a list of them, as integers: rclpy has bytes of length 1 for each, rosbags has integers."""
+    """Return a `byte`, or a list of them, as integers: in rclpy each is a bytes object of length
+    1, in rosbags an integer.
+    """
     if isinstance(value, bytes):
         return value[0]
     if isinstance(value, list):
@@ -266,8 +272,8 @@ def _integers(value: Any) -> Any:
 
 
 def _nearest(name: str, known: Sequence[str]) -> str:
-    """The known name that this was most likely meant to be, or an empty string."""
+    """Return the known name most similar to this one, or ""."""
     by_folded = {candidate.lower(): candidate for candidate in known}
-    # 0.6 is what difflib takes for close by itself.
+    # 0.6 is the default of difflib.
     close = difflib.get_close_matches(name.lower(), list(by_folded), n=1, cutoff=0.6)
     return by_folded[close[0]] if close else ""

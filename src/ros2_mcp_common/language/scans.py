@@ -1,6 +1,6 @@
-"""Ranges of a laser scan by their angles. Needs no ROS: any object with the fields of a LaserScan will do.
+"""Ranges of a laser scan by angle. Needs no ROS: any object with the fields of a LaserScan will do.
 
-Angles are those of the scan's own frame: 0 is its x axis, counterclockwise is positive.
+Angles are in the frame of the scan: 0 is its x axis, counterclockwise is positive.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from ros2_mcp_common.finite import not_finite
 
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
 _TURN = 2 * math.pi
-# A ray stands for half a step to both of its sides; a little more, so that rounding leaves no gap between two rays.
+# A ray covers half a step on both sides, and a little more, so that rounding leaves no gap between two rays.
 _HALF_A_STEP = 0.5 * (1 + 1e-6)
 
 
@@ -23,7 +23,7 @@ _MOST_TURN_RAD = 2 * _TURN
 
 
 class NoRange(Exception):
-    """The scan does not tell the range that was asked for: the message says why."""
+    """Raised if the scan has no range at the requested angles; the text says why."""
 
 
 def no_bearings(scan: Any) -> str:
@@ -50,13 +50,14 @@ def limits_of(scan: Any) -> tuple[float, float]:
 
 
 def nearest_range(scan: Any, from_deg: float, to_deg: float) -> float:
-    """The smallest range in m of a scan from one angle counterclockwise to another; infinite where nothing is in sight.
+    """Return the smallest range of a scan in m, from one angle counterclockwise to another;
+    infinite if nothing is in range.
 
-    What the definition of LaserScan and REP 117 say of a range holds: NaN, and what is smaller than `range_min`, is no
-    measurement; `-inf` is too close to be measured, here 0; `inf`, and what is larger than `range_max`, is nothing.
+    Follows LaserScan and REP 117: NaN, and a range below `range_min`, is no measurement; `-inf` is too close to be
+    measured, here 0; `inf`, and a range above `range_max`, means that nothing was detected.
 
     Raises:
-        NoRange: where no ray points there, or none of those that do has measured anything.
+        NoRange: if no ray points there, or none of them has a measurement.
     """
     if not (math.isfinite(from_deg) and math.isfinite(to_deg)):
         raise NoRange("the angles that are asked for are not finite.")
@@ -77,7 +78,7 @@ def nearest_range(scan: Any, from_deg: float, to_deg: float) -> float:
 
 
 def _seen(found: float, least: float, most: float) -> float:
-    """What one range means, in m; NaN for no measurement."""
+    """Return the meaning of one range in m; NaN for no measurement."""
     if found == -math.inf:
         return 0.0
     if found < least:
@@ -85,10 +86,10 @@ def _seen(found: float, least: float, most: float) -> float:
     return math.inf if found > most else found
 
 
-# A scan mostly keeps its shape; an entry is a list of some hundred numbers.
+# Scans of a sensor mostly have the same angles; an entry is a list of some hundred numbers.
 @lru_cache(maxsize=64)
 def _rays(from_deg: float, to_deg: float, first: float, step: float, count: int) -> Sequence[int]:
-    """The rays of a scan from an angle counterclockwise to another, by their numbers; first and step in rad."""
+    """Return the indices of the rays from one angle counterclockwise to another; `first` and `step` are in rad."""
     margin = abs(step) * _HALF_A_STEP
     width = _TURN if abs(to_deg - from_deg) >= 360 else math.radians(to_deg - from_deg) % _TURN
     start = math.radians(from_deg) - margin

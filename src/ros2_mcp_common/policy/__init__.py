@@ -1,1 +1,1 @@
-"""The judge of policies: rules, checks of values, ramps and budgets, the same in server and bridge."""
+"""How policies are applied, alike in server and bridge: rules, checks of values, ramps and rates."""

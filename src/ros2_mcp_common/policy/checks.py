@@ -1,9 +1,9 @@
-"""What the fields of a value may be, and how a value that is beyond it is brought within. Needs no ROS.
+"""Limits on the fields of a value, and how a value beyond them is clamped. Needs no ROS.
 
-The same functions judge in the server, on values as JSON objects, and in the bridge, on messages that rclpy decoded.
-A path names fields: `linear.x`, `points[].velocities[]` (each element), nothing for the whole value. Of a stamped type
-(a header and one more field) the name of that field may be left out: `linear` of a `TwistStamped` is `twist.linear`.
-Whatever cannot be judged fails: a field that is not there, a text where a number is meant, NaN.
+The same functions judge values as JSON objects in the server, and messages decoded by rclpy in the bridge. A path names
+fields: `linear.x`, `points[].velocities[]` (each element), "" for the whole value. For a stamped type (a header and one
+more field) the name of that field may be omitted: `linear` of a `TwistStamped` means `twist.linear`. A value that
+cannot be judged is refused: a missing field, a string instead of a number, NaN.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ from ros2_mcp_common.policy.field_values import (
 from ros2_mcp_common.policy.trajectory_limits import CurveLimits, LookAtJoints, nobody_measures, seconds, states_at
 from ros2_mcp_common.policy.trajectory_limits import problem as problem_of_curve
 
-# A scaled vector is this much shorter than its limit, so that rounding to float32 (6e-8) leaves it within.
+# A vector is scaled to this share of its limit, so that rounding to float32 (6e-8) leaves it within.
 _WITHIN = 1 - 1e-6
-# The limits of a trajectory hold for rounded times, too: a nanosecond of one second.
+# A tolerance for rounded times of trajectories: 1 ns in 1 s.
 _ROUNDING = 1 + 1e-9
 
 
 @dataclass(frozen=True)
 class Zone:
-    """A polygon in a coordinate frame, in metres; what is to lie in it keeps `margin_m` from its edges."""
+    """A polygon in a coordinate frame, in metres; a position has to lie in it, at least `margin_m` from its edges."""
 
     frame_id: str
     polygon: tuple[tuple[float, float], ...]
@@ -47,8 +47,8 @@ class Zone:
 class Pace:
     """A limit on a list of trajectory points (`positions`, `time_from_start`).
 
-    No joint moves faster than `most` (rad/s or m/s) anywhere between two points, and the first point, whose way there
-    is not known, comes `first_s` after the start or later.
+    No joint may move faster than `most` (rad/s or m/s) anywhere between two points. The first point, whose distance is
+    not known, has to come `first_s` after the start or later.
     """
 
     most: float
@@ -57,11 +57,12 @@ class Pace:
 
 @dataclass(frozen=True)
 class Checks:
-    """What the fields of a value must be, by their paths.
+    """The limits on the fields of a value, each by the path of the field.
 
-    `norm`: the length of the vector of all numbers below the path is at most that. `range`: each number lies between
-    both bounds, included. `one_of`: it is one of these. `zero`: all numbers below are 0. `count`: a list has from so
-    many to so many elements. `zone`: the position lies in the zone of that name. `pace`: as `Pace` says.
+    `norm`: the largest length of the vector of all numbers at or below the path. `range`: the inclusive bounds of each
+    number. `one_of`: the allowed values. `zero`: all numbers at or below the path are 0. `count`: the least and largest
+    number of elements of a list. `zone`: the name of the zone in which the position lies. `pace`, `curve`: limits on
+    trajectories, see `Pace` and `CurveLimits`.
     """
 
     norm: Mapping[str, float] = field(default_factory=dict[str, float])
@@ -75,7 +76,7 @@ class Checks:
 
     @property
     def is_empty(self) -> bool:
-        """Whether every value passes."""
+        """Whether there are no limits."""
         by_path = (self.norm, self.range, self.one_of, self.zero, self.count, self.zone, self.pace, self.curve)
         return not any(by_path)
 
@@ -84,8 +85,9 @@ class Checks:
 
 
 def problem(checks: Checks, value: Any, zones: Mapping[str, Zone], look: LookAtJoints = nobody_measures) -> str:
-    """What of a value is beyond its limits, in words that begin with the path; empty if nothing is. `look` is asked
-    where the joints of a trajectory are.
+    """Return in words which limit a value exceeds, beginning with the path; "" if it exceeds none.
+
+    `look` returns the joint states from which a trajectory is judged.
     """
     try:
         return next(_problems(checks, value, zones, look), "")
@@ -109,7 +111,7 @@ def _problems(checks: Checks, value: Any, zones: Mapping[str, Zone], look: LookA
 
 
 def _by_path(checks: Checks) -> Sequence[tuple[Mapping[str, Any], Callable[[str, Any, Any], Iterator[str]]]]:
-    """Bounds by their paths, and what judges them."""
+    """Return the limits by path, each with the function that judges it."""
     return [
         (checks.norm, _too_long),
         (dict.fromkeys(checks.zero, (0.0, 0.0)), _out_of_range),
@@ -146,30 +148,30 @@ def _too_many(shown: str, found: Any, bounds: tuple[int, int]) -> Iterator[str]:
 
 
 def _length(found: Iterator[tuple[str, float]]) -> float:
-    """The length of a vector; infinite where it overflows, NaN where one of its numbers is."""
+    """Return the length of a vector: infinite if it overflows, NaN if one of its numbers is NaN."""
     return math.hypot(*(number for _, number in found))
 
 
 def _is_same(found: Any, allowed: Any) -> bool:
-    """True is not 1: they would be equal to Python."""
+    """Return whether two values are equal. Unlike in Python, True is not equal to 1."""
     if isinstance(found, bool) or isinstance(allowed, bool):
         return found is allowed
     return bool(found == allowed)
 
 
 def _shown(value: Any) -> str:
-    """A value within a sentence: texts as ASCII in quotes, cut short."""
+    """Return a value for a sentence: ASCII, strings in quotes, at most 60 characters."""
     return ascii(value) if len(ascii(value)) <= 60 else f"{ascii(value)[:57]}…"
 
 
 def outside(position: Any, frame_id: str, zone: Zone) -> str:
-    """Why a position (a point, a pose or a stamped one of them) is not in the zone; empty if it is."""
+    """Return why a position (a point, a pose, or a stamped one of them) is not in the zone; "" if it is."""
     if frame_id != zone.frame_id:
         return f"is in the frame {_shown(frame_id)}, only {_shown(zone.frame_id)} can be judged"
     for step in ("pose", "point", "position"):
         if step in fields_of(position):
             position = get(position, step)
-    if "pose" in fields_of(position):  # of a pose with covariance
+    if "pose" in fields_of(position):  # in a PoseWithCovariance
         position = get(get(position, "pose"), "position")
     x, y = (number_at(position, axis, axis) for axis in ("x", "y"))
     if not (math.isfinite(x) and math.isfinite(y)):
@@ -195,7 +197,7 @@ def _is_inside(x: float, y: float, polygon: Sequence[tuple[float, float]]) -> bo
 
 
 def _distance(x: float, y: float, one: tuple[float, float], other: tuple[float, float]) -> float:
-    """From a point to a line between two others."""
+    """Return the distance from the point (x, y) to the line segment from `one` to `other`."""
     dx, dy = other[0] - one[0], other[1] - one[1]
     squared = dx * dx + dy * dy
     along = ((x - one[0]) * dx + (y - one[1]) * dy) / squared if squared else 0.0
@@ -232,12 +234,12 @@ def _too_fast(shown: str, points: Any, pace: Pace) -> Iterator[str]:
 
 
 def clamp(checks: Checks, value: Any) -> bool:
-    """Changes a value in place so that it keeps its `zero`, `norm` and `range`; what cannot be done is left undone.
+    """Change a value in place so that it is within its `zero`, `norm` and `range`, as far as possible.
 
-    Returns whether it is within these now and was not before.
+    Return True if the value was not within these limits before and is now.
 
-    All vectors with a `norm`, and numbers with a `range` below them, are scaled by one factor: a robot keeps the
-    curvature of its path. Any other number with a `range` is brought to its nearest bound by itself. NaN stays.
+    All vectors with a `norm`, and the numbers with a `range` below them, are scaled by one factor, so that a robot
+    keeps the curvature of its path. Any other number with a `range` is set to its nearest bound. NaN is not changed.
     """
     scaled = Checks(norm=checks.norm, range=checks.range, zero=checks.zero)
     if scaled.is_empty or not problem(scaled, value, {}):
@@ -252,7 +254,7 @@ def clamp(checks: Checks, value: Any) -> bool:
                 number = number_at(parent, name, path)
                 if not low <= number <= high and not math.isnan(number):
                     _put(parent, name, type(get(parent, name))(min(high, max(low, number))))
-    except (Unfit, TypeError, ValueError, AssertionError):  # the last ones are of messages that take no such value
+    except (Unfit, TypeError, ValueError, AssertionError):  # the last three: the message rejects the value
         return False
     return not problem(scaled, value, {})
 
@@ -265,7 +267,9 @@ def _put(value: Any, name: str, changed: Any) -> None:
 
 
 def _scale(checks: Checks, value: Any) -> None:
-    """Scales every vector with a `norm` by the factor that brings all of them, and ranges below them, within."""
+    """Scale every vector with a `norm` by one factor, which brings all of them, and the ranges
+    below them, within limits.
+    """
     factor = 1.0
     for path, most in checks.norm.items():
         for _, found in at(value, path):
@@ -293,7 +297,11 @@ def _put_scaled(parent: Any, name: str, factor: float) -> None:
 
 
 def _places(value: Any, path: str) -> Iterator[tuple[Any, str]]:
-    """Where the numbers at or below a path are: the object or message, and the name of the field. Not in lists."""
+    """Yield, for each number at or below a path, the object or message that contains it and the name of its field.
+
+    Raises:
+        Unfit: if the path leads into a list.
+    """
     steps = steps_of(value, path)
     if "[]" in steps:
         raise Unfit(f"{path} cannot be changed")

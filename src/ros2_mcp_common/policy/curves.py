@@ -1,9 +1,10 @@
-"""The curve that joints follow through the points of a trajectory, and its true extremes. Needs no ROS.
+"""The curve along which joints move through the points of a trajectory, and its true extremes. Needs no ROS.
 
-A joint trajectory controller (ros2_controllers) interpolates between two points by what both of them carry: a straight
-line for positions alone, a cubic with velocities, a quintic with velocities and accelerations. The first segment begins
-where the joints are when the trajectory arrives; after the last point they stand there. Between points such a curve may
-be far faster, and lead far farther, than the points themselves. See docs/decisions/0061-the-whole-curve-is-judged.md.
+A joint trajectory controller (ros2_controllers) interpolates between two points by what both of them contain: a
+straight line for positions alone, a cubic with velocities, a quintic with velocities and accelerations. The first
+segment begins where the joints are when the trajectory arrives; after the last point they stay there. Between points
+such a curve may be far faster, and lead far farther, than the points themselves. See
+docs/decisions/0061-the-whole-curve-is-judged.md.
 
 Each segment is a polynomial of s, its share of the time from 0 to 1. Extremes are at its ends, or at the roots of its
 derivative. Positions are in rad (m for prismatic joints), speeds and accelerations per second.
@@ -20,11 +21,11 @@ from typing import NamedTuple
 Polynomial = Sequence[float]
 """Coefficients of 1, s, s², …"""
 
-# Coefficients smaller than this, compared with the largest, are what rounding leaves of a zero.
+# Coefficients smaller than this, relative to the largest, are rounding errors of zero.
 _NOTHING = 1e-13
-# Bisection halves the interval until it is narrower than this share of the segment.
+# A root is accurate enough when its interval, or Newton's last step, is narrower than this share of the segment.
 _NARROW = 1e-12
-# Newton's steps from there on converge within about six; bisection alone would need 40.
+# The most steps to a root: Newton's method converges in about six, bisection alone would need 40.
 _STEPS = 60
 
 
@@ -32,12 +33,12 @@ _STEPS = 60
 
 
 def derivative(polynomial: Polynomial) -> Polynomial:
-    """Its derivative by s."""
+    """Return the derivative of a polynomial with respect to s."""
     return [power * factor for power, factor in enumerate(polynomial)][1:]
 
 
 def at(polynomial: Polynomial, s: float) -> float:
-    """Its value at s."""
+    """Return the value of a polynomial at s."""
     value = 0.0
     for factor in reversed(polynomial):
         value = value * s + factor
@@ -45,13 +46,15 @@ def at(polynomial: Polynomial, s: float) -> float:
 
 
 def extremes(polynomial: Polynomial) -> tuple[float, float]:
-    """Its least and its largest value on the segment."""
+    """Return the least and the largest value of a polynomial for s from 0 to 1."""
     values = [at(polynomial, s) for s in (0.0, *roots(derivative(polynomial)), 1.0)]
     return min(values), max(values)
 
 
 def hull(polynomial: Polynomial) -> tuple[float, float]:
-    """Bounds that its values keep to, found without roots: the least and the largest of its Bernstein coefficients."""
+    """Return bounds on a polynomial's values for s from 0 to 1, without finding roots: the
+    extreme Bernstein coefficients.
+    """
     weights = _BERNSTEIN[len(polynomial)]
     found = [sum(weight * factor for weight, factor in zip(row, polynomial, strict=False)) for row in weights]
     return min(found), max(found)
@@ -61,11 +64,14 @@ _BERNSTEIN = [
     [[math.comb(row, power) / math.comb(size - 1, power) for power in range(row + 1)] for row in range(size)]
     for size in range(7)
 ]
-"""By the number of coefficients: rows that turn them into those of Bernstein's polynomials."""
+"""Matrices that turn coefficients into Bernstein coefficients, indexed by the number of coefficients."""
 
 
 def roots(polynomial: Polynomial) -> list[float]:
-    """Where it changes its sign between 0 and 1, in order."""
+    """Return the roots of a polynomial strictly between 0 and 1, in ascending order.
+
+    A root without a change of sign may be missing: a polynomial with this derivative has no extreme there.
+    """
     largest = max(map(abs, polynomial), default=0.0)
     size = len(polynomial)
     while size and abs(polynomial[size - 1]) <= _NOTHING * largest:
@@ -94,7 +100,7 @@ def _of_quadratic(c: float, b: float, a: float) -> list[float]:
 
 
 def _between(polynomial: Polynomial, places: Sequence[float]) -> Iterator[float]:
-    """The roots between places among which it only rises or only falls."""
+    """Yield the roots between consecutive places; the polynomial is monotonic between two of them."""
     slope = derivative(polynomial)
     for low, high in pairwise(places):
         left, right = at(polynomial, low), at(polynomial, high)
@@ -105,7 +111,10 @@ def _between(polynomial: Polynomial, places: Sequence[float]) -> Iterator[float]
 
 
 def _root(polynomial: Polynomial, slope: Polynomial, low: float, high: float, *, rises: bool) -> float:
-    """The root between two places with different signs, by Newton's steps where they stay between, else by halves."""
+    """Return the root between two places with values of different signs.
+
+    Takes Newton's steps as long as they stay between, otherwise bisects.
+    """
     s = 0.5 * (low + high)
     for _ in range(_STEPS):
         value = at(polynomial, s)
@@ -127,7 +136,7 @@ def _root(polynomial: Polynomial, slope: Polynomial, low: float, high: float, *,
 
 
 class State(NamedTuple):
-    """Where a joint is at a point; None: the point does not carry it."""
+    """The state of a joint at a point of a trajectory; None: the point does not contain the value."""
 
     position: float
     speed: float | None = None
@@ -136,29 +145,29 @@ class State(NamedTuple):
 
 @dataclass(frozen=True)
 class Segment:
-    """The way of one joint from one point to the next, in `seconds`."""
+    """The motion of one joint from one point to the next, in `seconds`."""
 
     seconds: float
     position: Polynomial
 
     @property
     def speed(self) -> Polynomial:
-        """Its speed times `seconds`."""
+        """The polynomial of the speed times `seconds`."""
         return derivative(self.position)
 
     @property
     def acceleration(self) -> Polynomial:
-        """Its acceleration times `seconds` squared."""
+        """The polynomial of the acceleration times `seconds` squared."""
         return derivative(self.speed)
 
     @property
     def is_straight(self) -> bool:
-        """Whether its speed is the same all the way."""
+        """Whether the speed is constant."""
         return len(self.position) == 2
 
 
 def segment(start: State, end: State, seconds: float) -> Segment:
-    """The way that a controller interpolates, by what both ends carry."""
+    """Return the segment that a controller interpolates, according to what both ends contain."""
     way = end.position - start.position
     if start.speed is None or end.speed is None:
         return Segment(seconds, (start.position, way))
@@ -180,8 +189,10 @@ def segment(start: State, end: State, seconds: float) -> Segment:
 
 
 def segments(start: State, end: State, seconds: float) -> Iterator[Segment]:
-    """Every way that a controller may interpolate, where that is not known: as ros2_controllers does, and, where only
-    one of both ends carries speeds or accelerations, with zeros at the other.
+    """Yield every segment that a controller may interpolate, if it is not known which.
+
+    The first is that of ros2_controllers. If only one end has speeds or accelerations, the
+    second has zeros at the other.
     """
     yield segment(start, end, seconds)
     is_fast = (start.speed is None) != (end.speed is None)
@@ -191,7 +202,7 @@ def segments(start: State, end: State, seconds: float) -> Iterator[Segment]:
 
 
 def _filled(state: State, with_speed: bool, with_acceleration: bool) -> State:
-    """The state with zeros for what it does not carry."""
+    """Return the state with zeros for missing values."""
     position, speed, acceleration = state
     speed = 0.0 if speed is None and with_speed else speed
     return State(position, speed, 0.0 if acceleration is None and with_acceleration else acceleration)

@@ -1,7 +1,7 @@
-"""The watchdog: what the robot itself tells of its speed and place, against what it was told. Needs no ROS.
+"""The watchdog: compares the speed and the pose that the robot reports with what it was commanded. Needs no ROS.
 
-It stops the robot where it moves although it was told to stand, is faster than the policy lets anybody command, tells
-nothing while it is driven, or would not come to a stand inside of its zone. Odometry that lies is believed.
+It stops the robot if the robot moves although it was commanded to stop, is faster than the policy allows, reports
+nothing while it is driven, or could not stop inside its zone. It cannot detect wrong odometry.
 """
 
 from __future__ import annotations
@@ -14,19 +14,21 @@ from typing import Any, cast
 from ros2_mcp_common.geometry import yaw_rad
 from ros2_mcp_common.policy.checks import Zone, outside
 
-# From a message about the robot to a zero at its driver: a look every 0.02 s, and the way of both. Chosen, with room.
+# The time from a message of the robot to a zero at its driver: a check every 0.02 s, and both transmissions, with a
+# margin.
 REACTION_S = 0.15
-# From its beginning on, the watchdog waits so long for a first message: a publisher that missed our announcement is
+# How long the watchdog waits for the first message after its start: a publisher that missed our announcement is
 # discovered with the next one, 3 s later (decision 13).
 FIRST_S = 4.0
-# What it has found it says no sooner again, where the robot is driven on: a stop takes as long to arrive. Chosen.
+# After a finding the watchdog stays silent for this time, even if the robot is driven on: a stop takes as long to
+# arrive.
 AGAIN_S = 1.0
-# A robot that is told to stand before it has begun to move still tells that it stands: what it tells so soon after its
-# zero counts for nothing. Drivers answer within 0.2 s, as a rule. Half of `within_s` where that is less.
+# Reports within this time after the zero do not count: a robot commanded to stop before it began to move still reports
+# that it is at rest. Drivers usually react within 0.2 s. Half of `within_s` if that is less.
 ANSWERS_S = 0.3
-# Messages that are too fast, one after the other: a single one is noise.
+# So many consecutive messages have to be too fast: a single one is noise.
 TOO_FAST_MESSAGES = 3
-# Of the name of a frame that the robot tells: longer ones are cut in what is said of them. Chosen.
+# The longest name of a frame in a message about it; longer names are cut.
 MAX_NAME = 40
 PARTS = ("linear", "angular")
 UNITS = {"linear": "m/s", "angular": "rad/s"}
@@ -34,11 +36,11 @@ UNITS = {"linear": "m/s", "angular": "rad/s"}
 
 @dataclass(frozen=True)
 class SpeedRule:
-    """Where the robot's speed is told, and what of it stops the robot. `most` are the policy's limits, by part.
+    """Where the robot reports its speed, and which speeds stop it. `most` are the policy's limits, by part.
 
-    `still` are the lengths (m/s, rad/s) below which it counts as standing, `within_s` how long it may take to stand
-    after its zero, `over` by how many times it may be faster than `most`, `max_age_s` how long it may be silent. While
-    a goal runs the robot's own software drives, and `goals` holds instead of `most`.
+    `still` are the speeds (m/s, rad/s) below which the robot counts as at rest, `within_s` is how long it may take to
+    stop after its zero, `over` the factor by which it may exceed `most`, `max_age_s` how long it may report nothing.
+    While a goal runs the robot's own software drives it, and `goals` holds instead of `most`.
     """
 
     topic: str
@@ -54,7 +56,10 @@ class SpeedRule:
 
 @dataclass(frozen=True)
 class PoseRule:
-    """Where the robot's place is told, and the zone that it may not leave while it is driven; it brakes so hard."""
+    """Where the robot reports its pose, and the zone that it may not leave while it is driven.
+
+    `brake_mps2` is the deceleration with which it brakes, in m/s².
+    """
 
     topic: str
     type: str
@@ -66,7 +71,10 @@ class PoseRule:
 
 
 def rules_of(value: Mapping[str, Any]) -> tuple[SpeedRule | None, PoseRule | None]:
-    """The rules in the JSON that comes down with the policy; raises `TypeError` or `KeyError` for another shape."""
+    """Return the watchdog's rules from the JSON of the policy.
+
+    Raise `TypeError` or `KeyError` if it has another structure.
+    """
     speed: Any = value.get("feedback")
     pose: Any = value.get("pose")
     if pose is not None:
@@ -80,7 +88,10 @@ def rules_of(value: Mapping[str, Any]) -> tuple[SpeedRule | None, PoseRule | Non
 
 @dataclass
 class Seen:
-    """The last message of a kind: when it came (monotonic, s), and what it told."""
+    """The last speed message: when it was received (monotonic, s), and what it reported.
+
+    `speed` has the lengths in m/s and rad/s by part, `velocity` is (x, y) in m/s.
+    """
 
     at: float = -math.inf
     speed: Mapping[str, float] = field(default_factory=dict[str, float])
@@ -89,10 +100,11 @@ class Seen:
 
 @dataclass
 class Silence:
-    """How long the robot is driven while a topic tells nothing that can be used; `why` is what its last message lacks.
+    """How long the robot has been driven while a topic reported nothing usable; `why` is what was
+    wrong with the last message.
 
-    Only the time in which it is driven counts, over all motions: nobody drives a robot on of which nothing is known by
-    driving it a little at a time, and who is silent at rest does no harm.
+    Only the time during which it is driven counts, summed over all motions. So a robot that does not report cannot be
+    driven on in many short motions, and silence at rest does no harm.
     """
 
     topic: str
@@ -104,12 +116,12 @@ class Silence:
     driven_at: float | None = None
 
     def told(self, is_driven: bool, now: float) -> None:
-        """Whether the robot is driven from now on."""
+        """Record whether the robot is driven from now on."""
         self.before_s = self.length_s(now)
         self.driven_at = now if is_driven else None
 
     def heard(self, now: float, problem: str) -> bool:
-        """A message has come, with what is wrong about it; whether it can be used."""
+        """Record a message and what is wrong with it ("": nothing). Return whether it is usable."""
         self.was_heard, self.why = True, problem and f" that can be used ({problem})"
         if not problem:
             self.before_s = 0.0
@@ -117,11 +129,14 @@ class Silence:
         return not problem
 
     def length_s(self, now: float) -> float:
-        """How long it has lasted."""
+        """Return how long the silence has lasted, in s."""
         return self.before_s + (0.0 if self.driven_at is None else now - self.driven_at)
 
     def too_long(self, began: float, now: float) -> str:
-        """That it lasts too long; "" while it does not. `began` is when the topic was listened to first."""
+        """Return a sentence if the silence lasts too long, else "".
+
+        `began` is when the topic was first subscribed to.
+        """
         if self.length_s(now) <= self.max_age_s or not (self.was_heard or now - began > FIRST_S):
             return ""
         why = self.why or ("" if self.was_heard else f" yet as {self.type}")
@@ -129,7 +144,7 @@ class Silence:
 
 
 class Watchdog:
-    """Judges what it is told; times are monotonic, in s. `look` is to be called often while the robot is driven."""
+    """Judges what the robot reports; times are monotonic, in s. Call `look` often while the robot is driven."""
 
     def __init__(self, speed: SpeedRule | None, pose: PoseRule | None) -> None:
         self.speed_rule = speed
@@ -147,25 +162,28 @@ class Watchdog:
 
     @property
     def is_busy(self) -> bool:
-        """Whether it has to look often: something is driven, or has not been seen to stand since."""
+        """Whether `look` has to be called often: the robot is driven, or has not been observed at rest since."""
         return self._driven_since is not None or self._stand_since is not None
 
-    # ── what it is told ────────────────────────────────────────────────────────────────────────────────────────────
+    # ── input ──────────────────────────────────────────────────────────────────────────────────────────────────────
 
     def told(self, is_driven: bool, now: float, *, by_goal: bool = False) -> None:
-        """Whether something drives the robot now: a command that is no zero, a goal."""
+        """Record whether a nonzero command or a goal (`by_goal`) drives the robot now."""
         self._began = min(self._began, now)
         for silence in filter(None, (self._no_speed, self._no_place)):
             silence.told(is_driven, now)
         if by_goal and self.speed_rule:
-            self._goal_until = now + self.speed_rule.within_s  # it may take so long to slow down
+            self._goal_until = now + self.speed_rule.within_s  # the robot may take this long to slow down
         if is_driven and self._driven_since is None and now > self._found_at + AGAIN_S:
             self._driven_since, self._stand_since, self._too_fast = now, None, 0
         elif not is_driven and self._driven_since is not None:
             self._driven_since, self._stand_since = None, now
 
     def heard_speed(self, message: Any, now: float) -> None:
-        """The robot has told its speed. What is not finite is not heard, so that it becomes stale."""
+        """Record a message with the robot's speed.
+
+        Numbers that are not finite do not count, so the speed becomes stale.
+        """
         assert self.speed_rule and self._no_speed
         parts = {part: _numbers(message, f"{self.speed_rule.path}.{part}", "xyz") for part in PARTS}
         speed = {part: math.hypot(*numbers) for part, numbers in parts.items()}
@@ -181,26 +199,26 @@ class Watchdog:
             self._stand_since = None
 
     def heard_pose(self, message: Any, frame_id: str, now: float) -> None:
-        """The robot has told its place, in a frame."""
+        """Record a message with the robot's pose in a frame."""
         rule, silence = self.pose_rule, self._no_place
         assert rule and silence
         x, y = _numbers(message, f"{rule.path}.position", "xy")
         yaw = yaw_rad(*_numbers(message, f"{rule.path}.orientation", "xyzw"))
         problem = "" if all(map(math.isfinite, (x, y, yaw))) else f"no numbers at {rule.path}"
-        if frame_id != rule.frame_id:  # it says nothing of where the zone is
+        if frame_id != rule.frame_id:  # the zone is in another frame
             problem = f"its frame is {frame_id[:MAX_NAME]!a}, not {rule.frame_id!r}"
         if silence.heard(now, problem):
             self._place = x, y, yaw
 
-    # ── what follows ───────────────────────────────────────────────────────────────────────────────────────────────
+    # ── output ────────────────────────────────────────────────────────────────────────────────────────────────────
 
     def look(self, now: float) -> str:
-        """Why the robot is to be stopped now, as a sentence; "" while all is well."""
+        """Return a sentence that says why the robot has to be stopped now; "" if there is no reason."""
         if not self.is_busy:
             return ""
         found = self._of_speed(now) or self._of_place(now)
         if found:
-            self._driven_since = self._stand_since = None  # said once; the latch holds from now on
+            self._driven_since = self._stand_since = None  # reported once; the latch holds from now on
             self._found_at = now
         return found
 
@@ -235,9 +253,11 @@ class Watchdog:
         return ""
 
     def _stops_at(self, brake_mps2: float, now: float) -> tuple[float, float]:
-        """Where it comes to a stand if it is stopped now: from its last place on, v * (age of that place + reaction) +
-        v² / 2a in its direction. v is the slower one of its last two messages: a single one that is too fast is noise.
-        The age is the time in which it was driven since: at rest it stays where it is.
+        """Return the point (x, y) where the robot would come to rest if it were stopped now.
+
+        From its last reported position, it moves v * (age + REACTION_S) + v² / 2a in its direction. v is the lower
+        speed of the last two messages, because a single one that is too fast is noise. The age counts only while the
+        robot was driven since: at rest it stays where it is.
         """
         assert self._place and self._no_place
         x, y, yaw = self._place
@@ -254,7 +274,7 @@ class Watchdog:
         return any(self._speed.speed.get(part, 0.0) > bound for part, bound in self.speed_rule.still.items())
 
     def _too_fast_now(self, now: float) -> str:
-        """What is too fast, with the limit; "" where nothing is."""
+        """Return which speeds are too fast, with their limits; "" if none is."""
         rule = self.speed_rule
         assert rule
         limits = rule.goals if now <= self._goal_until else rule.most
@@ -269,7 +289,7 @@ class Watchdog:
 
 
 def _numbers(message: Any, path: str, names: str) -> tuple[float, ...]:
-    """The numbers of these names below a path; all NaN where they are not there."""
+    """Return the numbers with these names below a path; all NaN if one is missing."""
     found = message
     try:
         for step in path.split("."):

@@ -1,6 +1,6 @@
-"""The fields of JSON objects and of messages that rclpy decoded, read alike: by paths such as `points[].positions[]`.
+"""Reading fields of JSON objects and of messages decoded by rclpy alike, by paths such as `points[].positions[]`.
 
-Whatever cannot be read raises `Unfit`: a field that is not there, a text where a number is meant.
+A field that cannot be read raises `Unfit`: it is missing, or a string where a number is expected.
 """
 
 from __future__ import annotations
@@ -18,30 +18,30 @@ _LARGE_INTEGER = re.compile(r"-?[0-9]{16,20}")
 
 
 class Unfit(Exception):
-    """A value has no such field, or none that can be judged."""
+    """Raised if a value has no such field, or the field cannot be judged."""
 
 
 def fields_of(value: Any) -> Sequence[str]:
-    """The names of the fields of a JSON object or a message; none of anything else."""
+    """Return the names of the fields of a JSON object or a message; empty for any other value."""
     if isinstance(value, Mapping):
         return list(cast("Mapping[str, Any]", value))
     return list(value.get_fields_and_field_types()) if hasattr(value, "get_fields_and_field_types") else ()
 
 
 def get(value: Any, name: str) -> Any:
-    """One field; raises `Unfit` where there is none."""
+    """Return one field. Raise `Unfit` if there is none."""
     if name not in fields_of(value):
         raise Unfit(f"there is no field {name}, which has a limit")
     return cast("Mapping[str, Any]", value)[name] if isinstance(value, Mapping) else getattr(value, name)
 
 
 def at(value: Any, path: str) -> Iterator[tuple[str, Any]]:
-    """Every field that a path names, with its own path, in which each `[]` has its place: `points[3].velocities[0]`."""
+    """Yield every field at a path with its own path, in which each `[]` has its index: `points[3].velocities[0]`."""
     return ((shown, found) for shown, found, _ in with_frame_ids(value, path))
 
 
 def with_frame_ids(value: Any, path: str) -> Iterator[tuple[str, Any, str]]:
-    """The same, each with the frame that the header nearest above it names; empty where there is none."""
+    """Yield the same as `at`, each with the frame in the nearest header above the field ("" if there is none)."""
     steps = steps_of(value, path)
     found = [("", value, frame_id_of(value))]
     for step in steps:
@@ -50,7 +50,7 @@ def with_frame_ids(value: Any, path: str) -> Iterator[tuple[str, Any, str]]:
 
 
 def _after(shown: str, value: Any, frame_id: str, step: str) -> Iterator[tuple[str, Any, str]]:
-    """What one step of a path leads to."""
+    """Yield what one step of a path leads to: path, value and frame."""
     if step == "[]":
         if not is_list(value):
             raise Unfit(f"{shown} is no list, and its elements have a limit")
@@ -62,7 +62,9 @@ def _after(shown: str, value: Any, frame_id: str, step: str) -> Iterator[tuple[s
 
 
 def steps_of(value: Any, path: str) -> list[str]:
-    """The steps of a path from this value: `["points", "[]", "velocities"]`, with the one that may be left out."""
+    """Return the steps of a path from this value: `["points", "[]", "velocities"]`, with the
+    omitted field of a stamped type.
+    """
     steps = [step for step in path.replace("[]", ".[]").split(".") if step]
     present = fields_of(value)
     if steps and steps[0] not in present and len(present) == 2 and "header" in present:
@@ -71,7 +73,7 @@ def steps_of(value: Any, path: str) -> list[str]:
 
 
 def frame_id_of(value: Any) -> str:
-    """The `header.frame_id` of a value; empty where it has none."""
+    """Return the `header.frame_id` of a value; "" if it has none."""
     if "header" not in fields_of(value):
         return ""
     header = get(value, "header")
@@ -79,12 +81,12 @@ def frame_id_of(value: Any) -> str:
 
 
 def is_list(value: Any) -> bool:
-    """Lists, and the arrays in which rclpy keeps numbers; a text is none, nor are bytes."""
+    """Return whether a value is a list or an array of rclpy. Strings and bytes are not lists."""
     return hasattr(value, "__len__") and hasattr(value, "__getitem__") and not isinstance(value, (str, bytes, Mapping))
 
 
 def numbers(value: Any, path: str) -> Iterator[tuple[str, float]]:
-    """Every number at or below a path, with its own; raises `Unfit` for anything else."""
+    """Yield every number at or below a path with its own path. Raise `Unfit` for any other value."""
     if names := fields_of(value):
         for name in names:
             yield from numbers(_meant(value, name, get(value, name)), f"{path}.{name}".lstrip("."))
@@ -96,19 +98,23 @@ def numbers(value: Any, path: str) -> Iterator[tuple[str, float]]:
 
 
 def _elements(value: Any, path: str) -> Iterator[tuple[int, Any]]:
-    """What is in a list, with its places; raises `Unfit` for more than can be judged in time."""
+    """Yield the elements of a list with their indices. Raise `Unfit` if there are too many to be judged in time."""
     if len(value) > MAX_JUDGED_ELEMENTS:
         raise Unfit(f"{path} has {len(value)} elements, more than the {MAX_JUDGED_ELEMENTS} that are judged")
     return cast("Iterator[tuple[int, Any]]", enumerate(value))
 
 
 def number_at(value: Any, name: str, path: str) -> float:
-    """One field as a number; `path` is what an error calls it."""
+    """Return one field as a number; `path` is its name in errors."""
     return number_of(_meant(value, name, get(value, name)), path)
 
 
 def number_of(value: Any, path: str) -> float:
-    """A number; a text that the server shows in the place of one is one, too, and NaN where it is not finite."""
+    """Return a value as a number. Raise `Unfit` if it is none.
+
+    Strings that the server writes for numbers are accepted: large integers, and "nan", "inf" and
+    "-inf", which all give NaN.
+    """
     if isinstance(value, str) and _LARGE_INTEGER.fullmatch(value):
         return float(int(value))
     if isinstance(value, str) and value in ("nan", "inf", "-inf"):
@@ -119,12 +125,14 @@ def number_of(value: Any, path: str) -> float:
 
 
 def _meant(message: Any, name: str, value: Any) -> Any:
-    """A float32 of a message as the number that was meant: 0.2, not 0.200000003, which is beyond a limit of 0.2."""
+    """Return a float32 of a message as the decimal number that was meant: 0.2, not 0.200000003,
+    which exceeds a limit of 0.2.
+    """
     if not isinstance(value, float) or isinstance(message, Mapping):
         return value
     if message.get_fields_and_field_types().get(name) != "float" or not math.isfinite(value):
         return value
-    for digits in range(6, 10):  # nine tell every float32 from every other
+    for digits in range(6, 10):  # nine digits distinguish all float32 values
         meant = float(f"{value:.{digits}g}")
         if abs(meant) < 3.5e38 and _FLOAT32.unpack(_FLOAT32.pack(meant))[0] == value:
             return meant

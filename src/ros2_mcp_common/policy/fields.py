@@ -1,4 +1,4 @@
-"""The numbers of a message of rclpy, found once for its type and then read in one call, at the speed of C."""
+"""Fast access to the numbers of an rclpy message: their names are found once for a type, then read in one call."""
 
 from __future__ import annotations
 
@@ -15,16 +15,18 @@ Numbers = Callable[[Any], Sequence[float]]
 
 
 def reader(names: Sequence[str]) -> Numbers:
-    """A function that reads the fields of these names, such as `linear.x`, from a message."""
+    """Return a function that reads the fields with these names, such as `linear.x`, from a message."""
     if len(names) > 1:
         return attrgetter(*names)
     return lambda message: [attrgetter(name)(message) for name in names]
 
 
-# Few types of a robot are commands; what is kept of each is some names.
+# Only few types of a robot are commands, and an entry holds only some names.
 @lru_cache(maxsize=64)
 def floats_of(message_class: Any) -> tuple[tuple[str, ...], Numbers]:
-    """The names of all floating-point numbers of a message and of those in it, but those in lists; and their reader."""
+    """Return the names of all floating-point fields of a message class, nested ones included but
+    not lists, and their reader.
+    """
     names = tuple(_floats(message_class()))
     return names, reader(names)
 
@@ -41,9 +43,11 @@ def _floats(message: Any, prefix: str = "") -> list[str]:
 
 
 def names_at(message: Any, path: str) -> list[str]:
-    """The names of the numbers at or below a path of a rule, the same for every message of a type.
+    """Return the names of the numbers at or below a path of a rule, which are the same for every message of the type.
 
-    Raises as `at`, and `ValueError` where a list is at or below it: the next message may have more in it than this one.
+    Raises:
+        Unfit: if there is no such field.
+        ValueError: if a list is at or below the path: the next message may have more elements.
     """
     if "[]" in path:
         raise ValueError(f"{path} leads into a list")
@@ -61,10 +65,10 @@ def _names(value: Any, name: str) -> Iterator[str]:
 
 
 class QuickCheck:
-    """Says of most messages of one type that they are surely within these checks, in a few microseconds.
+    """A test that proves most messages of one type to be within these checks, in a few microseconds.
 
-    What it does not say that of, such as a float32 that was rounded up, is for `problem_of` to judge. It does not know
-    all kinds of checks: `of` then gives None.
+    A message that it does not prove to be within, such as one with a float32 that was rounded up, needs the full check
+    (`checks.problem`). Some kinds of checks are not supported: `of` then returns None.
     """
 
     def __init__(self, checks: Sequence[Checks], message: Any) -> None:
@@ -82,16 +86,16 @@ class QuickCheck:
 
     @classmethod
     def of(cls, checks: Sequence[Checks], message: Any) -> QuickCheck | None:
-        """The quick check for messages like this one; None where there is none."""
+        """Return the quick check for messages like this one, or None if there is none."""
         if any(each.one_of or each.count or each.zone or each.pace or each.curve for each in checks):
             return None
         try:
             return cls(checks, message)
-        except Exception:  # noqa: BLE001 - a field that is not there, a list: the full judge says so in words
+        except Exception:  # noqa: BLE001 - a missing field, a list: the full check says so in words
             return None
 
     def is_within(self, message: Any) -> bool:
-        """Whether it is surely within; NaN never is."""
+        """Return True if the message is proven to be within the limits. NaN never is."""
         found = self._read(message)
         return (
             all(found[place] == 0.0 for place in self._zero)
@@ -101,7 +105,7 @@ class QuickCheck:
 
 
 def put(message: Any, values: Mapping[str, float]) -> None:
-    """Set numbers of a message by their names."""
+    """Set the numbers with these names in a message."""
     for name, value in values.items():
         owner, _, field = name.rpartition(".")
         setattr(attrgetter(owner)(message) if owner else message, field, value)

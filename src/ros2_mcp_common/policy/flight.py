@@ -1,6 +1,7 @@
-"""Orders to an autopilot through MAVROS, and what stops it: never disarming. Both sides use this table; needs no ROS.
+"""Orders to an autopilot through MAVROS, and the modes that stop a vehicle (never disarming).
+Server and bridge share them.
 
-Names and numbers are those of MAVROS 2 and MAVLink (https://mavlink.io/en/messages/common.html).
+Needs no ROS. Names and numbers are those of MAVROS 2 and MAVLink (https://mavlink.io/en/messages/common.html).
 """
 
 from __future__ import annotations
@@ -22,24 +23,29 @@ ORDERS: Mapping[str, str] = {
     "mavros_msgs/srv/WaypointSetCurrent": "/mission/",
     "mavros_msgs/srv/WaypointClear": "/mission/",
 }
-"""Types of services that may set a vehicle in motion, each with what stands in its name behind the vehicle's."""
+"""The service types that may set a vehicle in motion, each with what follows the vehicle's
+name in the service's name.
+"""
 
 BRAKE_MODES = ("BRAKE", "AUTO.LOITER", "LOITER", "HOLD")
-"""Modes in which a vehicle stands, and nobody need be at the sticks; the best of each autopilot comes first.
+"""The modes in which a vehicle holds still without a pilot at the sticks, in the order in which to try them.
 
-BRAKE is ArduCopter's, AUTO.LOITER PX4's, LOITER that of ArduPlane, HOLD that of ArduPilot's rovers and boats. MAVROS
-refuses a mode that its autopilot does not have (`mode_sent` is false), so that they can be tried one after the other.
+BRAKE is a mode of ArduCopter, AUTO.LOITER of PX4, LOITER of ArduPlane, HOLD of ArduPilot's rovers and boats. MAVROS
+rejects a mode that its autopilot does not have (`mode_sent` is false), so the modes can be tried one after the other.
 """
 DESCENT_MODES = ("RTL", "SMART_RTL", "LAND", "QRTL", "QLAND", "AUTO.RTL", "AUTO.LAND", "AUTO.PRECLAND")
-"""Modes that bring a vehicle home or down by themselves: who is cut off from it does better to leave it in them."""
+"""The modes that bring a vehicle home or down by themselves: a vehicle to which the link is
+lost is better left in them.
+"""
 
 _READING = (410, 510, 511, 512, 519, 520, 521, 525, 526, 527)
-"""Commands of MAVLink that only ask for a message, or how often it comes."""
+"""Commands of MAVLink that only request a message or set its rate."""
 
 
 def vehicle_of(service: str, service_type: str) -> str:
-    """The name under which the vehicle has its services, such as `/mavros`, where a call of this one is an order to it;
-    "" where it is none, or has a name that MAVROS does not give.
+    """Return the vehicle, such as `/mavros`, to which a call of this service is an order; "" if the call is no order.
+
+    The name of a service that MAVROS would not offer gives "", too.
     """
     behind = ORDERS.get(service_type)
     if behind is None:
@@ -51,7 +57,7 @@ def vehicle_of(service: str, service_type: str) -> str:
 
 
 def only_asks(service_type: str, request: Any) -> bool:
-    """Whether an order, as JSON or decoded, only asks the autopilot for something."""
+    """Return whether an order, as JSON or decoded, only requests messages from the autopilot."""
     if service_type != COMMAND_LONG:
         return False
     if isinstance(request, Mapping):
@@ -60,7 +66,7 @@ def only_asks(service_type: str, request: Any) -> bool:
 
 
 def brakes(service: str, service_type: str, request: Any) -> bool:
-    """Whether a request, decoded, is one that makes a vehicle stand."""
+    """Return whether a decoded request is a brake: it sets a mode in which the vehicle holds still."""
     return (
         service_type == SET_MODE
         and bool(vehicle_of(service, service_type))

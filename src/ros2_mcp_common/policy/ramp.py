@@ -1,4 +1,4 @@
-"""How fast a command may change, and how often one may leave: pure arithmetic, with the time given."""
+"""Limits on rates and on changes of commands: pure arithmetic, in which the current time is an argument."""
 
 from __future__ import annotations
 
@@ -9,16 +9,20 @@ from typing import Any
 
 from ros2_mcp_common.policy.fields import Numbers, names_at, put, reader
 
-# The longest time that one step of a ramp is reckoned with. A command after a rest would else be a jump that "had ten
-# seconds time". Chosen: what steers smoothly sends ten commands a second at least.
+# The longest time that one step of a ramp counts. Otherwise the first command after a rest would be allowed a jump, as
+# if it had had all that time. A smooth controller sends at least ten commands a second.
 STEP_S = 0.1
-# What a bucket holds beside one message, as time of its rate: a rhythm that is late by this catches up. Chosen.
+# The burst that a bucket allows besides one message, in seconds of its rate: a sender that is late by this may catch
+# up.
 JITTER_S = 0.1
 MINUTE_S = 60.0
 
 
 class Bucket:
-    """A rate: one message, and what comes within `JITTER_S`, may leave at once. The one before left at `left_at`."""
+    """A rate limiter (token bucket): one message, and the burst of `JITTER_S`, may leave at once.
+
+    `left_at` is when the last message before left (monotonic, s).
+    """
 
     def __init__(self, rate_hz: float, left_at: float = -math.inf) -> None:
         self._rate_hz = rate_hz
@@ -27,7 +31,7 @@ class Bucket:
         self._at = 0.0 if math.isinf(left_at) else left_at
 
     def take(self, now: float) -> bool:
-        """Whether one more may leave now, in monotonic seconds."""
+        """Return whether one more message may leave `now` (monotonic, s), and count it if so."""
         self._tokens = min(self._most, self._tokens + max(0.0, now - self._at) * self._rate_hz)
         self._at = now
         if self._tokens < 1.0:
@@ -37,9 +41,9 @@ class Bucket:
 
 
 def allowed_part(sent: Sequence[float], wanted: Sequence[float], up: float, down: float, seconds: float) -> float:
-    """How much of the way from what was sent to what is wanted a ramp allows within the time: 0 to 1.
+    """Return the share, 0 to 1, of the step from the vector `sent` to `wanted` that a ramp allows within `seconds`.
 
-    What grows all the way may change by `up` per second, what falls all the way by `down`, anything between, such as a
+    A vector that only grows may change by `up` per second, one that only shrinks by `down`, and any other, such as a
     reversal, by the smaller of both.
     """
     way = [new - old for old, new in zip(sent, wanted, strict=True)]
@@ -58,13 +62,15 @@ def allowed_part(sent: Sequence[float], wanted: Sequence[float], up: float, down
 
 
 class PerMinute:
-    """So many in any minute; `left_at` are those before, in monotonic seconds, the oldest first."""
+    """A limit on uses within any minute; `left_at` are the earlier uses (monotonic, s), oldest first."""
 
     def __init__(self, left_at: Iterable[float] = ()) -> None:
         self._left_at: deque[float] = deque(left_at)
 
     def take(self, now: float, most: float) -> bool:
-        """Whether one more may leave now, in monotonic seconds, where so many may."""
+        """Return whether one more use is allowed `now` (monotonic, s) with at most `most` a
+        minute, and count it if so.
+        """
         while self._left_at and now - self._left_at[0] >= MINUTE_S:
             self._left_at.popleft()
         if len(self._left_at) + 1 > most:
@@ -74,9 +80,9 @@ class PerMinute:
 
 
 class Ramp:
-    """The ramps of one topic, by path how fast its vector may grow and fall; what was sent last on each, and when.
+    """The ramps of one topic: for each path, how fast its vector may grow and shrink, the vector sent last, and when.
 
-    Where `zero_stops`, a command that is zero on all these paths is not held back: a stop is never delayed.
+    If `zero_stops`, a command that is zero on all these paths is never held back, because it stops the robot.
     """
 
     def __init__(
@@ -91,8 +97,10 @@ class Ramp:
         self._sent_at = rested_at
 
     def hold_back(self, message: Any, now: float) -> Mapping[str, float]:
-        """Change a message to what may leave now: all paths go the same part of their way, so that the robot keeps the
-        curvature of its path. Returns the numbers that were wanted by their names; none where nothing was changed.
+        """Reduce the change of a message, in place, to what the ramps allow now.
+
+        All paths take the same share of their step, so that the robot keeps the curvature of its path. Return the
+        requested numbers by name; empty if nothing was changed.
         """
         if not self._parts:
             self._find(message)
@@ -112,15 +120,15 @@ class Ramp:
         return dict(zip(self._names, wanted, strict=True))
 
     def has_left(self, message: Any, now: float) -> None:
-        """The message was sent as it is now."""
+        """Record that the message was sent with its current numbers."""
         self._sent, self._sent_at = self._read(message), now
 
     def rest(self, now: float) -> None:
-        """A zero was sent. From any thread."""
+        """Record that a zero was sent. Thread-safe."""
         self._sent, self._sent_at = (), now
 
     def _find(self, message: Any) -> None:
-        """Find the numbers of the paths; raises as `names_at`."""
+        """Find the numbers at the paths; raises as `names_at`."""
         for path, (up, down) in self._rates.items():
             first = len(self._names)
             self._names += names_at(message, path)

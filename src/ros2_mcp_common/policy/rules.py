@@ -1,8 +1,8 @@
-"""The compiled rules of the policies in force: data that goes down to the bridge as JSON, and the functions that judge.
+"""The compiled rules of the policies in force, which go to the bridge as JSON, and the functions that apply them.
 
-The server asks them for its errors, the bridge at its exits, so that both decide alike. Needs no ROS. Several policies
-are an intersection: each has to allow what is done, and all their limits hold. Within one: nothing is allowed but what
-an allowance names, what is forbidden stays so whatever allows it, and every limit whose type and name fit holds.
+The server applies them for its errors, the bridge at its exits, so that both decide alike. Needs no ROS. Several
+policies are an intersection: each of them has to allow an act, and the limits of all hold. Within one policy, only what
+an allowance names is allowed, a prohibition overrides every allowance, and every limit whose type and name match holds.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ Over = Literal["refuse", "clamp"]
 
 
 NO_VALUE: Any = object()
-"""Stands for a value that is not known, or that no rule is about: only what is asked for beside it is judged."""
+"""Stands for a value that is not known, or that no rule is about: then only the `Terms` are judged."""
 
 
 @dataclass(frozen=True)
 class Terms:
-    """What a command asks for beside its value, as far as rules have bounds for it.
+    """What a command requests besides its value, as far as rules can bound it.
 
-    `rate_hz` and `for_s` are None for what happens once; a duration of 0 has no end. `source` is the topic that a relay
-    takes its messages from. `speed` is how many times faster than recorded a velocity is played. `publishers` are the
-    robot's own nodes that publish there, as they are to be named.
+    `rate_hz` and `for_s` are None for a single message; a duration of 0 has no end. `source` is the topic from which a
+    relay takes its messages. `speed` is the playback speed of velocities (1: as recorded). `publishers` are the names
+    of the robot's own nodes that publish on the topic, as an error shows them.
     """
 
     rate_hz: float | None = None
@@ -52,9 +52,10 @@ NO_TERMS = Terms()
 class Allowance:
     """One entry of `allow`: what may be done, on which names and types, within which bounds. None: no bound.
 
-    `rule` is what errors call it. `checks` are on the value: the message, the request, the goal, or the parameters by
-    their names. `sources` are what a relay may take its messages from, `parameters` the names that may be set,
-    `transitions` the labels that may be made. `consent` is empty where the mode decides.
+    `rule` is its name in errors. `checks` apply to the value: the message, the request, the goal, or the
+    parameters by name. `sources` are the topics from which a relay may take its messages, `parameters` the names
+    that may be set, `transitions` the labels that may be requested. If `consent` is empty, the mode decides
+    whether a person has to approve.
     """
 
     rule: str
@@ -74,7 +75,7 @@ class Allowance:
     meta: bool = False
 
     def covers(self, verb: Verb, name: str, type_name: str) -> bool:
-        """Whether it is about this."""
+        """Return whether the entry applies to this verb, name and type."""
         if verb != self.verb or not matches(self.names, name):
             return False
         if verb == "call" and is_meta(type_name) and not self.meta:
@@ -82,7 +83,10 @@ class Allowance:
         return verb in ("cancel", "record", "set", "transition") or matches(self.types, type_name, hidden=True)
 
     def problem(self, terms: Terms, value: Any, zones: Mapping[str, Zone], look: LookAtJoints = nobody_measures) -> str:
-        """Why it does not allow what is asked for, or a value, in words; empty if it does."""
+        """Return in words why the entry does not allow these terms or this value; "" if it does.
+
+        `zones` are the policy's zones by name; `look` returns the joint states from which a trajectory is judged.
+        """
         if problem := self._problem_beside(terms):
             return problem
         if value is NO_VALUE:
@@ -97,7 +101,7 @@ class Allowance:
         return problem_of(self.checks, value, zones, look)
 
     def _problem_beside(self, terms: Terms) -> str:
-        """Why it does not allow what is asked for beside the value."""
+        """Return why the entry does not allow these terms; "" if it does."""
         if self.rate_hz is not None and terms.rate_hz is not None and not terms.rate_hz <= self.rate_hz:
             return f"{terms.rate_hz:g} Hz is asked for, at most {self.rate_hz:g} Hz is allowed"
         if self.for_s is not None and terms.for_s is not None and not 0 < terms.for_s <= self.for_s:
@@ -114,12 +118,15 @@ class Allowance:
         return ""
 
     def allows_source(self, source: str) -> bool:
-        """Whether a relay may take its messages from there."""
+        """Return whether a relay may take its messages from this topic."""
         return matches(self.sources, source)
 
 
 def _transition_problem(transition: Any, labels: Sequence[str]) -> str:
-    """A node takes the label, and the id where there is none: both have to mean what is allowed."""
+    """Return why the transition is not one of these labels; "" if it is.
+
+    A lifecycle node uses the label, or the id if the label is empty: both have to denote an allowed transition.
+    """
     label, number = get(transition, "label"), int(get(transition, "id"))
     ids = [each for name in ([label] if label else labels) for each in _TRANSITIONS.get(name, ())]
     if (label and label not in labels) or (number not in ids and not (label and number == 0)):
@@ -137,12 +144,16 @@ _TRANSITIONS = {
     "active_shutdown": (7,),
     "shutdown": (5, 6, 7),
 }
-"""The ids of lifecycle_msgs/msg/Transition by their labels."""
+"""The ids of lifecycle_msgs/msg/Transition by label."""
 
 
 @dataclass(frozen=True)
 class Forbidden:
-    """One entry of `forbid`; no verb: whatever is done with that name or type. `publish` is every way of publishing."""
+    """One entry of `forbid`. Without a verb it covers everything done with the name or type.
+
+    `publish` covers all ways of publishing (also `relay` and `play`), `call` also `set`,
+    `transition`, `goal` and `cancel`.
+    """
 
     rule: str
     verb: Verb | Literal[""] = ""
@@ -150,7 +161,7 @@ class Forbidden:
     types: tuple[str, ...] = ("**",)
 
     def covers(self, verb: Verb, name: str, type_name: str) -> bool:
-        """Whether it is about this."""
+        """Return whether the entry applies to this verb, name and type."""
         fits = not self.verb or verb == self.verb or (self.verb == "publish" and verb in ("relay", "play"))
         fits = fits or (self.verb == "call" and verb in ("set", "transition", "goal", "cancel"))
         return fits and matches(self.names, name, hidden=True) and matches(self.types, type_name, hidden=True)
@@ -158,7 +169,7 @@ class Forbidden:
 
 @dataclass(frozen=True)
 class Ramp:
-    """How fast the length of a vector may grow and shrink, in its unit per second; None: at once."""
+    """How fast the length of a vector may grow and shrink, in its unit per second; None: without limit."""
 
     up: float | None = None
     down: float | None = None
@@ -166,10 +177,11 @@ class Ramp:
 
 @dataclass(frozen=True)
 class Limit:
-    """Bounds on every value of these types (and names), however it was allowed.
+    """Bounds on every value of these types and names, whichever allowance allowed it.
 
-    `tool` and `stream` say what happens with a value beyond them that a tool call brings, or a relay or playback.
-    After `hold_s` without a new command the zero is sent. `ramp` is by paths of vectors.
+    `tool` and `stream` say whether a value beyond the bounds is refused or clamped: `tool` for a tool
+    call, `stream` for a relay or playback. The zero is sent after `hold_s` without a new command. `ramp`
+    has the path of a vector as key.
     """
 
     rule: str
@@ -182,13 +194,13 @@ class Limit:
     stream: Over = "clamp"
 
     def covers(self, name: str, type_name: str) -> bool:
-        """Whether it is about this."""
+        """Return whether the limit applies to this name and type."""
         return matches(self.types, type_name, hidden=True) and matches(self.names, name, hidden=True)
 
 
 @dataclass(frozen=True)
 class RuleSet:
-    """What one policy says."""
+    """The rules of one policy."""
 
     name: str
     allow: tuple[Allowance, ...] = ()
@@ -203,8 +215,9 @@ class RuleSet:
 
 @dataclass(frozen=True)
 class Judged:
-    """What is said to a value: `problem` says how it breaks `rule`, both empty where it does not. Then `allowances` has
-    those that allow it, of each policy that has some.
+    """The judgement of a value: `problem` says how it breaks `rule`; both are empty if it is allowed.
+
+    Then `allowances` has, for each policy with allowances, those that allow the value.
     """
 
     rule: str = ""
@@ -214,8 +227,8 @@ class Judged:
 
 @dataclass(frozen=True)
 class Settled:
-    """What became of a value: `problem` says how it breaks `rule`, both empty where it does not; `clamped` that it was
-    changed.
+    """The outcome for a value: `problem` says how it breaks `rule`, both empty if it is allowed;
+    `clamped`: it was changed.
     """
 
     rule: str
@@ -225,7 +238,7 @@ class Settled:
 
 @dataclass(frozen=True)
 class Candidates:
-    """Of one policy: what allows a name and type, and which limits hold for its values."""
+    """The allowances and limits of one policy that apply to a verb, name and type."""
 
     rules: RuleSet
     allow: tuple[Allowance, ...]
@@ -234,9 +247,9 @@ class Candidates:
 
 @dataclass(frozen=True)
 class Ruling:
-    """What all policies together say about a verb, name and type; `problem` is empty if each allows it.
+    """The decision of all policies on a verb, name and type; `problem` is empty if each policy allows it.
 
-    Made once for a topic or service, and asked for each value.
+    Made once for a topic or service, and then applied to each value.
     """
 
     problem: str
@@ -245,37 +258,42 @@ class Ruling:
 
     @property
     def allowances(self) -> Sequence[Allowance]:
-        """All that allow it, of all policies."""
+        """The matching allowances of all policies."""
         return [entry for policy in self.policies for entry in policy.allow]
 
     @property
     def limits(self) -> Sequence[Limit]:
-        """All that hold for its values."""
+        """The matching limits of all policies."""
         return [limit for policy in self.policies for limit in policy.limits]
 
     def most(self, bound: Literal["rate_hz", "for_s", "per_minute"]) -> float | None:
-        """The least bound of the policies; of several allowances of one policy the largest counts. None: no bound."""
+        """Return the strictest bound of all policies; within one policy, its most generous allowance counts.
+
+        None: no bound.
+        """
         per_policy = [[getattr(entry, bound) for entry in policy.allow] for policy in self.policies if policy.allow]
         return min((max(bounds) for bounds in per_policy if None not in bounds), default=None)
 
     def allows_source(self, source: str) -> bool:
-        """Whether a relay may take its messages from there: each policy has to allow it."""
+        """Return whether every policy lets a relay take its messages from this topic."""
         return all(any(entry.allows_source(source) for entry in each.allow) for each in self.policies if each.allow)
 
     @property
     def hold_s(self) -> float | None:
-        """After how long without a new command the zero is sent; None: not by a rule."""
+        """The shortest hold time in s, after which the zero is sent if no new command comes;
+        None if no rule sets one.
+        """
         return min((limit.hold_s for limit in self.limits if limit.hold_s is not None), default=None)
 
     @property
     def needs_value(self) -> bool:
-        """Whether the value matters."""
+        """Whether the decision depends on the value."""
         has_names = any(entry.verb in ("set", "transition") for entry in self.allowances)
         return has_names or any(not part.checks.is_empty for part in (*self.allowances, *self.limits))
 
     @property
     def needs_publishers(self) -> bool:
-        """Whether it matters who else publishes there."""
+        """Whether the decision depends on which other nodes publish on the topic."""
         return any(entry.sole_publisher for entry in self.allowances)
 
     @property
@@ -285,8 +303,8 @@ class Ruling:
         return list(dict.fromkeys(path for part in parts for path in part.checks.curve))
 
     def judge(self, value: Any, look: LookAtJoints = nobody_measures, terms: Terms = NO_TERMS) -> Judged:
-        """Judges a value, and what is asked for beside it, by every policy: of its allowances one has to allow it, of
-        its limits each.
+        """Judge a value and its terms by every policy: one of its allowances has to allow
+        them, and all its limits hold.
         """
         allowing: list[Sequence[Allowance]] = []
         for policy in self.policies:
@@ -303,8 +321,10 @@ class Ruling:
         return Judged(allowances=allowing)
 
     def settle(self, value: Any, way: Literal["tool", "stream"], look: LookAtJoints = nobody_measures) -> Settled:
-        """Judges a value of a tool call, or of a relay, feed or playback; where its limits say `clamp`, it is brought
-        within them before, in place.
+        """Judge a value of a tool call (`tool`), or of a relay, feed or playback (`stream`).
+
+        Before that, the value is clamped in place to the limits that say `clamp`, and in a
+        stream also to the allowances.
         """
         clamped = False
         for limit in self.limits:
@@ -318,7 +338,7 @@ class Ruling:
 
 @dataclass(frozen=True)
 class Rules:
-    """Everything that is in force: what goes down to the bridge, once, before anything else acts.
+    """All rules in force, which the bridge receives once, before any other request may act.
 
     `digest` is the SHA-256 of all policies in their canonical form.
     """
@@ -327,7 +347,10 @@ class Rules:
     policies: tuple[RuleSet, ...]
 
     def may(self, verb: Verb, types: Sequence[str] = ()) -> bool:
-        """Whether each policy allows this on some name, whatever the value; with `types`, for one of these at least."""
+        """Return whether each policy allows the verb for at least some name, whatever the value.
+
+        If `types` are given, only allowances for at least one of them count.
+        """
 
         def allows(entry: Allowance) -> bool:
             is_typed = bool(types) and verb not in ("cancel", "record", "set", "transition")
@@ -336,7 +359,7 @@ class Rules:
         return all(policy.allows_all or any(map(allows, policy.allow)) for policy in self.policies)
 
     def ruling(self, verb: Verb, name: str, type_name: str) -> Ruling:
-        """What all policies say about it, whatever the value."""
+        """Return the decision of all policies on this verb, name and type, for any value."""
         if verb == "read":
             return Ruling("", "reading")
         found: list[Candidates] = []
@@ -353,14 +376,17 @@ class Rules:
         return Ruling("", "; ".join(policy.allow[0].rule for policy in found if policy.allow), tuple(found))
 
     def topic(self, name: str, type_name: str, verbs: Sequence[Verb] = ("publish",)) -> Ruling:
-        """What is said about publishing there: by `publish`, or for what is fed and relayed by `relay` or `play`."""
+        """Return the first ruling of these verbs that allows publishing on the topic, or the
+        ruling of the first verb.
+        """
         rulings = [self.ruling(verb, name, type_name) for verb in verbs]
         return next((ruling for ruling in rulings if not ruling.problem), rulings[0])
 
     def service(self, service: str, service_type: str) -> Ruling:
-        """What is said about calling a service, by what that means; for the value give `judged_part` of the request.
+        """Return the ruling for calling a service, according to what the call means; judge
+        `judged_part` of the request by it.
 
-        What is forbidden to be called stays so whatever it means.
+        A service that is forbidden to be called stays forbidden, whatever the call means.
         """
         meant = meaning(service, service_type)
         if meant.verb != "read" and (entry := self._forbidden("call", service, service_type)):
@@ -368,24 +394,25 @@ class Rules:
         return self.ruling(meant.verb, meant.name, meant.type)
 
     def _forbidden(self, verb: Verb, name: str, type_name: str) -> Forbidden | None:
-        """The first entry that forbids it, of any policy."""
+        """Return the first entry of any policy that forbids this, or None."""
         entries = (entry for policy in self.policies for entry in policy.forbid)
         return next((entry for entry in entries if entry.covers(verb, name, type_name)), None)
 
     def as_json(self) -> dict[str, Any]:
-        """As it goes down to the bridge; `from_json` makes the same of it."""
+        """Return the rules as JSON for the bridge, the inverse of `from_json`."""
         return dataclasses.asdict(self)
 
     @classmethod
     def from_json(cls, value: Mapping[str, Any]) -> Rules:
-        """The rules of that JSON; raises `KeyError`, `TypeError` or `ValueError` if it has another shape."""
+        """Return the rules from JSON. Raise `KeyError`, `TypeError` or `ValueError` if it has another structure."""
         return cls(value["digest"], tuple(_rule_set(each) for each in value["policies"]))
 
 
 def judged_part(verb: Verb, request: Any) -> Any:
-    """What of a request the limits are about: the goal in it, the parameters by their names, else all of it.
+    """Return the part of a request that limits are about: the goal in it, its parameters by name, otherwise all of it.
 
-    Raises `ValueError` if one parameter is there twice: nobody could say which of them holds.
+    Raises:
+        ValueError: if a parameter is set twice: it is not defined which value would hold.
     """
     if verb == "goal":
         return get(request, "goal")
@@ -412,11 +439,11 @@ _PARAMETER_FIELDS = (
     "double_array_value",
     "string_array_value",
 )
-"""Of rcl_interfaces/msg/ParameterValue, by the codes of its `type`."""
+"""The fields of rcl_interfaces/msg/ParameterValue, indexed by the codes of its `type`."""
 
 
 def parameter_value(value: Any) -> Any:
-    """What a ParameterValue means, as a JSON object or a message; None where it is not set."""
+    """Return the value in a ParameterValue, given as a JSON object or a message; None if it is not set."""
     code = int(get(value, "type"))
     return get(value, _PARAMETER_FIELDS[code]) if 0 < code < len(_PARAMETER_FIELDS) else None
 

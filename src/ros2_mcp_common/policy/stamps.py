@@ -1,8 +1,8 @@
-"""Stamps that act: a trajectory's `header.stamp` is when it begins. One of the past makes the joints jump to where they
-would be by now. Needs no ROS.
+"""Stamps that take effect: the `header.stamp` of a trajectory is when it begins. Needs no ROS.
 
-Such a stamp has to be zero, which means *on arrival*, or within a second of now, where it is set to zero: what is
-underway takes its time, and an approval longer. Values are JSON objects, or messages that rclpy decoded.
+With a stamp in the past, the joints jump to where they would be by now. So such a stamp has to be zero, which means *on
+arrival*, or within 1 s of now; then it is set to zero, because transmission takes time, and an approval takes longer.
+Values are JSON objects or messages decoded by rclpy.
 """
 
 from __future__ import annotations
@@ -12,14 +12,15 @@ from typing import Any
 
 from ros2_mcp_common.policy.field_values import fields_of, get, is_list, number_at
 
-# Clocks of two machines, and the time of a call. Whoever means another beginning than *now* is refused.
+# The tolerated difference from now: for the clocks of two machines and the duration of a call. Any other begin is
+# refused.
 HONEST_S = 1.0
 NS_PER_S = 1_000_000_000
 _OF_TRAJECTORY = {"header", "joint_names", "points"}
 
 
 def trajectories_in(value: Any, shown: str = "") -> Iterator[tuple[str, Any]]:
-    """The trajectories in a value, with their paths."""
+    """Yield the trajectories in a value, each with its path."""
     names = fields_of(value)
     if set(names) >= _OF_TRAJECTORY:
         yield shown, value
@@ -34,7 +35,7 @@ def trajectories_in(value: Any, shown: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def acting_stamps(value: Any) -> Iterator[tuple[str, Any]]:
-    """The stamps in a value that say when a trajectory begins, with their paths; also such as are zero."""
+    """Yield the stamps in a value that say when a trajectory begins, each with its path; also those that are zero."""
     for shown, trajectory in trajectories_in(value):
         header = get(trajectory, "header")
         if "stamp" in fields_of(header):
@@ -42,12 +43,12 @@ def acting_stamps(value: Any) -> Iterator[tuple[str, Any]]:
 
 
 def time_ns(stamp: Any) -> int:
-    """A stamp in ns; raises `Unfit` for what is none."""
+    """Return a stamp in ns. Raise `Unfit` if the value is no stamp."""
     return int(number_at(stamp, "sec", "sec")) * NS_PER_S + int(number_at(stamp, "nanosec", "nanosec"))
 
 
 def problem(value: Any, now_ns: int) -> str:
-    """Which acting stamp is neither zero nor within a second of now, in words; empty if none."""
+    """Return in words which begin of a trajectory is neither zero nor within 1 s of `now_ns`; "" if none."""
     for path, stamp in acting_stamps(value):
         away_s = (time_ns(stamp) - now_ns) / NS_PER_S
         if time_ns(stamp) and not abs(away_s) <= HONEST_S:
@@ -57,7 +58,7 @@ def problem(value: Any, now_ns: int) -> str:
 
 
 def zero(value: Any) -> bool:
-    """Sets every acting stamp to zero, in place; whether one was another."""
+    """Set the begin of every trajectory to zero, in place. Return whether one had another value."""
     found = [stamp for _, stamp in acting_stamps(value) if time_ns(stamp)]
     for stamp in found:
         if isinstance(stamp, dict):

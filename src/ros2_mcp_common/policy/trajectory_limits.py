@@ -1,9 +1,10 @@
-"""Whether the whole curve of a trajectory keeps to its limits, from where the joints are measured to be. Needs no ROS.
+"""Check whether the whole curve of a trajectory, from the measured joint positions on, is within
+its limits. Needs no ROS.
 
-A trajectory is a trajectory_msgs/msg/JointTrajectory, as a JSON object or as a message. `curves.py` has the curve.
+A trajectory is a trajectory_msgs/msg/JointTrajectory, as a JSON object or a message. `curves.py` computes the curve.
 
-A trajectory that cannot be judged is refused. So is one that no two controllers follow alike: points without positions,
-accelerations without velocities (ros2_controllers then commands zeros), a joint that is named twice.
+A trajectory that cannot be judged is refused. So is one that controllers execute differently: with points without
+positions, with accelerations without velocities (ros2_controllers then commands zeros), or with a joint named twice.
 """
 
 from __future__ import annotations
@@ -17,31 +18,33 @@ from typing import Any
 from ros2_mcp_common.policy.curves import Segment, State, at, extremes, hull, segment, segments
 from ros2_mcp_common.policy.field_values import Unfit, fields_of, get, is_list, number_at, number_of
 
-# A first point that is to be reached at once is where the joints are, but for the noise of encoders and the rest that a
-# planner's start state leaves (MoveIt allows 0.01 rad by default).
+# The largest distance of a joint from a first point that is to be reached at once: the noise of encoders, and the
+# difference that a planner's start state may have (MoveIt allows 0.01 rad by default).
 AT_ONCE = 0.01
-# Limits hold but for rounding: of sums of floats, and of times to nanoseconds.
+# A tolerance for rounding: of sums of floats, and of times to nanoseconds.
 _ROUNDING = 1 + 1e-9
-# Of a step of speed where none is allowed: the end of one polynomial and the beginning of the next, both rounded.
+# A tolerance for a step of speed where none is allowed: one polynomial ends and the next begins there, both rounded.
 _NO_STEP = 1e-6
-# A measured speed below this is the noise of an encoder: the joint stands. In rad/s, or m/s.
+# A measured speed below this (rad/s or m/s) is noise of an encoder: the joint is at rest.
 _STANDS = 0.02
-# Between the measurement of a joint and the moment at which a controller takes its start: joint states come at 10 to
-# 1,000 Hz, and a trajectory needs some hundredths of a second. A joint that moves has moved on by then.
+# The longest time from the measurement of a joint until a controller takes its start state: joint states come at 10 to
+# 1,000 Hz, and a trajectory takes some hundredths of a second. A moving joint has moved on by then.
 _LATE_S = 0.1
-# A joint that stands at a limit is measured beyond it now and then: by this share of its range, and no more than that
-# in rad or m (encoders' noise).
+# A joint at rest at a limit is sometimes measured beyond it, because of noise: by up to this share of its range,
+# and not more than this distance (rad or m).
 _NOISE_SHARE, _MOST_NOISE = 0.001, 0.002
-# Joints half a turn away: noise decides which way round is the shorter one.
+# Within this distance (rad) of half a turn, noise decides which way round is shorter.
 _EITHER_WAY = 0.02
-# More joints than any robot of one controller has; more would take too long to be judged.
+# More joints than one controller of any robot has; judging more would take too long.
 MAX_JOINTS = 100
 
 
 @dataclass(frozen=True)
 class JointBounds:
-    """What one joint may do; None: no bound. `wraps`: it turns without end (a continuous joint), so that a controller
-    may add whole turns to where it is, and take the shorter way round.
+    """The bounds of one joint: position in rad (m if prismatic), speed per second, acceleration
+    per second²; None: no bound.
+
+    `wraps`: the joint is continuous, so that a controller may add whole turns to its position and take the shorter way.
     """
 
     low: float | None = None
@@ -53,12 +56,12 @@ class JointBounds:
 
 @dataclass(frozen=True)
 class CurveLimits:
-    """What the curve of a trajectory may do.
+    """The limits on the curve of a trajectory.
 
-    `speed`, `acceleration` and `position` (least, largest) hold for each joint. `joints` has stricter bounds of some by
-    name; where it has any, no other joint may be moved. `described`: the limits of the robot's description (URDF) hold,
-    too. `step` is how far the speed may jump at a point, as it does between straight lines; without it, and with a
-    bound of acceleration, it may not jump at all.
+    `speed`, `acceleration` and `position` (least, largest) hold for each joint. `joints` has stricter bounds of some
+    joints by name; if it has any, no other joint may be moved. `described`: the limits of the robot's description
+    (URDF) hold, too. `step` is how far the speed may jump at a point, as it does between straight lines. Without it,
+    and with a bound on acceleration, the speed may not jump at all.
     """
 
     speed: float | None = None
@@ -69,7 +72,11 @@ class CurveLimits:
     described: bool = True
 
     def of(self, name: str, described: Mapping[str, JointBounds]) -> JointBounds:
-        """All bounds of one joint, the stricter ones; raises `Unfit` where it may not be moved."""
+        """Return the bounds of one joint, the strictest of all that apply.
+
+        Raises:
+            Unfit: if the joint may not be moved, or its speed is not bounded.
+        """
         if self.joints and name not in self.joints:
             raise Unfit(f"the joint {name!a} may not be moved, only {', '.join(self.joints)}")
         low, high = self.position or (None, None)
@@ -93,8 +100,8 @@ class CurveLimits:
 
 @dataclass(frozen=True)
 class Joints:
-    """What is known of joints now, by name: how they move (`speed` is None where nobody tells it), and their limits in
-    the robot's description.
+    """The current joint states by name (`speed` is None if it is not reported), and the limits
+    in the robot's description.
     """
 
     measured: Mapping[str, State] = field(default_factory=dict[str, State])
@@ -102,11 +109,14 @@ class Joints:
 
 
 LookAtJoints = Callable[[Sequence[str]], Joints]
-"""Gives what is known of the joints of these names; raises `ValueError`, in words, where they are not measured."""
+"""Returns the joint states and described limits for these names.
+
+Raises `ValueError`, in words, if they are not measured.
+"""
 
 
 def nobody_measures(_names: Sequence[str]) -> Joints:
-    """Where nothing can be asked."""
+    """Raise `ValueError`: the `LookAtJoints` for when no joint states are available."""
     raise ValueError("it is not known where the joints are")
 
 
@@ -115,7 +125,9 @@ def nobody_measures(_names: Sequence[str]) -> Joints:
 
 @dataclass(frozen=True)
 class Path:
-    """The points of a trajectory: `times` in s from its arrival, and `states[point][joint]` in the order of `names`."""
+    """The points of a trajectory: `times` in s after its arrival, and
+    `states[point][joint]` in the order of `names`.
+    """
 
     names: Sequence[str]
     times: Sequence[float]
@@ -123,7 +135,10 @@ class Path:
 
 
 def read(trajectory: Any) -> Path:
-    """The points of a trajectory that begins when it arrives; raises `Unfit`, in words, for one that is not judged."""
+    """Return the points of a trajectory that begins when it arrives.
+
+    Raise `Unfit`, in words, if it cannot be judged.
+    """
     if "header" in fields_of(trajectory):
         stamp = get(get(trajectory, "header"), "stamp")
         if number_at(stamp, "sec", "header.stamp") or number_at(stamp, "nanosec", "header.stamp"):
@@ -143,13 +158,13 @@ def read(trajectory: Any) -> Path:
 
 
 def seconds(point: Any, shown: str) -> float:
-    """The `time_from_start` of a point, in s."""
+    """Return the `time_from_start` of a point, in s."""
     since = get(point, "time_from_start")
     return number_at(since, "sec", shown) + number_at(since, "nanosec", shown) / 1e9
 
 
 def states_at(point: Any, count: int, shown: str) -> Sequence[State]:
-    """What a point carries of each of so many joints; raises `Unfit`."""
+    """Return the state of each of `count` joints at a point. Raise `Unfit` if the point does not have all of them."""
     if not count:
         raise Unfit(f"{shown} has no positions")
     columns: list[Sequence[float | None]] = []
@@ -171,7 +186,10 @@ def states_at(point: Any, count: int, shown: str) -> Sequence[State]:
 
 @dataclass(frozen=True)
 class Way:
-    """One way to a point (its place in the trajectory) that a controller may take. `is_first`: from where it was."""
+    """A segment along which a controller may move a joint to the point with index `to`.
+
+    `is_first`: the segment begins at the measured state.
+    """
 
     to: int
     segment: Segment
@@ -179,9 +197,11 @@ class Way:
 
 
 def ways(path: Path, joint: int, measured: State, *, wraps: bool) -> Iterator[Sequence[Way]]:
-    """For each point, all ways of one joint to it; none to a first point that is to be reached at once.
+    """Yield, for each point, all segments along which one joint may move to it; none for a first
+    point to be reached at once.
 
-    Raises `Unfit` where that is not where the joint is.
+    Raises:
+        Unfit: if such a first point is not where the joint is.
     """
     states = [row[joint] for row in path.states]
     first, time_s = states[0], path.times[0]
@@ -195,8 +215,10 @@ def ways(path: Path, joint: int, measured: State, *, wraps: bool) -> Iterator[Se
 
 
 def _starts(measured: State, to: float | None = None, *, wraps: bool = False) -> Sequence[float]:
-    """Where a controller may take a joint to be that moves to a position: where it was measured to be, where it is by
-    now, and, if it wraps, the same with whole turns added, so that the way is the shorter one.
+    """Return the positions from which a controller may move a joint to the position `to`.
+
+    These are the measured position, the position by now, and, if the joint wraps, the same with whole turns added, so
+    that the way is the shorter one.
     """
     starts = [measured.position]
     if abs(measured.speed or 0.0) > _STANDS:
@@ -211,13 +233,14 @@ def _starts(measured: State, to: float | None = None, *, wraps: bool = False) ->
 
 
 def _carried(starts: Sequence[float], measured: State, first: State) -> Iterator[State]:
-    """The states from which a controller may begin, by what it measures besides positions: ros2_controllers takes the
-    speed where there is a state interface for it, and the acceleration where there is one for that, too. The first
-    segment is a line, a cubic or a quintic accordingly, whatever the first point carries.
+    """Yield the states from which a controller may begin, which depend on what it measures besides positions.
+
+    ros2_controllers takes the speed if there is a state interface for it, and the acceleration if there is one for
+    that, too. The first segment is a line, a cubic or a quintic accordingly, whatever the first point contains.
     """
     speeds: list[float | None] = [None]
     if first.speed is not None:
-        speeds = [measured.speed, 0.0]  # None, where nobody tells it: a line
+        speeds = [measured.speed, 0.0]  # None, if it is not measured: a line
     for start in starts:
         for speed in dict.fromkeys(speeds):
             yield State(start, speed)
@@ -227,7 +250,7 @@ def _carried(starts: Sequence[float], measured: State, first: State) -> Iterator
 
 @dataclass(frozen=True)
 class Extremes:
-    """What one joint does at most on its way."""
+    """The extreme positions of one joint on its way, and its largest speed and acceleration."""
 
     low: float
     high: float
@@ -236,7 +259,10 @@ class Extremes:
 
 
 def extremes_of(path: Path, joints: Joints) -> Mapping[str, Extremes]:
-    """The true extremes of each joint, by name; raises `Unfit`."""
+    """Return the true extremes of each joint along the curve, by name.
+
+    Raise `Unfit` if the trajectory cannot be judged.
+    """
     found: dict[str, Extremes] = {}
     for joint, name in enumerate(path.names):
         places, speeds, bends = [path.states[0][joint].position], [0.0], [0.0]
@@ -257,12 +283,16 @@ def _measured(joints: Joints, name: str) -> State:
 
 
 def _wraps(joints: Joints, name: str) -> bool:
-    """Whether its controller may add whole turns, also where the description does not tell."""
+    """Return whether the controller may add whole turns; True for a joint that is not described."""
     return joints.described[name].wraps if name in joints.described else True
 
 
 def positions_at(path: Path, joints: Joints, time_s: float) -> Mapping[str, float]:
-    """Where each joint is at a time from the arrival on, as ros2_controllers leads it; raises `Unfit`."""
+    """Return the joint positions `time_s` seconds after the trajectory arrives, interpolated as by ros2_controllers.
+
+    Raises:
+        Unfit: if the trajectory cannot be judged.
+    """
     found: dict[str, float] = {}
     for joint, name in enumerate(path.names):
         found[name] = path.states[-1][joint].position
@@ -278,7 +308,7 @@ def positions_at(path: Path, joints: Joints, time_s: float) -> Mapping[str, floa
 
 
 def problem(trajectory: Any, limits: CurveLimits, look: LookAtJoints) -> str:
-    """What of the whole curve is beyond its limits, in words; empty if nothing is."""
+    """Return in words which limit the whole curve exceeds; "" if it exceeds none."""
     try:
         path = read(trajectory)
         bounded = {name: limits.of(name, {}) for name in path.names} if not limits.described else {}
@@ -301,7 +331,7 @@ def _problem_of(
     bounds: JointBounds,
     step: float | None,
 ) -> str:
-    """The same, of one joint, which may go these ways to its points."""
+    """Return the same as `problem` for one joint, which may move along these segments to its points."""
     name = ascii(path.names[joint])[1:-1]
     most_step = step if step is not None else _NO_STEP if bounds.acceleration is not None else math.inf
     speed = measured.speed or 0.0
@@ -313,13 +343,13 @@ def _problem_of(
         for way in choices:
             if found := _beyond(way, bounds, measured):
                 return f"{name} {found} on its way to points[{to}]"
-        # A curve begins with the speed that is measured, or that the controller takes for it: no step of its own.
+        # A curve begins with the speed that is measured, or that the controller assumes: it has no step of its own.
         leaving = [_speed_at(way, 0.0) for way in choices if not way.is_first or way.segment.is_straight]
         if found := _step(arriving, leaving, most_step):
             return f"{name} {found} before points[{to}]"
         arriving = [_speed_at(way, 1.0) for way in choices]
     if len(path.times) == 1 and path.times[0] == 0:
-        return ""  # it is held where it is
+        return ""  # the joint is held where it is
     found = _step(arriving, [0.0], most_step)
     return f"{name} {found} at its last point" if found else ""
 
@@ -337,7 +367,10 @@ def _step(arriving: Sequence[float], leaving: Sequence[float], most: float) -> s
 
 
 def _beyond(way: Way, bounds: JointBounds, measured: State) -> str:
-    """What of one way is beyond its bounds. Where the joint is out of them already, it may go no farther."""
+    """Return how one segment exceeds the bounds; "" if it does not.
+
+    A joint that is out of its range may not go farther out.
+    """
     one, fast = way.segment, bounds.speed
     if way.is_first and fast is not None:
         fast = max(fast, abs(measured.speed or 0.0))
@@ -354,8 +387,10 @@ def _beyond(way: Way, bounds: JointBounds, measured: State) -> str:
 
 
 def _reached(bounds: JointBounds, start: State, *, is_measured: bool = True) -> tuple[float | None, float | None]:
-    """Between which positions a joint may be that begins here, in its range or beyond it. Each way begins where the one
-    before ended, so that a joint that is out of its range comes back, and goes no farther.
+    """Return the bounds of the positions of a joint that begins at `start`, in its range or beyond it.
+
+    Each segment begins where the one before ended, so a joint that is out of its range may come
+    back, but not go farther out.
     """
     low, high, noise = bounds.low, bounds.high, 0.0
     if is_measured and low is not None and high is not None:
@@ -370,13 +405,15 @@ def _reached(bounds: JointBounds, start: State, *, is_measured: bool = True) -> 
 def _outside(
     polynomial: Sequence[float], low: float | None, high: float | None, unit: float
 ) -> tuple[float, str] | None:
-    """The extreme of a polynomial, in units, that is beyond these bounds, and what is allowed; None if it is within."""
+    """Return the extreme of a polynomial, divided by `unit`, that is beyond the bounds, and the
+    allowed range; None if within.
+    """
     room = _ROUNDING - 1
     least = -math.inf if low is None else (low - room * max(1.0, abs(low))) * unit
     most = math.inf if high is None else (high + room * max(1.0, abs(high))) * unit
     smallest, largest = -math.inf, math.inf
     if math.isfinite(sum(map(abs, polynomial))):
-        for bounds in (hull, extremes):  # the first one is quick, and says too much
+        for bounds in (hull, extremes):  # the hull is fast, but may be too wide
             smallest, largest = bounds(polynomial)
             if least <= smallest and largest <= most:
                 return None

@@ -1,4 +1,7 @@
-"""The types of messages that keep a robot moving until another one comes. Both sides use this table; needs no ROS."""
+"""The message types that keep a robot moving until another message comes.
+
+Server and bridge share them. Needs no ROS.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +13,13 @@ VELOCITY_TYPES: Mapping[str, bool] = {
     "ackermann_msgs/msg/AckermannDrive": False,
     "ackermann_msgs/msg/AckermannDriveStamped": True,
 }
-"""The default value of each of these types is its zero, which stops the robot; True where it has a header, with a stamp
-and a frame."""
+"""The types of velocity commands.
+
+The default value of each is its zero, which stops the robot. True if the type has a header with a stamp and a frame.
+"""
 HOLD_TYPES: Collection[str] = ("trajectory_msgs/msg/JointTrajectory",)
-"""What is followed by itself to its end, and ended before by a hold where the joints are measured to be."""
+"""The types of commands that a controller executes to the end, unless a hold at the
+measured joint positions ends it.
+"""
 MOTION_TYPES: frozenset[str] = frozenset((*VELOCITY_TYPES, *HOLD_TYPES))
-"""All types of which it is known what ends a motion."""
+"""All types for which the message that ends the motion is known."""

@@ -1,5 +1,6 @@
-"""Which verb of the rules something is that is done: what calling a service means, and which names and types fit a
-pattern. Needs no ROS; server and bridge share it.
+"""The verb of an act: what calling a service means, and which names and types match a pattern.
+
+Server and bridge share it. Needs no ROS.
 """
 
 from __future__ import annotations
@@ -9,8 +10,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 Verb = Literal["publish", "relay", "play", "call", "goal", "cancel", "set", "transition", "record", "read"]
-"""What is done; `publish` once or repeatedly, `set` parameters, make a `transition` of a lifecycle node. `read` is a
-call of a service that only tells something."""
+"""What is done: `publish` once or repeatedly, `set` parameters, make a `transition` of a lifecycle node, and so on.
+
+`read` is a call of a service that only returns information.
+"""
 
 SET_PARAMETERS = "rcl_interfaces/srv/SetParameters"
 SET_PARAMETERS_ATOMICALLY = "rcl_interfaces/srv/SetParametersAtomically"
@@ -34,8 +37,7 @@ READING_TYPES = frozenset(
         "wisevision_msgs/srv/InfluxGetMessages",
     }
 )
-"""Types of services whose definition says that they read something and change nothing; the last two are those of the
-Data Black Box."""
+"""The service types defined to read and to change nothing; the last two are those of the Data Black Box."""
 
 META_TYPES: Sequence[str] = (
     "composition_interfaces/**",
@@ -86,17 +88,19 @@ META_TYPES: Sequence[str] = (
     "*/action/*_SendGoal",
     "action_msgs/srv/CancelGoal",
 )
-"""Types of services that change what else may happen: they load code, write files, switch controllers and what watches
-over the robot, or are goals and cancellations under a name that is no action's. No pattern allows them but a rule that
-says `meta: true`; setting parameters and transitions have verbs of their own."""
+"""The service types that change what else may happen: they load code, write files, switch controllers or safety
+monitors, or are goals and cancellations under a name that is no action's. Only a rule with `meta: true` allows them,
+whatever its patterns. Setting parameters and transitions have their own verbs.
+"""
 
 
 def segments_match(pattern: Sequence[str], name: Sequence[str], *, hidden: bool) -> bool:
-    """Whether segments fit a pattern: `*` is any one, `**` any number of them, none included.
+    """Return whether segments match a pattern: `*` is any one segment, `**` any number of them, also none.
 
-    A segment that begins with an underscore, which ROS hides, fits no wildcard unless `hidden`.
+    A segment that begins with an underscore (hidden in ROS) matches a wildcard only if `hidden`.
     """
-    # Whether the parts of the pattern so far fit the first 0, 1, … segments: no pattern takes long for any name.
+    # Whether the parts of the pattern so far match the first 0, 1, … segments. So the time is bounded for any pattern
+    # and name.
     fits = [True, *(False for _ in name)]
     for part in pattern:
         if part == "**":
@@ -109,31 +113,33 @@ def segments_match(pattern: Sequence[str], name: Sequence[str], *, hidden: bool)
 
 
 def _fits(part: str, segment: str, hidden: bool) -> bool:
-    """Whether one segment fits one part of a pattern."""
+    """Return whether one segment matches one part of a pattern."""
     if part == "*":
         return hidden or not segment.startswith("_")
     return segment.endswith(part[1:]) if part.startswith("*") else segment == part  # `*_SendGoal`, of types alone
 
 
 def matches(patterns: Sequence[str], name: str, *, hidden: bool = False) -> bool:
-    """Whether a full name or type fits one of the patterns, segment by segment."""
+    """Return whether a full name or type matches one of the patterns, segment by segment."""
     parts = name.strip("/").split("/")
     return any(segments_match(pattern.strip("/").split("/"), parts, hidden=hidden) for pattern in patterns)
 
 
 def only_reads(service_type: str) -> bool:
-    """Whether a service of that type reads something and changes nothing; asking for the result of a goal does, too."""
+    """Return whether a service of that type reads and changes nothing; requesting the result of
+    a goal counts as reading.
+    """
     return service_type in READING_TYPES or ("/action/" in service_type and service_type.endswith(_GET_RESULT))
 
 
 def is_meta(service_type: str) -> bool:
-    """Whether a service of that type changes what else may happen."""
+    """Return whether a service of that type changes what else may happen (`META_TYPES`)."""
     return matches(META_TYPES, service_type, hidden=True)
 
 
 @dataclass(frozen=True)
 class Meaning:
-    """What calling a service means: the verb, and name and type of what is acted on."""
+    """What calling a service means: the verb, and the name and type of what it acts on."""
 
     verb: Verb
     name: str
@@ -141,9 +147,10 @@ class Meaning:
 
 
 def meaning(service: str, service_type: str) -> Meaning:
-    """What calling a service of that name and type means, whichever way the call comes.
+    """Return what calling a service of that name and type means, for any kind of call.
 
-    By the name, too: a service of such a type that is no action's or node's own is called as it is named.
+    Type and name both count: a service of such a type whose name is not that of an action or
+    node is an ordinary `call`.
     """
     subject, _, last = service.rpartition("/")
     subject = subject or "/"

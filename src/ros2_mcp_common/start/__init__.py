@@ -1,1 +1,1 @@
-"""How a bridge starts: the first stage that is sent, and finding an installation of ROS."""
+"""How a bridge starts: stage 1, which is sent to the robot, and finding an installation of ROS 2."""

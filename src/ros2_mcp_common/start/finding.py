@@ -1,7 +1,7 @@
-"""Finding a ROS 2 on the machine that this runs on, and how to run a program in it.
+"""Finding a ROS 2 on this machine, and how to run a program in it.
 
-The server uses this module for its own machine, stage 1 (`stage1.py`) for the far side, before anything is known of it:
-so it needs the standard library of Python 3.8, and of ours only `nodes_here.py`. `rclpy` is looked for as files;
+The server uses this module for its own machine, stage 1 (`stage1.py`) for the far side, before anything is known of it.
+So it needs only the standard library of Python 3.8 and, of ours, `nodes_here.py`. `rclpy` is searched for as files;
 nothing of ROS is imported.
 """
 
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 RELEASES = ("foxy", "galactic", "humble", "iron", "jazzy", "kilted", "lyrical")
-# What the bridge needs of rclpy came with Humble (see docs/reference/platforms.md).
+# Releases without what the bridge needs of rclpy, which came with Humble (see docs/reference/platforms.md).
 TOO_OLD = ("foxy", "galactic")
-# Of the environment of a running node, what says with whom it speaks.
+# The variables of a running node that say with which nodes it communicates.
 _OF_THE_NETWORK = re.compile(
     r"(ROS_(DOMAIN|LOCAL|AUTO|STATIC|DISCOVERY)|RMW_IMPL|CYCLONEDDS_URI|FASTRTPS_DEFAULT|ZENOH_)\w*"
 )
@@ -49,19 +49,21 @@ _ENVIRONMENTS_OF_CONDA = (
     "~/*/.pixi/envs/*",
 )
 _OWN_WORKSPACES = ("~/ros2_ws/install", "~/*_ws/install", "~/ros2_*/install")
-# Where `ros_environment` writes down its distribution, in a merged install folder and in an isolated one.
+# Files in which `ros_environment` records the distribution, in a merged and in an isolated install folder.
 _OF_THE_DISTRO = (
     "share/ros_environment/environment/*ros_distro.sh",
     "ros_environment/share/ros_environment/environment/*ros_distro.sh",
 )
 _DISTRO_IN_IT = re.compile(r"\bROS_DISTRO=[\"']?(\w+)")
-# A Python starts in 20 ms, from the card of a small machine in a second or two. Chosen.
+# The time limit of one program: a Python starts in 20 ms, from an SD card in a second or two.
 _PYTHON_S = 10.0
-# For all those on PATH together: stage 1 ends itself 30 s after its start, and ROS is to start in that time, too.
+# The time limit for all Pythons on PATH together: stage 1 ends itself 30 s after its start, and ROS has to start in
+# that time, too.
 _PYTHONS_S = 15.0
-# Of PATH, where version switchers, environments and the system have one each; and of nodes that run. Chosen.
+# The most Pythons to try: on PATH, where version switchers, environments and the system have one each; and of running
+# nodes.
 _MOST_PYTHONS, _MOST_PYTHONS_OF_NODES = 12, 2
-# What another Python tells of itself.
+# The program by which another Python reports whether it has rclpy.
 _TELL = """\
 import sys
 sys.path[:] = filter(None, sys.path)  # the working folder is no place for modules
@@ -72,7 +74,7 @@ print(json.dumps({"prefix": sys.prefix, "rclpy": spec.origin if spec else None})
 
 
 class NotFound(Exception):
-    """There is no such ROS 2; says what there is, and the way out."""
+    """Raised if there is no such ROS 2: what there is instead, and what to do."""
 
     def __init__(self, message: str, hint: str) -> None:
         super().__init__(message)
@@ -86,7 +88,7 @@ def _none() -> dict[str, str]:
 
 @dataclass(frozen=True)
 class Search:
-    """Which ROS 2 is looked for, and what its environment is to have; all of it is text of the machine it is on."""
+    """Which ROS 2 to look for, and what to add to its environment. Paths are those of the machine that is searched."""
 
     distro: str = ""
     python: str = ""
@@ -97,20 +99,20 @@ class Search:
     env: Mapping[str, str] = field(default_factory=_none)
 
     def as_json(self) -> dict[str, Any]:
-        """For stage 1, as `from_json` takes it."""
+        """Return the search as JSON for stage 1, the inverse of `from_json`."""
         return asdict(self)
 
     @classmethod
     def from_json(cls, search: Mapping[str, Any]) -> Search:
-        """Of `as_json`."""
+        """Return the search from the JSON of `as_json`."""
         return cls(**search)
 
 
 @dataclass(frozen=True)
 class Found:
-    """One ROS 2, and `why` it was chosen.
+    """A ROS 2 installation, and `why` it was chosen.
 
-    `python` is its interpreter: a path, or a name to look up after `scripts` (setup files of bash) were sourced.
+    `python` is its interpreter: a path, or a name to look up after `scripts` (setup files for bash) were sourced.
     """
 
     kind: str
@@ -122,20 +124,17 @@ class Found:
     environment: Mapping[str, str] = field(default_factory=_none)
 
     def running(self, words: Sequence[str]) -> tuple[list[str], dict[str, str]]:
-        """What to execute, and its whole environment, so that these words run in this ROS."""
+        """Return the words to execute, and their whole environment, to run `words` in this ROS 2."""
         return in_environment(words, self.scripts, self.environment)
 
 
 def in_environment(
     words: Sequence[str], scripts: Sequence[Path], env: Mapping[str, str], in_front: Mapping[str, str] | None = None
 ) -> tuple[list[str], dict[str, str]]:
-    """Words and environment that run `words` after the setup files were sourced.
+    """Return words and environment that run `words` after the setup files were sourced.
 
-    Args:
-        words: program and arguments.
-        scripts: setup files of bash, in order; the standard streams are kept out of their reach.
-        env: before them.
-        in_front: paths to put in front of variables such as PYTHONPATH, after them.
+    Args: words: program and arguments. scripts: setup files for bash, in order; they get neither stdin nor stdout. env:
+    the environment before sourcing. in_front: paths to put in front of variables such as PYTHONPATH, after sourcing.
     """
     added = in_front or {}
     if not scripts:
@@ -153,14 +152,14 @@ def in_environment(
 
 
 def find(search: Search, env: Mapping[str, str]) -> Found:
-    """The ROS 2 of a machine of which nothing is known.
+    """Return the ROS 2 of a machine of which nothing is known, with the workspaces to source after it.
 
-    In this order: what was asked for; a sourced environment; that of ROS processes which already run; a ROS that was
-    built in a folder that was given; the newest installation; conda or pixi; a workspace in the home folder in which
-    ROS was built; a Python on PATH that has rclpy. Then come the workspaces.
+    Searches in this order: a given Python; a sourced environment; that of running ROS processes; a ROS 2 built in a
+    given folder; the newest installation; conda or pixi; a workspace in the home folder in which ROS 2 was built; a
+    Python on PATH that has rclpy.
 
     Raises:
-        NotFound: if there is none, or not what was asked for.
+        NotFound: if there is none, or not the requested one.
     """
     env = {**env, **search.env}
     python = str(Path(search.python).expanduser()) if search.python else ""
@@ -210,7 +209,7 @@ def _nothing(search: Search, env: Mapping[str, str]) -> NotFound:
 
 
 def containers_with_ros(env: Mapping[str, str]) -> list[str]:
-    """The names of the containers that run here, with their images, at most 10; empty where nobody may ask."""
+    """Return the names and images of the running containers, at most 10; none if this user may not ask the engine."""
     engine = shutil.which("docker", path=env.get("PATH")) or shutil.which("podman", path=env.get("PATH"))
     if not engine:
         return []
@@ -222,7 +221,7 @@ def containers_with_ros(env: Mapping[str, str]) -> list[str]:
 
 
 def sourced(search: Search, env: Mapping[str, str]) -> Found | None:
-    """The ROS 2 of an environment that was sourced already, unless another distribution was asked for."""
+    """Return the ROS 2 of an already sourced environment; None if another distribution was requested."""
     prefixes = path_entries(env, "AMENT_PREFIX_PATH")
     on_path = (entry / "rclpy" for entry in path_entries(env, "PYTHONPATH"))
     below_prefixes = (package for prefix in prefixes for package in rclpy_below(prefix))
@@ -245,15 +244,16 @@ def sourced(search: Search, env: Mapping[str, str]) -> Found | None:
 
 
 def rclpy_below(prefix: Path) -> Iterator[Path]:
-    """The folders `rclpy` of a prefix, one for each Python that it was installed for."""
+    """Yield the folders `rclpy` below a prefix, one for each Python for which it was installed."""
     folders = (folder / "rclpy" for pattern in _PYTHON_FOLDERS for folder in sorted(prefix.glob(pattern)))
     return (folder for folder in folders if folder.is_dir())
 
 
 def interpreter(package: Path, prefixes: Iterable[Path], env: Mapping[str, str]) -> str | None:
-    """The Python that this rclpy was compiled for, or None if it is not on this machine.
+    """Return the Python for which this rclpy was compiled, or None if it is not on this machine.
 
-    `python3.12` follows from the extension module in rclpy, or from the folder that it is in; else it is `python3`.
+    Its name, such as `python3.12`, follows from the extension module in rclpy, or from the folder that contains it;
+    otherwise it is `python3`.
     """
     extensions = (extension.name for extension in package.glob("_rclpy_pybind11.cpython-3*"))
     versions = (re.match(r"_rclpy_pybind11\.cpython-3(\d+)", extension) for extension in extensions)
@@ -262,7 +262,7 @@ def interpreter(package: Path, prefixes: Iterable[Path], env: Mapping[str, str])
     name = f"python3.{minor}" if minor else folder if re.fullmatch(r"python3(\.\d+)?", folder) else "python3"
     path = env.get("PATH", os.defpath).split(os.pathsep)
     own = [str(prefix / "bin") for prefix in prefixes]
-    # Shims of version switchers are there for every version, and fail for those that are not switched on.
+    # Version switchers have shims for every version, which fail for a version that is not switched on.
     real = [entry for entry in path if Path(entry).name != "shims"]
     return shutil.which(name, path=os.pathsep.join([*own, *real, "/usr/bin"]))
 
@@ -271,10 +271,10 @@ def interpreter(package: Path, prefixes: Iterable[Path], env: Mapping[str, str])
 
 
 def running(search: Search, env: Mapping[str, str], processes: Path = Path("/proc")) -> Found | None:
-    """The ROS 2 of this user's processes, with their domain and middleware: what most of the nodes have.
+    """Return the ROS 2 of this user's processes, with their domain and middleware: that of the most nodes.
 
-    What is no node, such as shells that were sourced, counts where there is none. A login without a terminal does not
-    see what `.bashrc` sets for those who have one; the nodes had it.
+    Processes that are no nodes, such as sourced shells, count only if there is no node. A login without a terminal does
+    not get what `.bashrc` sets in a terminal; the nodes did.
     """
     every = list(processes_in_ros(processes))
     pythons = {each.variables: each.python for each in every}
@@ -286,7 +286,8 @@ def running(search: Search, env: Mapping[str, str], processes: Path = Path("/pro
             found = sourced(search, merged)
             python = pythons[variables]
             if not found and not search.python and python not in asked and len(asked) <= _MOST_PYTHONS_OF_NODES:
-                # Wheels that are not below their prefix, as those of a user: the Python itself knows where they are.
+                # Wheels outside their prefix, such as those installed for a user: only the Python itself knows where
+                # they are.
                 asked.add(python)
                 found = python_with_rclpy(replace(search, python=python), merged)
             if found:
@@ -300,11 +301,11 @@ def running(search: Search, env: Mapping[str, str], processes: Path = Path("/pro
     return None
 
 
-# ── an installation that nobody sourced ────────────────────────────────────────────────────────────────────────
+# ── an installation that is not sourced ────────────────────────────────────────────────────────────────────────
 
 
 def unsourced(search: Search, env: Mapping[str, str]) -> Found | None:
-    """The newest installation below the ROS root, or the one that was asked for."""
+    """Return the newest installation below the ROS root, or the requested distribution; None if it is not there."""
     root = Path(search.ros_root)
     installed = installed_distros(root)
     distro = search.distro or (installed[-1] if installed else "")
@@ -313,8 +314,8 @@ def unsourced(search: Search, env: Mapping[str, str]) -> Found | None:
     prefix = root / distro
     clean = environment_for(search, env, keep_sourced=False)
     package = _rclpy_in(prefix)
-    distro = distro_of(prefix) or distro  # the folder may have another name, such as `install`
-    # The system's own Python first: another one of that version would lack what rclpy needs, such as NumPy.
+    distro = distro_of(prefix) or distro  # the folder may have another name, for example `install`
+    # The system's own Python comes first: another one of that version would lack what rclpy needs, such as NumPy.
     python = search.python or (package and interpreter(package, [prefix, Path("/usr")], clean)) or "python3"
     reason = "asked for" if search.distro else "the newest of " + ", ".join(installed)
     return Found(
@@ -329,13 +330,16 @@ def unsourced(search: Search, env: Mapping[str, str]) -> Found | None:
 
 
 def installed_distros(root: Path) -> list[str]:
-    """The distributions below the ROS root, oldest first; unknown names stand between the known ones and rolling."""
+    """Return the distributions below the ROS root, oldest first.
+
+    Unknown names come after the known ones, before rolling.
+    """
     names = (setup.parent.name for setup in root.glob("*/setup.bash"))
     return sorted(names, key=release_order)
 
 
 def release_order(distro: str) -> tuple[int, str]:
-    """To sort distributions by, the oldest first."""
+    """Return a key by which to sort distributions, oldest first."""
     if distro == "rolling":
         return len(RELEASES) + 1, distro
     return (RELEASES.index(distro) if distro in RELEASES else len(RELEASES)), distro
@@ -345,7 +349,7 @@ def release_order(distro: str) -> tuple[int, str]:
 
 
 def conda(search: Search, env: Mapping[str, str]) -> Found | None:
-    """The newest ROS 2 in an environment of conda or pixi: the one that is switched on, else the usual places."""
+    """Return the ROS 2 in an environment of conda or pixi: the active one, or the newest in the usual places."""
     own = [Path(env["CONDA_PREFIX"])] if env.get("CONDA_PREFIX") else []
     pixi = [folder for workspace in search.workspaces for folder in _places(f"{workspace}/.pixi/envs/*", env)]
     places = [*own, *pixi, *(folder for pattern in _ENVIRONMENTS_OF_CONDA for folder in _places(pattern, env))]
@@ -374,18 +378,18 @@ def _conda_distro(prefix: Path) -> str:
 
 
 def given(search: Search, env: Mapping[str, str]) -> Found | None:
-    """A workspace, or a ROS root, that was given and holds ROS 2 itself: built from source, or unpacked."""
+    """Return the ROS 2 in a given workspace or ROS root that contains ROS 2 itself, built from source or unpacked."""
     places = [*(workspace_setup(workspace).parent for workspace in search.workspaces), search.ros_root]
     return _first_built(places, search, env)
 
 
 def built_from_source(search: Search, env: Mapping[str, str]) -> Found | None:
-    """A workspace in the home folder in which ROS 2 itself was built."""
+    """Return the ROS 2 of a workspace in the home folder in which ROS 2 itself was built."""
     return _first_built((folder for pattern in _OWN_WORKSPACES for folder in _places(pattern, env)), search, env)
 
 
 def _first_built(places: Iterable[Path | str], search: Search, env: Mapping[str, str]) -> Found | None:
-    """The first of these install folders, merged or isolated, that has rclpy and is of the distribution asked for."""
+    """Return the first of these install folders, merged or isolated, that has rclpy and the requested distribution."""
     for install in dict.fromkeys(map(Path, places)):
         package = _rclpy_in(install)
         if not package or not (install / "setup.bash").is_file():
@@ -407,12 +411,12 @@ def _first_built(places: Iterable[Path | str], search: Search, env: Mapping[str,
 
 
 def _rclpy_in(install: Path) -> Path | None:
-    """Where an install folder, merged or isolated, has rclpy."""
+    """Return the folder `rclpy` in an install folder, merged or isolated, or None."""
     return next((found for prefix in (install, install / "rclpy") for found in rclpy_below(prefix)), None)
 
 
 def distro_of(install: Path) -> str:
-    """The distribution that an install folder says it is; "" if it does not."""
+    """Return the distribution recorded in an install folder; "" if there is none."""
     for told in (told for pattern in _OF_THE_DISTRO for told in install.glob(pattern)):
         try:
             found = _DISTRO_IN_IT.search(told.read_text(errors="replace"))
@@ -424,7 +428,7 @@ def distro_of(install: Path) -> str:
 
 
 def _places(pattern: str, env: Mapping[str, str]) -> list[Path]:
-    """The folders of a pattern that begins at the home folder or the root."""
+    """Return the folders that match a pattern, which begins with the home folder or the root."""
     home = env.get("HOME", "")
     if pattern.startswith("~/"):
         return sorted(Path(home).glob(pattern[2:])) if home else []
@@ -436,7 +440,9 @@ def _places(pattern: str, env: Mapping[str, str]) -> list[Path]:
 
 
 def python_with_rclpy(search: Search, env: Mapping[str, str]) -> Found | None:
-    """The Python that was given, or else the first `python3` on PATH, that has rclpy: from wheels, for one."""
+    """Return the ROS 2 of the given Python, or of the first `python3` on PATH that has
+    rclpy, for example from wheels.
+    """
     given = shutil.which(search.python, path=env.get("PATH")) if search.python else None
     pythons = [given or search.python] if search.python else pythons_on_path(env)
     deadline_s = time.monotonic() + _PYTHONS_S
@@ -445,14 +451,16 @@ def python_with_rclpy(search: Search, env: Mapping[str, str]) -> Found | None:
 
 
 def pythons_on_path(env: Mapping[str, str]) -> list[str]:
-    """Every `python3` on PATH in its order: one may hide another that has rclpy, as shims of version switchers do."""
-    # A folder counts once by whatever name. Programs are not compared: those of environments are links to one file.
+    """Return every `python3` on PATH, in order: one may hide another that has rclpy, as the
+    shims of version switchers do.
+    """
+    # A folder counts once, whatever its name. Programs are not compared: those of environments are links to one file.
     folders = dict.fromkeys(os.path.realpath(entry) for entry in env.get("PATH", os.defpath).split(os.pathsep) if entry)
     return [python for folder in folders if (python := shutil.which("python3", path=folder))][:_MOST_PYTHONS]
 
 
 def _asked_for_rclpy(python: str, search: Search, env: Mapping[str, str]) -> Found | None:
-    """The ROS 2 of a Python, as it tells itself."""
+    """Return the ROS 2 that a Python reports, or None."""
     clean = environment_for(search, env, keep_sourced=False)
     said = _output([python, "-c", _TELL], clean)
     try:
@@ -477,8 +485,8 @@ def _asked_for_rclpy(python: str, search: Search, env: Mapping[str, str]) -> Fou
 
 
 def wheel_distro(folders: Iterable[Path]) -> str:
-    """The distribution of the wheels in these folders, from the name `ros-<distro>-rclpy`; "" without wheels."""
-    # The folders are listed rather than read one by one: importlib.metadata would open a hundred files.
+    """Return the distribution of the wheels in these folders, from the name `ros-<distro>-rclpy`; "" without wheels."""
+    # The folders are only listed: importlib.metadata would open a hundred files.
     for folder in folders:
         for information in folder.glob("ros_*_rclpy-*.dist-info"):
             name = _WHEEL.fullmatch(information.name.split("-")[0])
@@ -488,7 +496,9 @@ def wheel_distro(folders: Iterable[Path]) -> str:
 
 
 def wheel_environment(env: Mapping[str, str], prefix: Path, site_packages: Path) -> dict[str, str]:
-    """What the wheels' own start-up hook would set, so that it need not start Python a second time."""
+    """Return the environment that the wheels' own start-up hook would set, so that it need not
+    start Python a second time.
+    """
     libraries = [str(prefix / "lib"), *sorted(str(folder) for folder in site_packages.glob("ros_*.libs"))]
     inherited = [entry for entry in env.get("LD_LIBRARY_PATH", "").split(os.pathsep) if entry]
     return {
@@ -503,7 +513,7 @@ def wheel_environment(env: Mapping[str, str], prefix: Path, site_packages: Path)
 
 
 def workspace_setup(workspace: str) -> Path:
-    """The file to source of a workspace, given by its root, its install folder or that file itself.
+    """Return the setup file of a workspace, which is given by its root, its install folder or that file itself.
 
     Raises:
         NotFound: if there is none.
@@ -520,7 +530,10 @@ def workspace_setup(workspace: str) -> Path:
 
 
 def own_workspace(found: Found) -> list[Path]:
-    """The setup file of `~/ros2_ws`, if it stands on this installation; running processes have their workspaces."""
+    """Return the setup file of `~/ros2_ws` if that workspace is an overlay of this installation, else an empty list.
+
+    A ROS 2 found by its running processes has their workspaces already.
+    """
     setup = Path(found.environment.get("HOME", "/")) / "ros2_ws" / "install" / "setup.bash"
     try:
         stands_on = setup.read_text(errors="replace")
@@ -533,7 +546,9 @@ def own_workspace(found: Found) -> list[Path]:
 
 
 def environment_for(search: Search, env: Mapping[str, str], *, keep_sourced: bool) -> dict[str, str]:
-    """A copy of an environment with what was asked for, and only if that is wanted with what a setup file has set."""
+    """Return a copy of an environment with the requested settings, and with those of setup
+    files only if `keep_sourced`.
+    """
     clean = {name: value for name, value in env.items() if keep_sourced or name not in OF_A_SOURCED_SHELL}
     clean.update(search.env)
     if search.domain_id is not None:
@@ -544,12 +559,12 @@ def environment_for(search: Search, env: Mapping[str, str], *, keep_sourced: boo
 
 
 def path_entries(env: Mapping[str, str], variable: str) -> list[Path]:
-    """The entries of a variable such as PATH."""
+    """Return the entries of a variable such as PATH."""
     return [Path(entry) for entry in env.get(variable, "").split(os.pathsep) if entry]
 
 
 def _output(words: Sequence[str], env: Mapping[str, str]) -> str:
-    """What a program prints; nothing if it fails or takes too long."""
+    """Return the output of a program; "" if it fails or takes too long."""
     try:
         done = subprocess.run(
             words,

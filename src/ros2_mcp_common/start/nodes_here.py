@@ -1,6 +1,6 @@
-"""Which processes of this machine run in a ROS 2, and what their environment tells; a part of `finding.py`.
+"""Finding the processes on this machine that run in a ROS 2, and their environment; a part of `finding.py`.
 
-A login without a terminal does not see what `.bashrc` sets for those who have one; the nodes had it.
+A login without a terminal does not get what `.bashrc` sets in a terminal; the nodes did.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ OF_A_SOURCED_SHELL = (
     "ROS_PYTHON_VERSION",
 )
 WHEEL_GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
-"""The variable by which the start-up hook of the wheels knows that their libraries are found already."""
-# Of the environment of a running node: with what it finds packages and libraries, and how it speaks with others.
+"""The variable by which the start-up hook of the wheels knows that their libraries can be found already."""
+# The variables of a running node that matter: how it finds packages and libraries, and how it communicates.
 _OF_A_NODE = re.compile(
     "|".join((*OF_A_SOURCED_SHELL, WHEEL_GUARD)) + r"|PATH|LD_LIBRARY_PATH|CONDA_PREFIX|SKIP_DEFAULT_XML"
     r"|ROS_(DOMAIN_ID|LOCALHOST_ONLY|AUTOMATIC_DISCOVERY_RANGE|STATIC_PEERS|DISCOVERY_SERVER|SUPER_CLIENT|SECURITY_\w+)"
     r"|(RMW|CYCLONEDDS|FASTRTPS|FASTDDS|ZENOH)_\w+"
 )
-# Wheels put a number behind the name of a library.
+# In wheels, the name of a library has a number appended.
 _CLIENT_LIBRARY = re.compile(rb"/librcl[-.][^/\n]*so")
 _OUR_NAMES = (b"ros2_mcp", b"ros2-mcp")
 _INTERPRETER = re.compile(r"python(3(\.\d+)?)?")
 
 
 class InRos(NamedTuple):
-    """A process in a ROS 2: what matters of its environment, and the Python that it runs in, "" for another program.
+    """A process in a ROS 2: its relevant environment, and the Python that it runs in ("" for another program).
 
-    `is_node`: it has loaded ROS's client library. A shell that was sourced has not, and may be of another domain.
+    `is_node`: it has loaded the ROS client library. A sourced shell has not, and may be in another domain.
     """
 
     variables: tuple[tuple[str, str], ...]
@@ -49,10 +49,10 @@ class InRos(NamedTuple):
 
 
 def processes_in_ros(processes: Path, own: int | None = None) -> Iterator[InRos]:
-    """Each process that runs in a ROS 2 and sees the same files; none of ours.
+    """Yield each process that runs in a ROS 2 and sees the same files, except ours.
 
-    Only those of the user `own` (None: who asks) count. Root may read those of everybody: what another user's process
-    names as its Python or its libraries would be executed as root then.
+    Only processes of the user `own` (None: the current user) count. Root could read those of everybody, but then the
+    Python or the libraries that another user's process names would be executed as root.
     """
     own = os.geteuid() if own is None else own
     files = _link(processes / "self" / "ns" / "mnt")
@@ -64,11 +64,11 @@ def processes_in_ros(processes: Path, own: int | None = None) -> Iterator[InRos]
                 continue
             lines = (process / "environ").read_bytes().split(b"\0")
             words = (process / "cmdline").read_bytes().split(b"\0")
-        except OSError:  # another user's, or it has ended
+        except OSError:  # another user's process, or it has ended
             continue
         pairs = (line.decode(errors="surrogateescape").partition("=") for line in lines)
         variables = {name: value for name, _, value in pairs if _OF_A_NODE.fullmatch(name)}
-        # What is started in the Python of wheels has no prefix, but what their start-up hook leaves.
+        # A process started by the Python of wheels has no prefix, but has the variable of their start-up hook.
         is_in_ros = variables.get("AMENT_PREFIX_PATH") or variables.get(WHEEL_GUARD)
         if is_in_ros and not _is_ours(words) and _link(process / "ns" / "mnt") == files:
             yield InRos(tuple(sorted(variables.items())), _python_of(words, process), _is_node(process))
@@ -82,12 +82,12 @@ def _is_node(process: Path) -> bool:
 
 
 def _is_ours(words: Sequence[bytes]) -> bool:
-    """Whether a process is a bridge or a server of ours; the simulated robot is a robot like others."""
+    """Return whether a process is a bridge or server of ours. The simulated robot counts as any other robot."""
     return any(b"ros2_mcp_bridge" in word or word in _OUR_NAMES or word.endswith(b"/ros2-mcp") for word in words)
 
 
 def _python_of(words: Sequence[bytes], process: Path) -> str:
-    """The interpreter that a process runs in: as it was started, since a virtual environment is known by that path."""
+    """Return the interpreter of a process as it was started, because a virtual environment is known by that path."""
     for program in (os.fsdecode(words[0]), _link(process / "exe")):
         if Path(program).is_absolute() and _INTERPRETER.fullmatch(Path(program).name):
             return program
@@ -95,9 +95,9 @@ def _python_of(words: Sequence[bytes], process: Path) -> str:
 
 
 def others_with_nodes(processes: Path = Path("/proc"), own: int | None = None) -> list[str]:
-    """The users other than this one who run nodes here; nobody for root, from whom nothing is hidden.
+    """Return the names of other users who run nodes here; none for root, who can read everything.
 
-    What they send by shared memory this user cannot read (Fast DDS), so that topics of theirs are listed and silent.
+    This user cannot read what they send through shared memory (Fast DDS): their topics are listed, but silent.
     """
     own = os.geteuid() if own is None else own
     users: set[int] = set()
@@ -109,7 +109,7 @@ def others_with_nodes(processes: Path = Path("/proc"), own: int | None = None) -
 
 
 def _name_of(user: int) -> str:
-    import pwd  # which Windows does not have
+    import pwd  # not on Windows
 
     try:
         return pwd.getpwuid(user).pw_name

@@ -1,9 +1,9 @@
-"""Stage 1: what runs first on the far side, before it is known whether there is a ROS 2, and where.
+"""Stage 1: the program that runs first on the far side, before it is known whether there is a ROS 2, and where.
 
-It is sent as text and executed by whichever python3 is there, so it stands alone: the standard library, nothing newer
-than Python 3.6, and no other module of ours until they have come. It reads a head and the bridge as a zip from its
-stdin, tells what it does in lines that begin with a marker, and becomes the bridge; or it enters a container and leaves
-the rest to the stage 1 there. It writes no file: the zip stays in memory. See
+It is sent as text and executed by whichever python3 is there. So it needs only the standard library of Python 3.6, and
+no other module of ours until they have been received. It reads a head and the bridge as a zip from its stdin, reports
+its progress in lines that begin with a marker, and becomes the bridge; or it enters a container and leaves the rest to
+a stage 1 there. It writes no file: the zip stays in memory. See
 docs/decisions/0034-the-bridge-is-sent-and-not-installed.md.
 """
 
@@ -17,34 +17,37 @@ import tempfile
 import zlib
 from typing import Any
 
-# What all lines of stage 1 begin with. The nonce behind it is another one each time, so that no noise is taken for one.
+# The beginning of all lines of stage 1. A nonce follows, which is different each time, so that no noise is taken for
+# one.
 MARKER = b"\0ros2-mcp "
-# Humble, the oldest ROS 2 that the bridge runs with, has 3.10; that of the system may be older, and only looks for it.
+# The oldest Python that can search for ROS 2. Humble, the oldest supported ROS 2, has 3.10; the system's own Python,
+# which only searches, may be older.
 OLDEST_PYTHON = (3, 8)
-# From the start of this to the bridge's hello, as the bridge allows itself: for setup files on a slow disk. Then the
-# kernel ends whatever hangs, since nobody may be there any more who could.
+# The longest time from here to the bridge's hello, the same as the bridge's own limit: for setup files on a slow disk.
+# Then the kernel ends a process that hangs, since the server may be gone.
 ALARM_S = 30
-# What the next Python executes: this same text, which is in its argument as base64.
+# The program that the next Python executes: this same text, which is in its argument as base64.
 AGAIN = "import base64,sys,zlib;line=sys.argv.pop().encode();exec(zlib.decompress(base64.b64decode(line)))"
-# Of those names there may be a newer Python (python3.14), and so many are tried. Chosen.
+# The newest name of a Python to look for (python3.16), and how many Pythons to try.
 NEWEST_MINOR = 16
 MOST_PYTHONS = 6
-# A Python starts in 20 ms, from the card of a small machine in a second or two; six of them fit under the alarm.
+# The time limit for each: a Python starts in 20 ms, from an SD card in a second or two. Six of them fit under the
+# alarm.
 PYTHON_S = 3
-# A setup file of somebody's may use the descriptors that one gives by hand, which are below 10. Chosen.
+# The descriptor of the zip is at least this: setup files may use descriptors given explicitly, which are below 10.
 LOWEST_DESCRIPTOR = 60
-# An engine answers within 0.1 s; one that is just being started takes seconds. Chosen.
+# The time limit for a container engine: it answers within 0.1 s, but needs seconds if it is just being started.
 ENGINE_S = 10
 ENGINES = ("docker", "podman", "nerdctl")
-# What their clients say then.
+# The errors of their clients in that case.
 OF_AN_ENGINE_THAT_IS_DOWN = ("cannot connect to the docker daemon", "cannot connect to podman")
-# Where engines are that the PATH of a login without a terminal may lack.
+# Folders of engines that the PATH of a login without a terminal may lack.
 ENGINE_FOLDERS = ("/usr/local/bin", "/usr/bin", "/snap/bin")
 
-# Runs the bridge from its zip, so that nothing else is in front of it; the working folder is no place for modules. What
-# was sent has to be compiled each time, 0.15 s: a copy of this process does that while this one loads what every bridge
-# needs of ROS (and prints nothing of it into the stream). It was measured to save 0.07 s of 0.8 s. What did not come
-# from there zipimport compiles, and why ROS cannot be loaded the bridge says, when it does so again.
+# Runs the bridge from its zip, first on the path; the working folder is not on it. The modules have to be compiled each
+# time, which takes 0.15 s: a fork does it while this process loads what every bridge needs of ROS (whose output is kept
+# out of the stream). This was measured to save 0.07 s of 0.8 s. zipimport compiles modules that the fork did not
+# deliver, and if ROS cannot be loaded, the bridge reports the reason when it tries again.
 RUN_BRIDGE = """\
 import marshal, os, sys, zipimport
 archive = sys.argv.pop(1)
@@ -90,7 +93,7 @@ main()
 
 
 class Failed(Exception):
-    """Why there is no way on, for the person who asked, and what to do."""
+    """Raised if stage 1 cannot go on: why, for the user, and what to do."""
 
     def __init__(self, message: str, hint: str) -> None:
         super().__init__(message)
@@ -99,7 +102,7 @@ class Failed(Exception):
 
 
 def main() -> None:
-    """Read head and zip, then become the bridge; what goes wrong is told, and ends this."""
+    """Read head and zip, then become the bridge. Report a failure and exit."""
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     signal.alarm(ALARM_S)
     if sys.version_info[:2] < OLDEST_PYTHON:
@@ -124,15 +127,17 @@ def main() -> None:
 
 
 def _become_newer() -> None:
-    """Go on as a newer Python, if one is on PATH behind this one; the alarm goes on, too."""
-    own_text = globals().get("line")  # as it came, from the line of Python that executed this
+    """Go on as a newer Python, if a later one on PATH is newer; the alarm goes on, too."""
+    own_text = globals().get("line")  # as received by the line of Python that executed this
     newer = _newer_python() if own_text else None
     if newer and own_text:
         os.execv(newer, [newer, "-ISc", AGAIN, own_text.decode().strip()])
 
 
 def _newer_python() -> "str | None":
-    """The first Python on PATH that is new enough: by the name `python3`, or with its version."""
+    """Return the first Python on PATH that is new enough, named `python3` or with its
+    version; None if there is none.
+    """
     names = ["python3"] + ["python3.%d" % minor for minor in range(NEWEST_MINOR, OLDEST_PYTHON[1] - 1, -1)]
     folders = [folder for folder in os.environ.get("PATH", os.defpath).split(os.pathsep) if folder] + ["/usr/bin"]
     paths = (shutil.which(name, path=folder) for folder in folders for name in names)
@@ -152,15 +157,15 @@ def _newer_python() -> "str | None":
 
 
 def tell(nonce: str, stage: str, **details: str) -> None:
-    """Write one line to stdout: the marker, the nonce, and what was reached."""
-    text = json.dumps(dict(details, stage=stage))  # which is ASCII, and one line
+    """Write one line to stdout: the marker, the nonce, and the stage reached."""
+    text = json.dumps(dict(details, stage=stage))  # ASCII, in one line
     rest = MARKER + nonce.encode() + b" " + text.encode() + b"\n"
     while rest:
         rest = rest[os.write(1, rest) :]
 
 
 def _read_line() -> bytes:
-    """Without a buffer, which would swallow what comes behind it."""
+    """Read one line from stdin without a buffer, which would swallow the bytes behind it."""
     with open(0, "rb", buffering=0, closefd=False) as stream:
         return stream.readline()
 
@@ -170,22 +175,22 @@ def _read(size: int) -> bytes:
     while len(data) < size:
         piece = os.read(0, size - len(data))
         if not piece:
-            sys.exit(1)  # nobody is there any more
+            sys.exit(1)  # the server is gone
         data += piece
     return data
 
 
 def _memory_file(data: bytes) -> str:
-    """The path of a file that no folder has; it lasts as long as the processes that have it open."""
-    import fcntl  # which a server on Windows, that only reads this file, does not have
+    """Return the path of a file without a folder; it lasts as long as a process has it open."""
+    import fcntl  # not on Windows, where a server only reads this file
 
     try:
         made = os.memfd_create("ros2_mcp_bridge")
-    except (AttributeError, OSError):  # a Python that was built for an older Linux, as those of conda, or no Linux
+    except (AttributeError, OSError):  # a Python built for an older Linux (conda), or no Linux
         folder = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
         with tempfile.TemporaryFile(dir=folder) as file:
             made = os.dup(file.fileno())
-    descriptor = fcntl.fcntl(made, fcntl.F_DUPFD, LOWEST_DESCRIPTOR)  # which children inherit
+    descriptor = fcntl.fcntl(made, fcntl.F_DUPFD, LOWEST_DESCRIPTOR)  # inherited by children
     os.close(made)
     while data:
         data = data[os.write(descriptor, data) :]
@@ -237,7 +242,7 @@ def _enter_container(nonce: str, name: str, words: "list[str]") -> None:
 
 
 def _engine_of(name: str) -> "list[str]":
-    """The words that reach the engine in which this container runs."""
+    """Return the command of the engine in which this container runs. Raise `Failed` if there is none."""
     path = os.pathsep.join([os.environ.get("PATH", ""), *ENGINE_FOLDERS])
     engines = [[found] for found in (shutil.which(engine, path=path) for engine in ENGINES) if found]
     if not engines:

@@ -1,1 +1,1 @@
-"""What crosses between server and bridge: packets, their pieces, the operations, and every limit."""
+"""What crosses between server and bridge: packets, their pieces, the types of requests and replies, and every limit."""

@@ -1,4 +1,4 @@
-"""The packets on the stream between the server and the bridge; both sides use this module.
+"""The packets on the stream between server and bridge; both sides use this module.
 
 A packet is `u32 header length, u32 body length` (big endian), a UTF-8 JSON object, then the raw body.
 """
@@ -19,7 +19,7 @@ _LENGTHS = struct.Struct(">II")
 
 
 class PacketError(Exception):
-    """The stream does not carry a packet where one must begin, or one that is larger than allowed."""
+    """Raised if the stream has no packet where one must begin, or a packet that is too large."""
 
 
 class Packet(NamedTuple):
@@ -30,14 +30,16 @@ class Packet(NamedTuple):
 
 
 def pack(header: Mapping[str, Any], body: bytes = b"") -> bytes:
-    """The bytes of one packet; raises `PacketError` when a part is larger than the receiver accepts."""
+    """Return the bytes of one packet. Raise `PacketError` if a part is larger than the receiver accepts."""
     text = json.dumps(header, separators=(",", ":"), allow_nan=False).encode()
     _check_lengths(len(text), len(body))
     return b"".join((_LENGTHS.pack(len(text), len(body)), text, body))
 
 
 class PacketReader:
-    """Collects pieces of any size and yields whole packets; each byte is copied once, however large the packet is."""
+    """Collects pieces of any size and yields whole packets; each byte is copied once,
+    whatever the size of the packet.
+    """
 
     def __init__(self) -> None:
         self._parts: deque[memoryview] = deque()
@@ -46,10 +48,10 @@ class PacketReader:
         self._needed = _LENGTHS.size
 
     def feed(self, piece: bytes) -> Iterator[Packet]:
-        """The packets that this piece completes.
+        """Yield the packets that this piece completes.
 
         Raises:
-            PacketError: if the stream carries anything but packets; nothing after that can be understood.
+            PacketError: if the stream contains anything but packets; it cannot be read on after that.
         """
         self._parts.append(memoryview(piece))
         self._size += len(piece)
@@ -65,11 +67,11 @@ class PacketReader:
 
     @property
     def is_inside_packet(self) -> bool:
-        """Whether the beginning of a packet waits for its rest."""
+        """Whether only a part of a packet has been received."""
         return bool(self._size or self._lengths)
 
     def _take(self, size: int) -> bytes:
-        """The next bytes of what waits."""
+        """Remove and return the next `size` bytes received."""
         self._size -= size
         taken: list[memoryview] = []
         while size:

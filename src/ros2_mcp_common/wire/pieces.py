@@ -1,8 +1,8 @@
 """Pieces and credit: how large packets share a slow link with small ones. Both sides of the stream use this module.
 
-A large packet is cut into pieces, and only so many bytes of pieces are under way as the other side has not yet
-acknowledged. So little waits in the link itself, however slow it is, and a small packet that is written next arrives
-soon. Pieces belong to a *lane*: the packets of one lane come one after the other, those of different lanes take turns.
+A large packet is cut into pieces, and only a limited number of bytes may be under way without being acknowledged. So
+only little data waits in the link itself, however slow it is, and a small packet that is written next arrives soon.
+Pieces belong to a *lane*: the packets of one lane are sent one after the other, those of different lanes in turns.
 """
 
 from __future__ import annotations
@@ -20,25 +20,26 @@ if TYPE_CHECKING:
 
     from ros2_mcp_common.wire.packets import Packet
 
-# The lane of what is no sample: replies of the bridge, requests of the server. Samples have the number of their
+# The lane of everything but samples: replies of the bridge, requests of the server. Samples use the number of their
 # subscription, which begins at 1.
 LANE_OF_REQUESTS = 0
 
 
-# Above what the link carries in a round trip, so that it shows if it can carry more: by as much the window grows in
-# each. A quarter of a round trip waits in the link then, and a piece, which keeps a slow one busy. Chosen.
+# The window exceeds what the link carries in one round trip by this factor and SPARE_BYTES, which shows whether the
+# link can carry more; the window grows by as much each time. So a quarter of a round trip waits in the link, plus one
+# piece, which keeps a slow link busy.
 GAIN = 1.25
 SPARE_BYTES = PIECE_BYTES
-# The fastest of so long decides how much the link carries: longer than a pause between two pictures, and short enough
-# that a radio which has become slow is noticed. Chosen.
+# The capacity of the link is the highest rate of this last period: longer than the pause between two images, and short
+# enough that a radio link that has become slow is noticed.
 RATE_KEPT_S = 5.0
 
 
 class Credit:
-    """How many bytes of pieces may still be written: so many may be under way and not acknowledged.
+    """How many bytes of pieces may still be written: a limited number may be under way without being acknowledged.
 
-    These are `least_bytes`, or what the link was seen to carry in its shortest round trip, and a little more: with less
-    a fast link far away would stand idle, with more small packets would wait behind large ones.
+    The limit is `least_bytes`, or a little more than the link carried in its shortest round trip. With less, a fast
+    link with a long round trip would idle; with more, small packets would wait behind large ones.
     """
 
     def __init__(self, least_bytes: int, now: Callable[[], float] = time.monotonic) -> None:
@@ -46,10 +47,10 @@ class Credit:
         self._now = now
         self._written = 0
         self._acknowledged = 0
-        # Of each piece under way: the bytes up to its end, when it left, and what had been acknowledged by then.
+        # For each piece under way: the bytes up to its end, when it was written, and the bytes acknowledged by then.
         self._under_way: deque[tuple[int, float, int]] = deque()
         self._rtt_s = 0.0
-        self._rates: deque[tuple[float, float]] = deque()  # when, and bytes per s; the fastest first, later ones slower
+        self._rates: deque[tuple[float, float]] = deque()  # (time, bytes per s), rates descending
 
     @property
     def window_bytes(self) -> int:
@@ -65,12 +66,15 @@ class Credit:
         return self._written - self._acknowledged + PIECE_BYTES <= self.window_bytes
 
     def write(self, size: int) -> None:
-        """A piece of so many bytes is written."""
+        """Record that a piece of `size` bytes is written."""
         self._written += size
         self._under_way.append((self._written, self._now(), self._acknowledged))
 
     def acknowledge(self, total: object) -> None:
-        """The other side has taken so many bytes of pieces in all; raises `PacketError` for what cannot be."""
+        """Record that the other side has taken `total` bytes of pieces in all.
+
+        Raise `PacketError` for an impossible number.
+        """
         if not isinstance(total, int) or not self._acknowledged <= total <= self._written:
             raise PacketError(f"{total!r} bytes were acknowledged, of {self._written} that were written")
         self._acknowledged = total
@@ -81,9 +85,9 @@ class Credit:
             self._learn(*taken)
 
     def _learn(self, end: int, left_s: float, acknowledged: int) -> None:
-        """Take in how long a piece took, and how much was acknowledged in that time."""
+        """Update the shortest round trip and the rates from one acknowledged piece."""
         now = self._now()
-        took_s = max(now - left_s, 1e-6)  # of a clock's ticks
+        took_s = max(now - left_s, 1e-6)  # the clock's resolution
         self._rtt_s = min(self._rtt_s or took_s, took_s)
         rate = (end - acknowledged) / took_s
         while self._rates and self._rates[-1][1] <= rate:
@@ -94,7 +98,7 @@ class Credit:
 
 
 class Cut:
-    """A packet that leaves in pieces; `kind` is how such a packet is marked: `{"op": "piece"}` or `event`."""
+    """A packet that is sent in pieces; `kind` is the key that marks them: `op` for `{"op": "piece"}`, or `event`."""
 
     def __init__(self, kind: str, lane: int, packet: bytes) -> None:
         self._kind = kind
@@ -104,11 +108,11 @@ class Cut:
 
     @property
     def left_bytes(self) -> int:
-        """How much of it has not left."""
+        """How many bytes have not been sent."""
         return len(self._rest)
 
     def take(self) -> tuple[bytes, int]:
-        """The next piece as a packet, and how many bytes of the whole it carries."""
+        """Return the next piece as a packet, and the number of bytes of the whole in it."""
         body, self._rest = bytes(self._rest[:PIECE_BYTES]), self._rest[PIECE_BYTES:]
         header = {self._kind: "piece", "lane": self._lane, **({"begins": True} if self._begins else {})}
         self._begins = False
@@ -116,17 +120,17 @@ class Cut:
 
 
 class Lanes:
-    """Puts packets together again. `taken_bytes` is what the other side is to be told, to be acknowledged."""
+    """Reassembles packets from pieces. `taken_bytes` is the total to be acknowledged to the other side."""
 
     def __init__(self) -> None:
         self.taken_bytes = 0
         self._readers: dict[int, PacketReader] = {}
 
     def feed(self, header: Mapping[str, Any], body: bytes) -> Iterator[Packet]:
-        """The packet that this piece completes, if it does.
+        """Yield the packet that this piece completes, if any.
 
-        One that does not come to its end was given up by whoever sent it, when another begins on its lane. What follows
-        on a lane that was closed here is forgotten.
+        If another packet begins on a lane, the sender has given up the unfinished one before. Pieces on a lane that
+        was closed here are ignored.
 
         Raises:
             PacketError: if it is no piece of a packet.
@@ -148,5 +152,5 @@ class Lanes:
             self.close(lane)
 
     def close(self, lane: int) -> None:
-        """Forget what came of a lane that has ended."""
+        """Forget the unfinished packet of a lane that has ended."""
         self._readers.pop(lane, None)

@@ -1,23 +1,23 @@
-"""What crosses the stream, as types that server and bridge share. docs/reference/stream.md says what it means.
+"""The contents of the stream, as types that server and bridge share. docs/reference/stream.md says what they mean.
 
 A request is `{"id", "op", ...arguments}`; its answer is `{"id", "ok"}` or `{"id", "error"}`. Arguments are checked
-where they are read (`request.Request`); here is the `ok` part of each answer (`…Reply`). The table of operations is in
-`__main__.py` and `operations.py`.
+where they are read (`request.Request`); this module has the `ok` part of each answer (`…Reply`). The table of
+operations is in `__main__.py` and `operations.py`.
 """
 
 from __future__ import annotations
 
 from typing import Literal, NamedTuple, TypedDict
 
-# Said in `hello`; the server refuses a bridge of another number. It grows with every change that an older end of the
-# stream would misunderstand.
+# The version in `hello`; the server rejects a bridge of another version. It grows with every change that an older end
+# of the stream would misunderstand.
 PROTOCOL = 5
 
-# How the names of bridges' nodes begin; the number of the process follows.
+# The prefix of the names of bridges' nodes; the process id follows.
 BRIDGE_NODE = "ros2_mcp_"
 
-# `stopped`: `ros2_stop` came after what is refused or ended with it was accepted; `lapsed`: the link lease lapsed then;
-# `latched`: the latch is set, or was set then.
+# `stopped`, `lapsed` and `latched` mean that after the request was accepted `ros2_stop` was called, the link lease
+# lapsed, or the latch was set. `latched` also means that the latch is set now.
 ErrorKind = Literal[
     "bad_request", "unknown_type", "not_found", "timeout", "cancelled", "stopped", "lapsed", "latched", "server_gone",
     "ros_error", "refused",
@@ -36,7 +36,7 @@ class Failure(TypedDict):
 
 
 class Hello(NamedTuple):
-    """How the bridge introduces itself; on the stream an object of these, with `event` and `protocol`."""
+    """The bridge's first event. On the stream it is an object with these entries, `event` and `protocol`."""
 
     python: str
     distro: str
@@ -48,9 +48,11 @@ class Hello(NamedTuple):
 
 
 class SampleHead(NamedTuple):
-    """One row of a `samples` event. Times are Unix times; `sequence` is None where the middleware tells none.
+    """One row of a `samples` event. Times are Unix times in ns; `sequence` is None if the
+    middleware does not provide it.
 
-    `size` bytes of it are in the body; `whole` is how many it has where those are only its head, else 0.
+    `size` bytes of the message are in the body. If that is only its head, `whole` is the size of
+    the whole message, else 0.
     """
 
     received_ns: int
@@ -61,7 +63,9 @@ class SampleHead(NamedTuple):
 
 
 class Counts(TypedDict):
-    """What became of a subscription's messages; `lost` is None where it cannot be known."""
+    """How many messages of a subscription were received, dropped by the bridge and lost before;
+    `lost` is None if not known.
+    """
 
     received: int
     dropped: int
@@ -69,7 +73,7 @@ class Counts(TypedDict):
 
 
 class Samples(Counts):
-    """The `samples` event; its body is the samples' CDR one after the other."""
+    """The `samples` event; its body is the concatenated CDR of the samples."""
 
     event: Literal["samples"]
     sub: int
@@ -77,7 +81,7 @@ class Samples(Counts):
 
 
 class FrameIdChanged(TypedDict):
-    """The `frame` event: the commands of a velocity topic have another frame from now on; their zero keeps it."""
+    """The `frame` event: the commands on a velocity topic have a new frame, which its zero will use."""
 
     event: Literal["frame"]
     topic: str
@@ -85,8 +89,8 @@ class FrameIdChanged(TypedDict):
 
 
 class RepeatBegun(TypedDict):
-    """The `begun` event: the first message of the repeat of that name has just been sent, or the condition of the
-    `cancel_when` of that name is being asked.
+    """The `begun` event: the first message of the repeat of that name was sent, or the `cancel_when` of that name has
+    begun to evaluate its condition.
     """
 
     event: Literal["begun"]
@@ -94,8 +98,8 @@ class RepeatBegun(TypedDict):
 
 
 class StopperEvent(TypedDict):
-    """The `stopper` event: it has `acted`, as the bridge was stopped or silent; or it was `lost`, and what moved was
-    ended.
+    """The `stopper` event: a stopper has `acted`, because the bridge was suspended or silent, or was `lost`,
+    and all motion was ended.
     """
 
     event: Literal["stopper"]
@@ -104,7 +108,9 @@ class StopperEvent(TypedDict):
 
 
 class Spent(TypedDict):
-    """The `spent` event: one more was used of what the policy allows of that name, by the minute or at a slow rate."""
+    """The `spent` event: one use of that name was counted against the policy's limit per
+    minute, or against a slow rate.
+    """
 
     event: Literal["spent"]
     name: str
@@ -113,14 +119,17 @@ class Spent(TypedDict):
 
 
 class Lapsed(TypedDict):
-    """The `lapsed` event: the server was silent for longer than its link lease, and all that moved was ended."""
+    """The `lapsed` event: the server was silent for longer than its link lease, and all motion was ended."""
 
     event: Literal["lapsed"]
     silent_s: float
 
 
 class LatchSet(TypedDict):
-    """The `latched` event: the latch was set, or found set, by somebody; all that moved was ended."""
+    """The `latched` event: the latch was set, or found to be set, and all motion was ended.
+
+    `own`: this bridge set it in memory, and the latch on the server's machine does not have the setting yet.
+    """
 
     event: Literal["latched"]
     by: str
@@ -129,7 +138,7 @@ class LatchSet(TypedDict):
 
 
 class MotionProgress(TypedDict):
-    """The `motion` event: what can be told now of the motion of that name, by its controller."""
+    """The `motion` event: the current report of the controller of the motion of that name."""
 
     event: Literal["motion"]
     name: str
@@ -137,7 +146,7 @@ class MotionProgress(TypedDict):
 
 
 Told = FrameIdChanged | Lapsed | LatchSet | MotionProgress | RepeatBegun | Spent | StopperEvent
-"""What the bridge tells unasked, beside samples."""
+"""The events of the bridge besides `hello` and samples."""
 
 
 # ── what several operations share ──────────────────────────────────────────────────────────────────────────────
@@ -147,11 +156,11 @@ Keep = Literal["all", "latest"]
 
 
 class Empty(TypedDict):
-    """Nothing to say."""
+    """An `ok` without contents."""
 
 
 class EndpointQoS(TypedDict):
-    """The `qos` of an endpoint; what the middleware does not tell is "unknown", an infinite duration is None."""
+    """The `qos` of an endpoint. "unknown" is what the middleware does not report; None is an infinite duration."""
 
     reliability: str
     durability: str
@@ -175,7 +184,7 @@ class Endpoint(TypedDict):
 
 
 class Cancelled(TypedDict):
-    """Whether the server withdrew it."""
+    """Whether the server cancelled the request."""
 
     cancelled: bool
 
@@ -184,8 +193,8 @@ EndedBy = Literal["", "cancel", "stop", "lease", "latch", "stopper"]
 
 
 class Ended(TypedDict):
-    """What ended it before its time: a request `cancel`, the request `stop`, a link lease that lapsed, the latch, or
-    the death of the stopper.
+    """What ended the request early: a request `cancel`, the request `stop`, a lapsed link lease, the latch,
+    or the death of a stopper.
     """
 
     ended_by: EndedBy
@@ -195,8 +204,10 @@ class Ended(TypedDict):
 
 
 class PingReply(TypedDict):
-    """How long ago the ROS thread went round its loop; the robot's clock when it answered, in ns of Unix time, and the
-    `sent_ns` of the ping. `steady_s` is its steady clock then, which a ping over a network brings back as `heard_s`.
+    """How long ago the ROS thread made its last turn (s), the robot's clock at the answer (Unix time, ns), and
+    the `sent_ns` of the ping.
+
+    `steady_s` is the robot's steady clock then. Over a network, the next ping returns it as `heard_s`.
     """
 
     ros_idle_s: float
@@ -206,20 +217,20 @@ class PingReply(TypedDict):
 
 
 class InterfacesReply(TypedDict):
-    """`package/kind/Name` of all that the ament index lists."""
+    """The names `package/kind/Name` of all interfaces in the ament index."""
 
     interfaces: list[str]
 
 
 class Definition(TypedDict):
-    """The text of an interface, and how it is written: `msg`, `srv`, `action` or `idl`."""
+    """The text of an interface definition and its format: `msg`, `srv`, `action` or `idl`."""
 
     format: str
     text: str
 
 
 class DefinitionsReply(TypedDict):
-    """The definitions by type, with all that they refer to."""
+    """The definitions by type, including all types that they refer to, and the types that were not found."""
 
     definitions: dict[str, Definition]
     missing: list[str]
@@ -235,36 +246,36 @@ class Settled(TypedDict):
 
 
 NOT_COUNTED = -1
-"""In the place of a topic's numbers, where there are more topics than were to be counted."""
+"""Stands for the counts of a topic if there are more topics than were to be counted."""
 
 
 class TopicsReply(Settled):
-    """Names, types, and numbers of publishers and subscribers; and the names and namespaces of all nodes."""
+    """The topics (name, types, counts of publishers and subscribers), and the names and namespaces of all nodes."""
 
     topics: list[tuple[str, list[str], int, int]]
     nodes: list[tuple[str, str]]
 
 
 class CountedReply(TypedDict):
-    """The numbers of publishers and subscribers of each topic, in the order in which they were asked for."""
+    """The counts of publishers and subscribers of each topic, in the order of the request."""
 
     counted: list[tuple[int, int]]
 
 
 class ServicesReply(Settled):
-    """Names and types."""
+    """The names and types of services."""
 
     services: NamesAndTypes
 
 
 class NodesReply(Settled):
-    """Names and namespaces."""
+    """The names and namespaces of nodes."""
 
     nodes: list[tuple[str, str]]
 
 
 class NodeReply(TypedDict):
-    """Names and types of what it publishes, subscribes, serves and calls."""
+    """The names and types of a node's publishers, subscribers, service servers and service clients."""
 
     publishers: NamesAndTypes
     subscribers: NamesAndTypes
@@ -273,13 +284,13 @@ class NodeReply(TypedDict):
 
 
 class ServersReply(TypedDict):
-    """Names and namespaces of the nodes that serve a service."""
+    """The names and namespaces of the nodes that serve a service."""
 
     servers: list[tuple[str, str]]
 
 
 class EndpointsReply(Settled):
-    """Who publishes and who subscribes."""
+    """The publishers and subscribers of a topic."""
 
     publishers: list[Endpoint]
     subscribers: list[Endpoint]
@@ -295,22 +306,25 @@ class SubscribeReply(TypedDict):
 
 
 class PolicyReply(TypedDict):
-    """The rules that hold from now on."""
+    """The digest of the rules now in force."""
 
     digest: str
 
 
 class Guarded(TypedDict):
-    """How long it waited for the stopper, and in words why it went on without one; "" where it did not."""
+    """How long the request waited for the stoppers (s), and why it went on without one ("" if it did not)."""
 
     stopper_s: float
     unguarded: str
 
 
 class PublishReply(Guarded):
-    """How many got it, and how many of them are this server's own; `acked` is None where somebody acknowledges nothing.
-    `limited` is 1 where less was sent than was asked for; `hold_s` is after how long the policy sends the zero, 0 where
-    it does not. `endpoints` is how many publishers and subscribers the topic has afterwards, whoever they are.
+    """How many subscribers matched, how many of them are this server's own (`ours`), and whether
+    all acknowledged (`acked`).
+
+    `acked` is None if a subscriber does not acknowledge. `limited` is 1 if the values were reduced to the policy's
+    limits. `hold_s` is the time after which the policy sends the zero, 0 if it does not. `endpoints` are the counts of
+    all publishers and subscribers of the topic afterwards.
     """
 
     matched: int
@@ -324,7 +338,7 @@ class PublishReply(Guarded):
 
 
 class RepeatReply(Ended, Guarded):
-    """What was sent; `limited` is of how many messages less was sent than was asked for."""
+    """The result of a repeat; `limited` counts the messages whose values were reduced to the policy's limits."""
 
     sent: int
     matched: int
@@ -336,8 +350,8 @@ class RepeatReply(Ended, Guarded):
 
 
 class MotionReply(RepeatReply):
-    """What ended a motion, in a word and a sentence, both "" where `ended_by` says it; and what its controller tells of
-    it at the end.
+    """The result of a motion: what ended it, as a word and a sentence, both "" if `ended_by` says it; and its
+    controller's last report.
     """
 
     outcome: str
@@ -346,8 +360,10 @@ class MotionReply(RepeatReply):
 
 
 class RelayCounts(Guarded):
-    """What became of the messages of a relay; `refused` are what the policy holds back, and velocities that are not
-    finite or cannot be decoded; of `limited` less was sent than came.
+    """The counts of a relay.
+
+    `refused`: held back by the policy, or velocities that are not finite or cannot be decoded. `limited`: values
+    were reduced to the limits.
     """
 
     running: bool
@@ -362,37 +378,37 @@ class RelayCounts(Guarded):
 
 
 class RelayEnd(RelayCounts):
-    """The same, when it has ended."""
+    """The counts of a relay that has ended."""
 
     final_sent: bool
 
 
 class RelayReply(RelayEnd, Ended):
-    """The same, when it is answered."""
+    """The answer to a relay request, at its end."""
 
 
 class RelayFeedReply(TypedDict):
-    """How many have passed so far."""
+    """How many messages have passed so far."""
 
     passed: int
 
 
 class RelaysReply(TypedDict):
-    """Those that are open, by name."""
+    """The relays in progress, by name."""
 
     relays: dict[str, RelayCounts]
 
 
 class RelayStopReply(TypedDict):
-    """How many were ended."""
+    """How many relays were ended."""
 
     relays: int
 
 
 class StoppedTopic(TypedDict):
-    """A velocity topic that got its zero; `acked` is None where somebody acknowledges nothing.
+    """A velocity topic to which the zero was sent; `acked` is None if a subscriber does not acknowledge.
 
-    `problem` says in words why nothing could be sent that ends the motion; "" where it was.
+    `problem` says why no message that ends the motion could be sent; "" if it was sent.
     """
 
     topic: str
@@ -403,13 +419,13 @@ class StoppedTopic(TypedDict):
 
 
 class ZeroReply(TypedDict):
-    """What became of the zeros."""
+    """The outcome of the zeros by topic."""
 
     topics: list[StoppedTopic]
 
 
 class StopReply(ZeroReply):
-    """How many requests were ended, and what was accepted before and never left: operation and name of each."""
+    """How many requests were ended, and which accepted requests were dropped before they left: (operation, name)."""
 
     repeats: int
     relays: int
@@ -417,8 +433,9 @@ class StopReply(ZeroReply):
 
 
 class JointsReply(TypedDict):
-    """How joints move, by name: position in rad or m, and speed per second; None where nobody tells it. What is not
-    heard of is left out.
+    """The state of joints by name: position in rad or m, and speed per second (None if not reported).
+
+    Joints without a measurement are omitted.
     """
 
     joints: dict[str, tuple[float, float | None]]
@@ -428,15 +445,16 @@ class JointsReply(TypedDict):
 
 
 class CallReply(TypedDict):
-    """How long it took; the body is the CDR of the response."""
+    """How long the call took, in s; the body is the CDR of the response."""
 
     waited_s: float
     elapsed_s: float
 
 
 class CancelWhenReply(TypedDict):
-    """After what time the condition was met, and what it was asked of (`asking.Asking.report`); the body is the CDR of
-    the response to the request to cancel.
+    """After what time the condition was met (s), and the messages on which it was evaluated (`asking.Asking.report`).
+
+    The body is the CDR of the response to the cancel request.
     """
 
     met_s: float
@@ -447,7 +465,7 @@ class CancelWhenReply(TypedDict):
 
 
 class StatsReply(TypedDict):
-    """What the bridge holds."""
+    """The resources in use by the bridge."""
 
     publishers: int
     subscriptions: int
