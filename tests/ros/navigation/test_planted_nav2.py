@@ -93,7 +93,8 @@ def said(agent: Agent, **arguments: Any) -> list[str]:
 
 def test_nothing_is_found_while_it_is_well_beside_decoys_and_the_answer_is_short(agent: Agent) -> None:
     assert said(agent) == []
-    assert len(agent.whole("ros2_nav_check", {}).content[0].text.encode()) <= 1500
+    told: Any = agent.whole("ros2_nav_check", {}).content[0]
+    assert len(told.text.encode()) <= 1500
     assert "Nav2: 9 of 9 active" in str(agent.call("ros2_robot")["stacks"])
 
 

@@ -83,7 +83,7 @@ def odometry(ahead: float = 0.0, child: str = "base_link") -> Any:
 
 def heard(name: str, kind: str, by: Sequence[str], messages: Sequence[Any] = (), **more: Any) -> dict[str, Heard]:
     rows = [(NOW_NS + number * 100_000_000, message, more.pop("writer", 1)) for number, message in enumerate(messages)]
-    given = {"count": len(rows), "duration_s": 2.0, **more}
+    given: dict[str, Any] = {"count": len(rows), "duration_s": 2.0, **more}
     return {name: Heard(topic=name, type=kind, nodes=by, messages=rows, **given)}
 
 
@@ -179,7 +179,7 @@ def test_a_multiplexer_that_lacks_the_input_is_named() -> None:
 
 
 def test_who_sends_beside_nav2_is_a_cause_and_who_only_may_is_none() -> None:
-    parts = {"parameters": {}, "diagnostics": ()}
+    parts: dict[str, Any] = {"parameters": {}, "diagnostics": ()}
     rival = both("/cmd_vel", topic(*CHAIN[2]), topic("/cmd_vel", TWIST, ["/teleop"], []))
     rows = [*made(*CHAIN[:2]), rival, topic(*CHAIN[3])]
     silent = heard("/cmd_vel", TWIST, ["/collision_monitor", "/teleop"])
