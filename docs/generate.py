@@ -23,6 +23,7 @@ from ros2_mcp.tools import TOOLS, ToolDeclaration
 ROOT = Path(__file__).resolve().parents[1]
 REFERENCE = ROOT / "docs/reference/tools.md"
 SETTINGS = ROOT / "docs/reference/settings.md"
+EXAMPLES = ROOT / "docs/reference/examples.json"
 SNAPSHOT = ROOT / "tests/house/snapshots/tools.json"
 
 RISKS = {"read": "reads", "write": "writes", "actuate": "can move the robot", "stop": "stops the robot"}
@@ -118,7 +119,7 @@ def section(tool: Tool, declaration: ToolDeclaration) -> str:
     if declaration.aliases:
         also = ", ".join(f"`{alias}` for `{name}`" for alias, name in sorted(declaration.aliases.items()))
         parts.append(f"Also accepted: {also}.")
-    parts += ["Result:", result_text(declaration), results(tool.output_schema or {})]
+    parts += ["Result:", result_text(declaration), results(tool.output_schema or {}), example(tool.name)]
     return "\n\n".join(part.strip("\n") for part in parts if part) + "\n"
 
 
@@ -142,6 +143,16 @@ def result_text(declaration: ToolDeclaration) -> str:
     result = declaration.signature().return_annotation
     text = inspect.cleandoc(result.__doc__ or "")
     return "" if text.startswith(f"{result.__name__}(") else text
+
+
+def example(name: str) -> str:
+    """A call of the tool, and what a simulated robot answered (docs/examples.py); empty where there is none."""
+    for said in json.loads(EXAMPLES.read_text("utf-8")):
+        if said["tool"] == name:
+            call = f"{name} {json.dumps(said['arguments'], ensure_ascii=False)}"
+            with_picture = ", with a picture" if said["picture"] else ""
+            return f"For example{with_picture}:\n\n```text\n{call}\n\n{said['text']}\n```"
+    return ""
 
 
 def walk(schema: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Mapping[str, Any], bool]]:

@@ -10,10 +10,17 @@ from pathlib import Path
 
 import pytest
 
+from support.demo_robot import build_interfaces
 from support.raw_server import RawServer
 
 CHOOSES_GRAPH = ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY")
 SERVER = [sys.executable, "-m", "ros2_mcp"]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def nothing_is_built_later(prefixes):
+    """The robot builds what is missing in a process that outlives it, and a test that ends first."""
+    build_interfaces(later=True)
 
 
 @pytest.fixture

@@ -119,6 +119,16 @@ def test_the_answer_to_an_end_follows_the_last_samples() -> None:
     assert packets[1].header == {"id": 8, "ok": {"received": 1, "dropped": 0, "lost": None}}
 
 
+def test_that_answer_counts_what_was_sent_before_it_though_it_came_after_the_question() -> None:
+    outbox, queue = Outbox(), SampleQueue(1, 10, 1000)
+    outbox.add_samples(queue, samples_of(b"before"))
+    outbox.reply_after_samples(queue, 8, 0, is_last=False)
+    outbox.add_samples(queue, samples_of(b"after"))
+    packets = written_with_samples(outbox, 2)
+    assert len(packets[0].header["samples"]) == 2
+    assert packets[1].header["ok"]["received"] == 2
+
+
 def test_without_samples_that_answer_goes_at_once() -> None:
     outbox, queue = Outbox(), SampleQueue(1, 10, 1000)
     outbox.reply_after_samples(queue, 8, 0)
