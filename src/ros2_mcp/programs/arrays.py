@@ -240,7 +240,7 @@ def _object(use: Use, name: str, value: Any, type_name: str, needed: Sequence[st
     fields = cast("Mapping[str, Any]", value)
     if missing := [each for each in (*needed, "data") if each not in fields]:
         hint = "Read it without fields." if "_topic" in fields else ""
-        raise BadInput(f"robot.{name} takes a message of {type_name}, which has {missing[0]}.", hint)
+        raise BadInput(f"robot.{name} takes a message of {type_name}: this one has no field {missing[0]}.", hint)
     data = use.held.get(fields["data"])
     try:
         if isinstance(data, (bytes, bytearray)):

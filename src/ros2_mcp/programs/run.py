@@ -95,7 +95,7 @@ async def run(
     if len(text) > MOST_CHARACTERS:
         raise BadInput(f"The program has {len(text)} characters; at most {MOST_CHARACTERS} are taken.")
     if not text.strip():
-        raise BadInput("There is no program.", 'Such as: import robot\nprint(robot.latest("/odom")["_age_s"])')
+        raise BadInput("`program` is empty.", 'Such as: import robot\nprint(robot.latest("/odom")["_age_s"])')
     program = Program(robot, session, programs, text, given, timeout_s, is_rehearsal=dry_run)
     said = 0
 

@@ -79,7 +79,7 @@ FromStart = Annotated[
     TimeArgument(),
     Field(description='Start: ISO 8601, UNIX time, "last 30 s", "12 s in".'),
 ]
-UpToEnd = Annotated[str, BeforeValidator(_as_text), TimeArgument(), Field(description="Like start.")]
+UpToEnd = Annotated[str, BeforeValidator(_as_text), TimeArgument(), Field(description="End, in the forms of start.")]
 RecordedTime = Annotated[
     str,
     BeforeValidator(_as_text),

@@ -39,9 +39,9 @@ async def ros2_drive(
     session: Session,
     report: Report,
     distance_m: Annotated[Number | None, Field(description="Metres ahead; negative: back.")] = None,
-    angle_deg: Annotated[Number | None, Field(description="Degrees to turn on the spot; positive: left.")] = None,
+    angle_deg: Annotated[Number | None, Field(description="Degrees to turn in place; positive: left.")] = None,
     radius_m: Annotated[Number | None, Field(description="With angle_deg: radius (m) of an arc ahead.")] = None,
-    speed: Annotated[Number | None, Field(description="m/s; on the spot °/s.")] = None,
+    speed: Annotated[Number | None, Field(description="Speed in m/s; in °/s when it turns in place.")] = None,
     guard_m: Annotated[
         Number | None,
         Field(description="Metres kept free ahead of the outline; default 0.2, 0: off."),
@@ -98,7 +98,7 @@ async def ros2_move_until(
     command_topic: VelocityTopic = "",
     odometry: OdometryTopic = "",
 ) -> until.MovedUntil:
-    """Move at a velocity until a message of a topic meets a condition, checked beside the robot; then stop.
+    """Move at a velocity until a message on a topic meets a condition, checked on the robot's side; then stop.
 
     The robot pauses while the topic or odometry is late; the motion ends when one falls silent. If the condition is
     already met, nothing moves.

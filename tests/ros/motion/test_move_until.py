@@ -34,7 +34,7 @@ def asked(base: str, **how: Any) -> dict[str, Any]:
     return {"command_topic": f"{base}/cmd_vel", **given, **how}
 
 
-@pytest.mark.promise("ros2_move_until", "until a message of a topic meets a condition, checked beside the robot")
+@pytest.mark.promise("ros2_move_until", "until a message on a topic meets a condition, checked on the robot's side")
 def test_it_is_stopped_by_the_message_that_meets_the_condition(agent: Agent, robot: CommandedProcess) -> None:
     _, state = until_near(agent, robot)
     assert state["zero_at"] > max(state["near_at"], state["moved_at"]) > 0

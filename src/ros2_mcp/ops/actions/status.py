@@ -85,7 +85,7 @@ class KnownGoals:
 
     def summary(self) -> str:
         """One line."""
-        return f"{counted(len(self.goals), 'goal')} of {counted(len(self.actions), 'action')}. {self.note}".rstrip()
+        return f"{counted(len(self.goals), 'goal')}; {counted(len(self.actions), 'action')} known. {self.note}".rstrip()
 
 
 async def states_now(robot: Robot, action: str, within_s: float = _LATCHED_S) -> list[GoalState]:

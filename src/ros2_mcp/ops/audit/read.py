@@ -67,7 +67,8 @@ class AuditExcerpt:
 
     def summary(self) -> list[str]:
         """A line for each of the newest."""
-        return [f"{counted(len(self.acts), 'act')} of this client in the audit, head {self.head}.", *self.shown]
+        entries = counted(len(self.acts), "audit entry", "audit entries")
+        return [f"{entries} for this client; end of the chain: {self.head}.", *self.shown]
 
 
 async def read(robot: Robot, session: Session, limit: int = 50) -> AuditExcerpt:

@@ -76,7 +76,7 @@ class PlayRequest:
 class PlaybackState:
     """A playback. `state` is `playing`, `ended`, `stopped` or `failed`; `late_s` how far it lags behind its rhythm.
 
-    It has come to the recorded time `at`, which is `seconds_in` after the bag's beginning.
+    `at` is the playback position as a recorded time, `seconds_in` the same as an offset from the start of the bag.
     """
 
     playback_id: str

@@ -116,11 +116,11 @@ JointsEnd = Literal["reached", "silent", "time_out", "failed", "rejected", "nobo
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JointsMoved:
-    """What a move of joints came to.
+    """The result of a joint motion.
 
-    `outcome` is `reached`, or what ended it: `silent` (joint states), `time_out`, `failed` (the controller gave up),
-    `rejected`, `nobody_listens`, `ended` (by a stop or the like); `note` says why. `way` is the action or topic that it
-    went through.
+    `outcome` is `reached`, or why the motion ended early: `silent` (no joint states), `time_out`, `failed` (the
+    controller aborted it), `rejected`, `nobody_listens` (no subscriber), `ended` (by a stop, for example); `note` says
+    more. `way` is the action or topic that was used.
     """
 
     outcome: JointsEnd = field(metadata=SAID)
@@ -139,9 +139,9 @@ class JointsMoved:
     def summary(self) -> str:
         """One line."""
         moved = ", ".join(
-            f"{named(one.name)} {one.measured:.3f} of {one.target:.3f} {one.unit}" for one in self.joints[:8]
+            f"{named(one.name)} at {one.measured:.3f} {one.unit} (target {one.target:.3f})" for one in self.joints[:8]
         )
-        return f"{self.outcome}: {moved} in {self.elapsed_s:.1f} s. {self.note}".rstrip()
+        return f"{self.outcome} in {self.elapsed_s:.1f} s: {moved}. {self.note}".rstrip()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

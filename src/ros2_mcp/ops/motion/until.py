@@ -89,7 +89,11 @@ class MovedUntil:
 
     def summary(self) -> str:
         """One line."""
-        way = "" if self.distance_m is None else f" It moved {self.distance_m:.2f} m by {named(self.odometry_topic)}."
+        way = (
+            ""
+            if self.distance_m is None
+            else f" The robot moved {self.distance_m:.2f} m by {named(self.odometry_topic)}."
+        )
         outcome = f"{'is met' if self.met else 'was not met'} after {self.elapsed:.2f} s ({told_values(self.values)})"
         return f"{named(self.topic_name)}: {self.condition} {outcome}.{way} {self.note}".rstrip()
 

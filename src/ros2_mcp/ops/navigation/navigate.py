@@ -192,7 +192,10 @@ class Navigation(Job):
         self._goal = robot.jobs.get(Goal, sent.goal_id)
         self.begun()
         if self._goal is None:
-            raise NotFound("This server no longer knows the goal.", "ros2_action_status shows it.")
+            raise NotFound(
+                "This server no longer tracks that goal.",
+                "ros2_action_status lists the goals that action servers still report.",
+            )
         ended = await self._ended(self._goal)
         if self.watch.recoveries:
             self._note(recovered_by=self.watch.recoveries)

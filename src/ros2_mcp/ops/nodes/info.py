@@ -77,7 +77,7 @@ class NodeInfo:
         who = f"{self.node} (this server)" if self.ours else self.node
         return (
             f"{who} publishes {len(self.publishes)} and subscribes to {len(self.subscribes)} topics, "
-            f"offers {len(self.services)} services and {len(self.actions)} actions.{has}{state}"
+            f"offers {counted(len(self.services), 'service')} and {counted(len(self.actions), 'action')}.{has}{state}"
             f"{hidden if self.left_out else ''}{'' if self.settled else unsettled}"
         )
 

@@ -28,7 +28,7 @@ _SHORT_BYTES = 1000
 _MAX_NAMED = 5
 """Parameters that are named in a summary, which is one line."""
 _LONG_HINT = "left_out gives the length; ros2_parameter_get with its name and whole=true returns it."
-_WHOLE_HINT = "Name it and give whole=true to read it."
+_WHOLE_HINT = "Call again with that parameter's name and whole=true."
 _OF_EVERY_NODE: Mapping[str, Any] = {"use_sim_time": False, "start_type_description_service": True}
 """What rclcpp and rclpy declare for each node, with its default."""
 _OVERRIDES = "qos_overrides."
@@ -109,7 +109,7 @@ class Dump:
     def summary(self) -> str:
         """One line."""
         count = counted(len(self.parameters), "parameter")
-        declared = f" {len(self.not_set)} declared, but not set." if self.not_set else ""
+        declared = f" {len(self.not_set)} declared without a value." if self.not_set else ""
         line = f"{self.node}: {count}, {len(self.read_only)} read-only.{declared} {self.note}".rstrip()
         if not self.left_out:
             return line
