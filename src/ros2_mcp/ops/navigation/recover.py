@@ -113,7 +113,7 @@ async def _clear(robot: Robot, session: Session, what: str, report: Report) -> N
     notes: list[str] = []
     for which, (service,) in chosen.items():
         before = await _occupied(robot, which, 0.0)
-        answer = await call(robot, session, service, CLEAR, {}, force_call=True, report=report)
+        answer = await call(robot, session, service, CLEAR, {"request": {}}, force_call=True, report=report)
         after = await _occupied(robot, which, _SETTLES_S)
         told.append(f"{which.capitalize()} costmap: {_cells(before)} before, {_cells(after)} after.")
         notes.append(answer.note)
