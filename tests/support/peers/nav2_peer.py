@@ -124,6 +124,7 @@ class Nav2:
         self._states = dict.fromkeys(SERVERS, "active")
         self._hold(held)
         self._cancels.clear()
+        time.sleep(10 * STEP_S)  # until transforms and odometry from there have come
 
     def hold(self, polygon: str) -> None:
         """Has the collision monitor hold for a polygon; "" lets go."""

@@ -43,6 +43,8 @@ _GRID_S = 2.5
 """Nav2 publishes a costmap once a second."""
 _SETTLES_S = 1.2
 """After a clearing, until the next costmap has come, with what the sensors see now."""
+_TRANSFORMS_S = 0.3
+"""Until the transforms of where a move ended have come: they are sent ten times a second and more."""
 _OCCUPIED = 99
 """Costs of an OccupancyGrid that are inscribed or lethal."""
 
@@ -113,7 +115,7 @@ async def _clear(robot: Robot, session: Session, what: str, report: Report) -> N
     notes: list[str] = []
     for which, (service,) in chosen.items():
         before = await _occupied(robot, which, 0.0)
-        answer = await call(robot, session, service, CLEAR, {}, force_call=True, report=report)
+        answer = await call(robot, session, service, CLEAR, {"request": {}}, force_call=True, report=report)
         after = await _occupied(robot, which, _SETTLES_S)
         told.append(f"{which.capitalize()} costmap: {_cells(before)} before, {_cells(after)} after.")
         notes.append(answer.note)
@@ -171,6 +173,7 @@ async def _move(robot: Robot, session: Session, what: str, amount: float | None,
     ended = await send_goal(
         robot, session, action, MOVES[what], goal, wait_for_result=True, timeout_s=allowed_s + _SPARE_S, report=report
     )
+    await asyncio.sleep(_TRANSFORMS_S)
     after = await whereabouts(robot, "odom")
     return NavRecovered(
         done=f"{what} {amount:g} {unit}",
