@@ -127,7 +127,6 @@ ROVER = (
     Example("ros2_list_actions"),
     Example("ros2_nav_check"),
     Example("ros2_nav_preview", {"to": {"x": 1.0, "y": 0.0}}),
-    Example("ros2_nav_recover", {"what": "clear_global"}),
     Example("ros2_place_set", {"name": "dock", "x": 0.0, "y": 0.0, "yaw_deg": 0}),
     Example("ros2_place_list"),
     Example("ros2_navigate", {"to": "dock"}),

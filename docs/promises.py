@@ -66,7 +66,7 @@ NO_PROMISES: Mapping[str, Mapping[str, Sequence[str]]] = {
             "Software can send a zero",
             "only the robot can stand still",
             "Other publishers",
-            "Motion that is neither a velocity nor a goal",
+            "Motion that is neither a velocity, nor a joint trajectory, nor a goal",
             "A machine that dies, or a group of processes",
             "What is left is the time-out",
             "A middleware that blocks the bridge",

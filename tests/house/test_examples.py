@@ -6,8 +6,8 @@ from pathlib import Path
 from generate import served_tools
 
 EXAMPLES = json.loads((Path(__file__).parents[2] / "docs/reference/examples.json").read_text("utf-8"))
-WITHOUT = {"ros2_get_pointcloud_as_bev", "ros2_nav_localize"}
-"""No simulated robot publishes point clouds, or takes an initial pose."""
+WITHOUT = {"ros2_get_pointcloud_as_bev"}
+"""No simulated robot publishes point clouds."""
 
 
 def test_every_tool_has_an_example() -> None:

@@ -37,6 +37,6 @@ def test_one_line_says_what_ended_it_and_how_far_it_came() -> None:
         note="A zero command was sent at the end.",
     )
     assert moved.summary() == (
-        "/scan: nearest(-20, 20) < 0.6 is met after 3.00 s (nearest(-20, 20) = 0.59). It moved 0.58 m by /odom. "
+        "/scan: nearest(-20, 20) < 0.6 is met after 3.00 s (nearest(-20, 20) = 0.59). The robot moved 0.58 m by /odom. "
         "A zero command was sent at the end."
     )
