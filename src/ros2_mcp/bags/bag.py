@@ -55,7 +55,7 @@ class Bag:
 
     @property
     def problems(self) -> list[str]:
-        """What is damaged or missing, in sentences, as far as it is known yet."""
+        """Sentences about damaged or missing data, as far as known yet."""
         of_files = [problem for file in self._files for problem in file.problems]
         return [*self._unfinished, *self._problems, *of_files, *odd_times_in_words(self._odd_times)]
 

@@ -58,7 +58,7 @@ class McapFile:
             self._note(problem)
         self.unfinished = [f"{path.name}: {problem}" for problem in self._index.unfinished]
         self._holes: dict[int, Hole] = {}  # by the offset of the chunk
-        # By the offset of the chunk; only chunks that have been read once, whose damage is noted already.
+        # Keyed by the offset of the chunk; only chunks that have been read once, whose damage is noted already.
         self._read: dict[int, Mapping[int, Written]] = {}
         self._places = [*self._index.chunks, *self._index.loose]
         self._sorted: dict[bool, Sequence[ChunkPlace]] = {}  # by `newest_first`

@@ -1,4 +1,4 @@
-"""Which files of a folder form one recording: those listed in `metadata.yaml`, or whose names differ in `_N` alone."""
+"""Group the files of a folder into recordings: by `metadata.yaml`, or by names that differ in `_N` alone."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ class StoredTopic:
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """Which messages to read: of these topics (None: all), from `start_ns` to before `end_ns`."""
+    """The messages to read: of these topics (None: all), from `start_ns` to before `end_ns`."""
 
     topics: Collection[str] | None = None
     start_ns: int = 0
@@ -72,7 +72,7 @@ class Hole:
 
     @property
     def words(self) -> str:
-        """What is lost, in words: `messages from … to … are lost`."""
+        """The loss in words: `messages from … to … are lost`."""
         of = ""
         if self.topics:
             names = sorted(self.topics)
@@ -109,7 +109,7 @@ class OddTimes:
 
     @property
     def back_words(self) -> str:
-        """Where times go backwards: `at message 57 by 12.3 s, to 2026-…`; empty if they do not."""
+        """Description of times that go backwards: `at message 57 by 12.3 s, to 2026-…`; empty if they do not."""
         if not self.backs:
             return ""
         first = f"at message {self.number} " if self.number else ""

@@ -102,11 +102,11 @@ class Command(Generic[R]):
     risk: Risk = "actuate"
 
     ACT: ClassVar[str]
-    """What the command does, as the beginning of a sentence with its fields: `Publishing on {0.name}`."""
+    """The action, as the beginning of a sentence with the command's fields: `Publishing on {0.name}`."""
 
     @property
     def act(self) -> str:
-        """What the command does: `Publishing on /cmd_vel`."""
+        """The action in words: `Publishing on /cmd_vel`."""
         return self.ACT.format(self)
 
 

@@ -92,12 +92,11 @@ class TopicEndpoints:
 class RelayCounts:
     """The outcome so far of the messages of one relay in the bridge.
 
-    `passed` were published. `dropped` came faster than the relay's rate or were discarded by our bounds. `lost` is None
-    if the middleware cannot know. `matched` subscribers and `publishers` are the present ones. After the end,
-    `final_sent` is whether the zero was sent, and `ended_by` the reason for an early end. `refused` were rejected by
-    the policy, or are velocities that are not finite or cannot be decoded; `limited` were sent with reduced values.
-    `stopper_s` is how long the first message waited for the stopper, `unguarded` the reason why it continued without
-    one.
+    `passed` were published, `limited` of them with reduced values. `dropped` were held back by the relay's rate.
+    `refused` were rejected by the policy, or are velocities that are not finite or cannot be decoded. `lost` is None if
+    the middleware cannot know. `matched` subscribers and `publishers` are the present ones. After the end, `final_sent`
+    is whether the zero was sent, and `ended_by` the reason for an early end. `stopper_s` is how long the first message
+    waited for the stopper, `unguarded` the reason why it continued without one.
     """
 
     running: bool = False

@@ -62,7 +62,7 @@ class RobotPlace(Place):
 
 @dataclass(frozen=True, slots=True)
 class BirdEyeOptions:
-    """How to draw a cloud from above: metres per pixel, the part shown, and the colours.
+    """Options for drawing a cloud from above: metres per pixel, the part shown, and the colours.
 
     A limit of None means all heights, or, for x and y, the extent of the points without outliers. `color_mode` is
     `intensity`, `height` or `rgb`, `colormap` is `jet` or `gray`.

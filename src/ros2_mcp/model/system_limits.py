@@ -13,7 +13,7 @@ if sys.platform != "win32":
     import resource
 
 _OF_RUST = re.compile(r"\(os error (\d+)\)")
-"""How libraries written in Rust, such as the sandbox, print the number of a system error."""
+"""The notation of system errors in libraries written in Rust, such as the sandbox."""
 _FILES = (errno.EMFILE, errno.ENFILE)
 _MEMORY = "This machine has no more memory for this server."
 _DISK = "The disk is full."

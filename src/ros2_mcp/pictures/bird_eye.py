@@ -34,7 +34,7 @@ _FEW = 20
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BirdEyeNumbers:
-    """What a picture shows, in numbers.
+    """Scale, extent and colours of a picture in numbers.
 
     Pixel (left_px + column, top_px + row) has its corner at (x_min + column · m, y_max - row · m), where m is
     `metres_per_pixel`; pixels outside of that area are axes. `color_low` and `color_high` are the values at the ends of

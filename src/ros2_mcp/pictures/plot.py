@@ -79,7 +79,7 @@ class Panel:
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """What to draw.
+    """The panels to draw, with title and x axis.
 
     With `equal`, x and y have the same scale; with `ends`, a ring marks the start of a curve and a disc its end.
     """

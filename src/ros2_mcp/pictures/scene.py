@@ -80,7 +80,7 @@ class Mark:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scene:
-    """What is drawn, all in the frame `frame`, in metres: points and lines are n × 2.
+    """The content of a scene, all in the frame `frame`, in metres: points and lines are n × 2.
 
     `x` and `y` are the ranges shown. `footprint` is the outline of the robot, `limbs` are its links moved by joints,
     the lowest first; `path_names` are the names of `paths`.

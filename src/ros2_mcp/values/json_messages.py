@@ -101,7 +101,7 @@ _Part: TypeAlias = "tuple[str, str, FieldType, _Plan | None]"
 
 @dataclass
 class _Plan:
-    """How to convert the JSON objects of one shape."""
+    """The conversion of JSON objects of one shape."""
 
     structure: Structure
     parts: list[_Part] = field(default_factory=list[_Part])

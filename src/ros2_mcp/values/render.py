@@ -49,7 +49,7 @@ _UNLIMITED = 2**31
 
 @dataclass(frozen=True, slots=True)
 class RenderOptions:
-    """How much to show.
+    """Limits and form of the JSON.
 
     Arrays longer than `max_array` and strings longer than `max_string` (characters) become summaries. If the JSON text
     is still longer than `max_bytes`, both are lowered step by step, then deeply nested messages are omitted. `fields`

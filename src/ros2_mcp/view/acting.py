@@ -33,8 +33,8 @@ _TAIL_BYTES = 96_000
 class StoppedServer:
     """A server that was asked to stop: whether it answered, and its report.
 
-    `is_doubted`: it answered without confirming that the robot is at rest. `is_observed_still`: odometry or joint
-    states nevertheless showed the robot at rest.
+    `is_doubted`: it answered without confirming that the robot is at rest, or its version cannot report this.
+    `is_observed_still`: odometry or joint states nevertheless showed the robot at rest.
     """
 
     name: str

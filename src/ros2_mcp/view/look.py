@@ -69,7 +69,7 @@ class Chunks:
 
 @dataclass(frozen=True, slots=True)
 class PageContext:
-    """What the panels of one page share.
+    """The context shared by the panels of one page.
 
     `source` is the live robot, or the whole recording; packages with meshes are searched below `prefixes`, besides the
     ones that this process finds anyway.

@@ -1,4 +1,4 @@
-"""The markers of all topics with their poses: live those received since the view opened, else since the start."""
+"""The markers of all topics with their poses: live those received since the page shows them, else since the start."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class MarkerTopics:
         unique."""
 
     async def run(self, robot: Robot) -> None:
-        """Subscribe to the topics that are looked at, until cancelled."""
+        """Subscribe to the topics that a page shows, until cancelled."""
         async with anyio.create_task_group() as tasks:
             while True:
                 await self._wanted.wait()

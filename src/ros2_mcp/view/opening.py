@@ -23,7 +23,7 @@ _OTHERS = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OpeningRequest:
-    """What to show: topics, a `kind` if their types do not determine it, and `fields` of the first one for a plot.
+    """The selection to show: topics, a `kind` if their types do not determine it, and `fields` of the first for a plot.
 
     `bag` is the name of the recording, and `at_s` a time in it (Unix time, s).
     """

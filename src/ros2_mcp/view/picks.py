@@ -1,4 +1,4 @@
-"""What the person has picked on a page: a place on the map, a point in 3D, a box in a picture, a time in a plot."""
+"""A person's picks on a page: a place on the map, a point in 3D, a box in a picture, a time in a plot."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ Kind = Literal["place", "point", "box", "time"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PickedValue:
-    """One curve of a plot at a time."""
+    """The value of one curve of a plot at a time."""
 
     name: str
     value: float
@@ -87,7 +87,7 @@ class Pick:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PickedInBrowser:
-    """What was picked on a page of `ros2-mcp view`, of `subject`, and when (Unix time, s)."""
+    """The picks on a page of `ros2-mcp view` that shows `subject`, and their time (Unix time, s)."""
 
     subject: str
     at_s: float

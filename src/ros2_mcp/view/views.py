@@ -65,7 +65,7 @@ class UpdateRequest:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PageState:
-    """What one page shows, or showed when it was closed: a line for each visible panel, and what was picked.
+    """The content of one page now, or when it was closed: a line for each visible panel, and the picks.
 
     `asked_at` is the time of its last request (Unix time, s), `who` the client that opened it.
     """

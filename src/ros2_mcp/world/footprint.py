@@ -20,7 +20,7 @@ Point = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class Reach:
-    """How far a footprint extends from the base's origin in metres: along +x, -x, +y, -y, and the largest distance."""
+    """Extent of a footprint from the base's origin in metres: along +x, -x, +y, -y, and the largest distance."""
 
     front_m: float
     rear_m: float
@@ -120,7 +120,7 @@ def unmeasured(urdf: Urdf, base: str) -> Sequence[str]:
 
 
 def reach(points: Sequence[Point]) -> Reach | None:
-    """Return how far a footprint extends; None for an empty one."""
+    """Return the extent of a footprint; None for an empty one."""
     if not points:
         return None
     x, y = [point[0] for point in points], [point[1] for point in points]

@@ -13,7 +13,7 @@ from typing import TypeVar
 from ros2_mcp.model.poses import Pose, angle_between_rad, between
 
 KEPT_NS = 30_000_000_000
-"""How long a live tree keeps transforms. tf2 keeps 10 s; an agent asks some seconds after it saw something."""
+"""Duration for which a live tree keeps transforms. tf2 keeps 10 s; an agent asks some seconds after an event."""
 _JUMP_NS = 2_000_000_000
 """A stamp that goes back by more is not just late: localisations stamp up to 1 s ahead, and networks delay less."""
 _FASTEST = 10.0
@@ -105,7 +105,7 @@ class Edge:
     rejected, `refused_parent` its parent, `refused_writer` its publisher, and `refused_ns` its time of receipt. `jumps`
     are those of the stamps. `is_left`: the edge is static and its publisher has ended, so that nodes that start later
     do not receive it. `on_static` is whether the last transform came on /tf_static. `slashed` are the names as
-    published, if they have a leading slash; `frozen` counts the last messages in a row whose stamp did not advance.
+    published, if they have a leading slash; `frozen` counts the last messages in a row that repeated an earlier stamp.
     """
 
     def __init__(self, child: str) -> None:
@@ -245,7 +245,7 @@ class Edge:
 
     @property
     def bursts(self) -> Bursts | None:
-        """Whether and how messages arrive in bursts with pauses, although their stamps are evenly spaced; None if not.
+        """The bursts in which messages arrive, although their stamps are evenly spaced; None if they arrive evenly.
 
         Two pauses are evidence if they make up most of the time. So are so many messages at once that they cannot have
         been sent when they were measured, which shows already in the first burst.
@@ -394,7 +394,7 @@ class Edge:
         steps.told, steps.before, steps.speed = told, steps.speed or (0.0, 0.0), speed
 
     def forget(self, keep: int, around_ns: int | None, kept_ns: int = KEPT_NS) -> None:
-        """Drop the oldest transforms, or, if there is a time of interest, those farthest from it, down to `keep`."""
+        """Drop the oldest transforms beyond `keep` or `kept_ns`; with `around_ns` those farthest from that time."""
         if around_ns is None:
             gone = max(len(self.moving) - keep, bisect_left(self.stamps, self.stamps[-1] - kept_ns), 0)
             del self.moving[:gone], self.stamps[:gone]

@@ -32,7 +32,8 @@ class LimbSeen:
     """A limb seen from above.
 
     `outline` is that of its shapes (empty if they have no size), and `bone` the line from the origin of the link that
-    holds it to its own origin (None if the pose of that link is not known), in m. `top_m` is its height.
+    holds it to its own origin (None if the pose of that link is not known), in m. `top_m` is the z of its highest
+    point.
     """
 
     outline: Sequence[Point]

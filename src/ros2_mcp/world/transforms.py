@@ -39,7 +39,7 @@ OTHER_CLOCK_NS = 60_000_000_000
 _STANDS_NS, _STANDS_PERIODS = 1_000_000_000, 5
 """All stamps are frozen if none advances for a second, and for five periods of the edge with the highest rate."""
 _UNIT = 0.01
-"""How far the squared length of a quaternion may be from 1; tf2 rejects larger deviations."""
+"""Tolerance of the squared length of a quaternion from 1; tf2 rejects larger deviations."""
 
 
 _PARTS = (*(f"translation.{axis}" for axis in "xyz"), *(f"rotation.{axis}" for axis in "xyzw"))
@@ -276,7 +276,7 @@ class FrameTree:
 
     @property
     def clock_ns(self) -> int:
-        """How far the stamps are behind the receiver's clock, if they are from another clock; else 0.
+        """Delay of the stamps behind the receiver's clock in ns, if they are from another clock; else 0.
 
         This is so with simulated time, and while a bag is played.
         """

@@ -73,8 +73,8 @@ class Limits:
     """Limits of one joint: positions in rad (m if prismatic), `velocity` per s, `effort` in N m (N).
 
     A position is None if it has no limit, the others if the description does not give them. Soft limits of a
-    `safety_controller` take precedence. If a limit is written but is not a number, `known` is false and both positions
-    are 0, so that no motion is allowed.
+    `safety_controller` apply if they are narrower. If a limit is written but is not a number, `known` is false and both
+    positions are 0, so that no motion is allowed.
     """
 
     lower: float | None = None

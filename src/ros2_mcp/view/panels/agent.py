@@ -38,7 +38,7 @@ class AgentPanel(Panel):
         self._asked_at = 0.0
         self._servers: list[Mapping[str, Any]] = []
         self._waited: dict[str, float] = {}
-        """When each request was last seen waiting."""
+        """The time at which each request was last seen waiting."""
         self._why = ""
         self._jobs: dict[str, Mapping[str, Any]] = {}
         self._ended: list[Mapping[str, Any]] = []

@@ -83,7 +83,7 @@ class ImagePanel(Panel):
             self._depths.append((topic, iso_time(told_ns), message))
 
     async def depth_within(self, topic: str, at: str, box: Sequence[int]) -> tuple[float | None, str]:
-        """Return the depth in a box of an image that was shown at that time; None and a reason if it is not known.
+        """Return the depth in a box of an image that was shown at that time; None, and a reason if known.
 
         If that image is no longer kept, because the page is slow, the next one is used, and the text says so.
         """

@@ -11,7 +11,7 @@ from ros2_mcp.view.look import Content, Look, Panel
 
 _MOST_LINES, _MOST_LINE_BYTES = 120, 40_000
 _BEFORE_NS = 60_000_000_000
-"""For a recording, the log of the minute before the time shown is returned."""
+"""Part of a recording's log that is shown: the minute before the time shown."""
 
 
 class LogPanel(Panel):

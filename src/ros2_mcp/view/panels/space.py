@@ -101,7 +101,7 @@ class SpacePanel(Panel):
         }
 
     async def beside(self, robot: Robot) -> None:
-        """Subscribe to markers while they are looked at, and read the meshes of a new description."""
+        """Subscribe to markers while a page shows them, and read the meshes of a new description."""
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(self._markers.run, robot)
             while True:
