@@ -82,7 +82,7 @@ class Bag:
 
     @property
     def times(self) -> tuple[int, int] | None:
-        """Unix times in nanoseconds of the first and the last message; None if there is none."""
+        """Unix times in ns of the first and the last message; None if the bag is empty."""
         spans = [file.times for file in self._files if file.times]
         return (min(first for first, _ in spans), max(last for _, last in spans)) if spans else None
 
@@ -110,7 +110,7 @@ class Bag:
     def last(self, topic: str, most: int, span: Span | None = None) -> list[Sample]:
         """Return the last `most` messages of a topic before the span's end, oldest first.
 
-        Read from the end of the bag.
+        Only the end of the bag is read.
         """
         span = replace(span or Span(), topics=(topic,))
         newest = [sample for _, sample in islice(self.messages(span, newest_first=True), most)]
@@ -212,7 +212,7 @@ class Bag:
     def _merged_topics(self) -> Mapping[str, StoredTopic]:
         """Return each topic as in the newest file with messages of it.
 
-        A missing definition is taken from an older file.
+        If that file has no definition of the topic, the definition of an older file is used.
         """
         found: dict[str, StoredTopic] = {}
         newest_first = [topic for file in reversed(self._files) for topic in file.topics.values()]

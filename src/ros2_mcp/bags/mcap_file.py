@@ -127,7 +127,7 @@ class McapFile:
         return odd_times(order, {number: channel.topic for number, channel in self._index.channels.items()})
 
     def close(self) -> None:
-        """Closes the file."""
+        """Close the file."""
         self._file.close()
 
     def _read_times(self) -> tuple[int, int] | None:

@@ -17,7 +17,7 @@ _STEM = re.compile(r"(?P<stem>.*?)(?:_\d+)?(?:\.mcap|\.db3)(?:\.zstd)?", re.DOTA
 _OF_RING = re.compile(r"(?P<stem>box)_\d{8}T\d{6}_\d{9}_0\.mcap")
 """The files of a black box, whose names have their start times (`ring.py`)."""
 _MOST_NAMED = 10
-"""Recordings that an error names."""
+"""Most recordings that an error names."""
 
 
 def recordings_in(folder: Path, *, as_whole: bool = True) -> list[Path]:

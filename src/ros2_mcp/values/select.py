@@ -87,9 +87,9 @@ def parse_fields(definitions: Definitions, type_name: str, paths: Sequence[str])
 
 
 def numeric_fields(definitions: Definitions, type_name: str) -> list[str]:
-    """Return the paths of all single numbers, also in nested messages (`twist.linear.x`), but not in arrays.
+    """Return the paths of all single numbers, also in nested messages: `twist.linear.x`.
 
-    No booleans.
+    Numbers in arrays, and booleans, are excluded.
     """
     return list(_numbers(definitions, type_name, only_single=True))
 

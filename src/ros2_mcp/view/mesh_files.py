@@ -129,9 +129,9 @@ def _prefixes(given: Sequence[Path]) -> list[Path]:
 
 
 def _below(folder: Path) -> list[Path]:
-    """Return the folder if it is a prefix.
+    """Return the prefixes at or directly below a folder.
 
-    Else the packages of an isolated workspace, or the installations in a folder.
+    The folder may be a prefix, an isolated workspace with one prefix per package, or contain several installations.
     """
     if folder.is_file():  # a setup file
         folder = folder.parent

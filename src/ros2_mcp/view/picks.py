@@ -48,12 +48,12 @@ class PickedValue:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pick:
-    """What a person has picked. `time` is that of the data that was picked, `age_s` how old it was then.
+    """One pick of a person. `time` is that of the picked data, `age_s` how old the data was when picked.
 
-    A `place` on the map and a `point` of a cloud or scan have metres in `frame`, a point also `in_m` of `in_frame`,
-    the frame in which the view shows it; a `box` has `pixels` (left, top, right, bottom, these within) `of_pixels`
-    (width, height), and of a depth image the median `depth_m` there; a `time` of a plot has `values`. `about` says
-    more.
+    A `place` on the map and a `point` of a cloud or scan have metres in `frame`; a point also has `in_m`, its position
+    in `in_frame`, the frame of the view. A `box` has `pixels` (left, top, right, bottom, inclusive) of an image of size
+    `of_pixels` (width, height), and in a depth image the median `depth_m`. A `time` of a plot has `values`. `about` is
+    a further description.
     """
 
     kind: Kind

@@ -113,7 +113,7 @@ class _Shown:
 
 
 class View:
-    """One open page."""
+    """The state of one open page: its panels, their selections, and the picks."""
 
     def __init__(self, robot: Robot, source: Source, panels: Sequence[Panel], chunks: Chunks) -> None:
         self.id = secrets.token_hex(16)

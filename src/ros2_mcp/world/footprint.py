@@ -40,10 +40,7 @@ def outline(urdf: Urdf, base: str) -> Sequence[Point]:
 
 
 def heights(urdf: Urdf, base: str) -> tuple[float, float] | None:
-    """Return the least and the greatest z of the same links in the frame `base`, in metres.
-
-    None if they have no size.
-    """
+    """Return the least and the greatest z of the links of `outline`, in metres of `base`; None if they have no size."""
     z = [at[2] for at in _points(urdf, base)]
     return (min(z), max(z)) if z else None
 

@@ -20,9 +20,9 @@ UNIX_FROM_NS = 10**18
 
 
 def stamp_in_words(stamp_ns: int, began_ns: int | None = None) -> str:
-    """Return a stamp as a time, in a recording with the seconds since its start.
+    """Format a stamp as a time, in a recording with the seconds since its start.
 
-    Or in seconds if it is no calendar time.
+    A stamp that is no calendar time is given in seconds.
     """
     return recorded_time(stamp_ns, began_ns) if stamp_ns >= UNIX_FROM_NS else f"{stamp_ns / 1e9:.3f} s of its clock"
 

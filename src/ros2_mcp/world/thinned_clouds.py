@@ -73,9 +73,9 @@ def packed(message: Any, most: int = MOST_POINTS) -> PackedCloud:
 
 
 def _thinned(xyz: NDArray[np.float64], most: int) -> tuple[NDArray[np.intp], float]:
-    """Return the indices of the points to keep and the cell size.
+    """Return the indices of the points to keep, and the cell size in m.
 
-    Always the first point of a cell, to avoid flicker.
+    The first point of each cell is kept, so that stationary objects do not flicker.
     """
     if len(xyz) <= most:
         return np.arange(len(xyz)), 0.0

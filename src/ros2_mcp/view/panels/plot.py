@@ -84,7 +84,7 @@ class _Rows:
     def told(self) -> Mapping[str, Any]:
         """Return all rows: `bulk` has time and values of each as little-endian 64-bit floats.
 
-        NaN is a missing value.
+        NaN means that the message lacks the value, infinity that the value is not finite.
         """
         rows = [(at, *values) for at, values in zip(self.times, self.values, strict=True)]
         packed = b"".join(struct.pack(f"<{len(row)}d", *row) for row in rows)
