@@ -194,7 +194,7 @@ class Bag:
         if not opened:
             raise BadData(f"{self.path.name} cannot be read: {' '.join(self._problems)}")
         if is_without and not all(isinstance(file, McapFile) and not file.unfinished for file in opened):
-            self._unfinished.append(NOT_CLOSED)  # a file of MCAP that has its footer was closed
+            self._unfinished.append(NOT_CLOSED)  # an MCAP file with a footer was closed
         readable = {file.path for file in opened}
         self._holes += [_hole_of(path, opened) for path in paths if path not in readable]
         if facts:

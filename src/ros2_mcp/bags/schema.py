@@ -35,7 +35,7 @@ def definitions_in(type_name: str, encoding: str, text: str) -> dict[str, Defini
     found: dict[str, DefinitionText] = {}
     flat: dict[str, str] = {}
     for name, kind, part in _parts(type_name, encoding, text):
-        if kind == "msg" and is_derived(name) and _SIDES.search(part):  # rosbag2 has the service for its events
+        if kind == "msg" and is_derived(name) and _SIDES.search(part):  # rosbag2 stores the service for its events
             found[defining_type(name)] = DefinitionText("srv", part)
         elif kind == "msg" and is_derived(name):
             flat[name] = part
