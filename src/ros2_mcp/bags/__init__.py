@@ -1,1 +1,1 @@
-"""Recordings as bytes: writing and reading MCAP and rosbag2 folders. Knows topics, types and times, no values."""
+"""Read and write recordings (MCAP files, rosbag2 folders) as bytes: topics, types and times, but no field values."""

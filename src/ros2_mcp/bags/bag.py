@@ -1,4 +1,4 @@
-"""A bag: a rosbag2 folder, or a single file, as one sequence of messages."""
+"""A bag: a rosbag2 folder or a single file, read as one sequence of messages."""
 
 from __future__ import annotations
 
@@ -22,23 +22,25 @@ from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import named
 
 StoredFile: TypeAlias = McapFile | SqliteFile
-"""One file of a bag. A new kind has what these two have: `topics`, `times`, `count`, `counts`, `messages`, `check`,
-`odd_times`, `close`, and `problems` with their `holes`, which grow while damage is found; damage never makes what is
-read wrong. `unfinished` are the problems that a file has while it is being written."""
+"""One file of a bag. A new kind of file needs the interface of these two classes: `topics`, `times`, `count`, `counts`,
+`messages`, `check`, `odd_times`, `close`, and `problems` with their `holes`. `problems` and `holes` grow while damage
+is found; damage never changes the messages that are returned. `unfinished` are the problems that every file has while
+it is being written."""
 _SQLITE_START = b"SQLite format 3"
 
 
 class Bag:
-    """A bag, open for reading. `problems` say what is damaged or missing, and grow while more of it is found.
+    """A bag, open for reading. `problems` lists what is damaged or missing; it grows as reading finds more.
 
-    Messages come in the order of time over all files; each file is read only as far as it is needed. A topic has one
-    type and definition, those of the newest file with messages of it: what other files have by another is left out.
-    `former` is the same bag as it was before: files that have not changed since are not looked through again.
+    Messages are returned in the order of time over all files; each file is read only as far as needed. A topic has one
+    type and definition, those of the newest file with messages of the topic; messages with another type or definition
+    in other files are omitted. `former` is the same bag as opened before: files that have not changed since are not
+    scanned again.
 
     Raises:
         NotFound: if there is no bag at that path.
-        BadData: if nothing of it can be read.
-        Locked: if another program is writing to it just now.
+        BadData: if no file of the bag can be read.
+        Locked: if another program is writing to the bag.
     """
 
     def __init__(self, path: Path, former: Bag | None = None) -> None:
@@ -53,41 +55,47 @@ class Bag:
 
     @property
     def problems(self) -> list[str]:
-        """What is damaged or missing, as far as it is known yet."""
+        """Sentences about damaged or missing data, as far as known yet."""
         of_files = [problem for file in self._files for problem in file.problems]
         return [*self._unfinished, *self._problems, *of_files, *odd_times_in_words(self._odd_times)]
 
     @property
     def unfinished(self) -> list[str]:
-        """The problems that are none as long as it is being recorded."""
+        """The problems that are expected while the bag is still being recorded."""
         return [*self._unfinished, *(problem for file in self._files for problem in file.unfinished)]
 
     @property
     def holes(self) -> list[Hole]:
-        """The times of messages that are lost, as far as it is known yet; at the end only up to the last message."""
+        """The time ranges of lost messages, as far as they are known yet.
+
+        Losses after the last message are not listed.
+        """
         begins_ns = [file.times[0] for file in self._files if file.times]
         found: list[Hole] = []
         for hole in (*self._holes, *(hole for file in self._files for hole in file.holes)):
             later_ns = [at_ns for at_ns in begins_ns if at_ns > hole.start_ns]
             if hole.end_ns < FOREVER:
                 found.append(hole)
-            elif later_ns:  # it ends where the next file begins
+            elif later_ns:  # this hole ends where the next file begins
                 found.append(replace(hole, end_ns=min(later_ns)))
         return found
 
     @property
     def times(self) -> tuple[int, int] | None:
-        """Unix times in nanoseconds of the first and the last message; None if there is none."""
+        """Unix times in ns of the first and the last message; None if the bag is empty."""
         spans = [file.times for file in self._files if file.times]
         return (min(first for first, _ in spans), max(last for _, last in spans)) if spans else None
 
     @property
     def size(self) -> int:
-        """Bytes of all files."""
+        """Size of all files in bytes."""
         return sum(path.stat().st_size for path in files_of(self.path))
 
     def messages(self, span: Span | None = None, newest_first: bool = False) -> Iterator[tuple[str, Sample]]:
-        """Topic and message, in the order of time or in its reverse; what several files of a ring have comes once."""
+        """Return topic and message in the order of time, or newest first.
+
+        A message that is in several files of a ring is returned once.
+        """
         span = span or Span()
         sources: list[Iterator[tuple[str, Sample]]] = []
         for file, left_out in zip(self._files, self._left_out, strict=True):
@@ -100,13 +108,19 @@ class Bag:
         return _merged(sources, newest_first)
 
     def last(self, topic: str, most: int, span: Span | None = None) -> list[Sample]:
-        """The last messages of a topic (before the span's end), the oldest first; read from the end of the bag."""
+        """Return the last `most` messages of a topic before the span's end, oldest first.
+
+        Only the end of the bag is read.
+        """
         span = replace(span or Span(), topics=(topic,))
         newest = [sample for _, sample in islice(self.messages(span, newest_first=True), most)]
         return newest[::-1]
 
     def counts(self) -> dict[str, int]:
-        """Messages of each topic in all files together; in SQLite files an entry of each message is read for it."""
+        """Return the number of messages of each topic over all files.
+
+        For SQLite files this reads an index entry per message.
+        """
         total: dict[str, int] = {}
         for file, left_out in zip(self._files, self._left_out, strict=True):
             for name, count in file.counts().items():
@@ -115,14 +129,17 @@ class Bag:
         return total
 
     def check(self, for_s: float) -> bool:
-        """Reads on, to find damage, for so long; whether all has been read. What was read once is not read again."""
+        """Read on for at most `for_s` seconds to find damage; return whether everything has been read.
+
+        What was read once is not read again.
+        """
         until_s = monotonic() + for_s
         is_read = all(file.check(until_s) for file in self._files)
         self.odd_times(for_s)
         return is_read
 
     def odd_times(self, for_s: float = 0.2) -> Mapping[str, OddTimes]:
-        """What is odd about the times of its messages, by topic, as far as that is known after so long."""
+        """Return irregular message times by topic, as far as they are found within `for_s` seconds."""
         until_s = monotonic() + for_s
         found: dict[str, OddTimes] = {}
         for file in self._files:
@@ -132,11 +149,14 @@ class Bag:
         return found
 
     def known_files(self) -> dict[Path, McapFile]:
-        """The MCAP files that were looked through. What SQLite files say may change while they stay the same."""
+        """Return the MCAP files that have been scanned.
+
+        SQLite files are excluded: their contents may change in place.
+        """
         return {file.path: file for file in self._files if isinstance(file, McapFile)}
 
     def close(self) -> None:
-        """Closes all files."""
+        """Close all files."""
         for file in self._files:
             file.close()
 
@@ -147,7 +167,10 @@ class Bag:
         self.close()
 
     def _open(self, former: Bag | None) -> list[StoredFile]:
-        """Every file that can be read, and notes the others, and what the folder's metadata counts and is not there."""
+        """Open every readable file.
+
+        Note the others as problems, and what `metadata.yaml` lists but the folder lacks.
+        """
         paths = files_of(self.path)
         facts, is_without = read_metadata(self.path) if self.path.is_dir() else None, False
         if isinstance(facts, str):
@@ -171,7 +194,7 @@ class Bag:
         if not opened:
             raise BadData(f"{self.path.name} cannot be read: {' '.join(self._problems)}")
         if is_without and not all(isinstance(file, McapFile) and not file.unfinished for file in opened):
-            self._unfinished.append(NOT_CLOSED)  # a file of MCAP that has its footer was closed
+            self._unfinished.append(NOT_CLOSED)  # an MCAP file with a footer was closed
         readable = {file.path for file in opened}
         self._holes += [_hole_of(path, opened) for path in paths if path not in readable]
         if facts:
@@ -187,7 +210,10 @@ class Bag:
         return opened
 
     def _merged_topics(self) -> Mapping[str, StoredTopic]:
-        """Each topic as the newest file with messages of it has it; where that has no definition, with an older one."""
+        """Return each topic as in the newest file with messages of it.
+
+        If that file has no definition of the topic, the definition of an older file is used.
+        """
         found: dict[str, StoredTopic] = {}
         newest_first = [topic for file in reversed(self._files) for topic in file.topics.values()]
         for topic in sorted(newest_first, key=lambda topic: topic.count == 0):
@@ -197,7 +223,10 @@ class Bag:
         return found
 
     def _misfits(self) -> list[frozenset[str]]:
-        """Of each file the topics whose bytes mean something else there than in the newest one; noted as problems."""
+        """Return for each file the topics whose type or definition conflicts with the newest file.
+
+        Note them as problems.
+        """
         misfits = [[topic for topic in file.topics.values() if not self._fits(topic)] for file in self._files]
         conflicts = [topic for topics in misfits for topic in topics if topic.count != 0]
         for name in sorted({topic.name for topic in conflicts}):
@@ -210,7 +239,7 @@ class Bag:
         return [frozenset(topic.name for topic in topics) for topics in misfits]
 
     def _fits(self, topic: StoredTopic) -> bool:
-        """Whether its bytes mean the same as in the newest file; comments and spacing make no other definition."""
+        """Return whether a topic's bytes mean the same as in the newest file; comments and spacing are ignored."""
         newest = self.topics[topic.name]
         if newest.type != topic.type or topic.form == "json" or not topic.definition or not newest.definition:
             return newest.type == topic.type
@@ -218,7 +247,7 @@ class Bag:
 
 
 def _open_file(path: Path, compression: str) -> StoredFile:
-    """Opens it as what it is, whatever its name says; raises as `McapFile` and `SqliteFile`."""
+    """Open a file by its content, not its name; raises the errors of `McapFile` and `SqliteFile`."""
     if why := of_ros_1(path):
         raise BadData(why)
     with path.open("rb") as file:
@@ -243,7 +272,7 @@ def _open_file(path: Path, compression: str) -> StoredFile:
 
 
 def _hole_of(missing: Path, opened: Sequence[StoredFile]) -> Hole:
-    """What a file had that is missing: between what the files before and after it have."""
+    """Return the hole of a missing file: from the end of the file before it to the start of the one after it."""
     before = [file.times[1] for file in opened if file.times and order_of(file.path) < order_of(missing)]
     after = [file.times[0] for file in opened if file.times and order_of(file.path) > order_of(missing)]
     start_ns = max(before, default=0)
@@ -251,10 +280,10 @@ def _hole_of(missing: Path, opened: Sequence[StoredFile]) -> Hole:
 
 
 def _merged(sources: list[Iterator[tuple[str, Sample]]], newest_first: bool) -> Iterator[tuple[str, Sample]]:
-    """The messages of several files in the order of time.
+    """Yield the messages of several files in the order of time.
 
-    Without the copies of latched messages with which the files of a ring begin: the same message of a topic again, and
-    of another file than the one before.
+    Skips the copies of latched messages with which the files of a ring begin: a message equal to the previous one of
+    its topic, but from another file.
     """
 
     def numbered(number: int, messages: Iterator[tuple[str, Sample]]) -> Iterator[tuple[int, str, Sample]]:

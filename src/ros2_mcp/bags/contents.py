@@ -1,4 +1,4 @@
-"""What a channel of a file holds, decided once, where the file is opened: encoding, type name and definition."""
+"""Decide, when a file is opened, what each of its channels contains: encoding, type name and definition."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ _JSON = "json"
 _DEFINITION_ENCODINGS = ("ros2msg", "ros2idl")
 _TYPE = re.compile(r"([A-Za-z]\w*)/(?:(msg|srv|action)/)?([A-Za-z]\w*)", re.ASCII)
 _DDS_TYPE = re.compile(r"(\w+)::(msg|srv|action)::(?:dds_::(\w+)_|(\w+))", re.ASCII)
-"""As DDS calls the types of ROS 2: `std_msgs::msg::dds_::String_`."""
+"""Type names as in DDS: `std_msgs::msg::dds_::String_`."""
 _ROS_1 = ("ros1", "ros1msg")
 
 
 def stored_topic(
     name: str, type_name: str, encoding: str, definition: str, *, serialization: str, qos: str = ""
 ) -> StoredTopic:
-    """A topic as the reader of a file found it.
+    """Return a topic, with names and encodings normalised from what the reader of a file found.
 
     Args:
-        name: the topic's name as it stands in the file.
-        type_name: the name of its type or schema; empty where the file gives none.
-        encoding: what the definition is written in: `ros2msg`, `ros2idl`, `jsonschema`, `protobuf` and others.
-        definition: the definition, or an empty text.
-        serialization: how its messages are encoded: `cdr`, `json`, `protobuf`, `ros1` and others.
-        qos: the text of rosbag2 about its publishers.
+        name: the topic's name, as in the file.
+        type_name: the name of its type or schema; empty if the file has none.
+        encoding: the format of the definition: `ros2msg`, `ros2idl`, `jsonschema`, `protobuf` and others.
+        definition: the definition, or an empty string.
+        serialization: the encoding of its messages: `cdr`, `json`, `protobuf`, `ros1` and others.
+        qos: rosbag2's text with the QoS of the publishers.
     """
     if serialization == _CDR and encoding not in _ROS_1 and type_name:
         if encoding not in _DEFINITION_ENCODINGS:
@@ -43,7 +43,7 @@ def stored_topic(
 
 
 def why_unreadable(topic: StoredTopic) -> tuple[str, str]:
-    """Why the values of a topic of the form `other` cannot be read, and what can be done.
+    """Explain why the values of a topic of form `other` cannot be read.
 
     Returns:
         A sentence that names the encoding, and a hint.
@@ -63,7 +63,7 @@ _CONVERTED = "Convert the ROS 1 recording: rosbags-convert --src NAME.bag --dst 
 
 
 def _ros_type(written: str) -> str:
-    """`std_msgs/String` and `std_msgs::msg::dds_::String_` are `std_msgs/msg/String`; what is no such name stays."""
+    """Convert `std_msgs/String` or `std_msgs::msg::dds_::String_` to `std_msgs/msg/String`; keep other names."""
     if match := _DDS_TYPE.fullmatch(written):
         return f"{match[1]}/{match[2]}/{match[3] or match[4]}"
     match = _TYPE.fullmatch(written.replace(".", "/"))

@@ -1,4 +1,4 @@
-"""Reads one MCAP file. Every chunk is checked before a message of it is given out."""
+"""Read one MCAP file. Every chunk is verified before any of its messages is returned."""
 
 from __future__ import annotations
 
@@ -26,26 +26,28 @@ from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import named
 
 _Item: TypeAlias = "tuple[int, int, int, int, Sample]"
-"""A message that was read: its time, where its chunk is and its number in it (all for sorting), its channel, itself."""
+"""A message that was read: time, offset of its chunk, position in the chunk (all three are the sort key), channel,
+sample."""
 
 
 _LOOKED_INTO = 64
-"""Chunks with messages at time 0 that are read to open a file. Mostly it is the first: the clock had not begun."""
+"""Number of chunks with messages at time 0 that are read to open a file. Usually only the first chunk has such
+messages, from before the clock was running."""
 
 
 class McapFile:
-    """One MCAP file, open for reading. `times` are the Unix times of its first and last message; None if it has none.
+    """One MCAP file, open for reading. `times` are the Unix times (ns) of its first and last message, or None.
 
     Raises:
-        BadData: if there is nothing in it that can be read.
-        OSError: if it cannot be opened.
+        BadData: if nothing in the file can be read.
+        OSError: if the file cannot be opened.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.problems: list[str] = []
         self._file = path.open("rb")
-        weakref.finalize(self, self._file.close)  # as soon as nobody reads this state of the file any more
+        weakref.finalize(self, self._file.close)  # closed when no reader refers to this version of the file any more
         self._version = _version(os.fstat(self._file.fileno()))
         try:
             self._index = read_index(self._file, self._file.seek(0, 2))
@@ -55,38 +57,38 @@ class McapFile:
         for problem in self._index.problems:
             self._note(problem)
         self.unfinished = [f"{path.name}: {problem}" for problem in self._index.unfinished]
-        self._holes: dict[int, Hole] = {}  # by the place of the chunk
-        # By the place of the chunk, of those that have been read once: what is wrong with them is noted.
+        self._holes: dict[int, Hole] = {}  # by the offset of the chunk
+        # Keyed by the offset of the chunk; only chunks that have been read once, whose damage is noted already.
         self._read: dict[int, Mapping[int, Written]] = {}
         self._places = [*self._index.chunks, *self._index.loose]
-        self._sorted: dict[bool, Sequence[ChunkPlace]] = {}  # by whether the newest come first
+        self._sorted: dict[bool, Sequence[ChunkPlace]] = {}  # by `newest_first`
         self.topics: Mapping[str, StoredTopic] = self._read_topics()
         self.times: tuple[int, int] | None = self._read_times()
 
     @property
     def is_current(self) -> bool:
-        """Whether the file is still as it was when its index was read."""
+        """Return whether the file is unchanged since its index was read."""
         return _version(self.path.stat()) == self._version
 
     @property
     def holes(self) -> list[Hole]:
-        """The times of messages that are lost, as far as it is known yet."""
+        """The time ranges of lost messages, as far as they are known yet."""
         return [*self._index.holes, *self._holes.values()]
 
     @property
     def count(self) -> int | None:
-        """How many messages the index speaks of."""
+        """Number of messages according to the index."""
         return sum((self._index.counts or {}).values())
 
     def counts(self) -> dict[str, int]:
-        """Messages of each topic."""
+        """Return the number of messages of each topic."""
         return {topic.name: topic.count or 0 for topic in self.topics.values()}
 
     def messages(self, span: Span, newest_first: bool = False) -> Iterator[tuple[str, Sample]]:
-        """Topic and message in the order of time; only the chunks that are needed are read, a few at a time.
+        """Yield topic and message in the order of time; only the chunks that are needed are read, a few at a time.
 
-        Chunks may overlap in time. So messages that have been read wait until no chunk that follows can have an earlier
-        one (with `newest_first`, a later one).
+        Chunks may overlap in time. Therefore messages are held back until no following chunk can have an earlier one
+        (with `newest_first`, a later one).
         """
         wanted = self._wanted(span.topics)
         sign = -1 if newest_first else 1
@@ -104,11 +106,14 @@ class McapFile:
                 (sign * sample.received_ns, sign * place.offset, sign * number, channel, sample)
                 for number, (channel, sample) in enumerate(self._messages_at(place, span, wanted))
             ]
-            waiting.sort()  # no two have the same place and number, so samples are never compared
+            waiting.sort()  # place and number are unique, so samples are never compared
         yield from [(wanted[item[3]], item[4]) for item in waiting]
 
     def check(self, until_s: float) -> bool:
-        """Reads what has not been read yet, to find damage, until that steady time; whether all has been read."""
+        """Read the remaining chunks until the monotonic time `until_s` to find damage.
+
+        Return whether all have been read.
+        """
         for place in self._places:
             if place.offset not in self._read:
                 if monotonic() >= until_s:
@@ -117,16 +122,16 @@ class McapFile:
         return True
 
     def odd_times(self, until_s: float) -> dict[str, OddTimes]:  # noqa: ARG002 - nothing is read for it
-        """What is odd about the times of its messages, as far as they have been read, by topic."""
+        """Return irregular message times by topic, of the chunks that have been read."""
         order = [self._read.get(place.offset) for place in sorted(self._places, key=attrgetter("offset"))]
         return odd_times(order, {number: channel.topic for number, channel in self._index.channels.items()})
 
     def close(self) -> None:
-        """Closes the file."""
+        """Close the file."""
         self._file.close()
 
     def _read_times(self) -> tuple[int, int] | None:
-        """The times of the first and last message, without those at time 0: chunks that begin so are looked into."""
+        """Return the times of the first and last message other than time 0; reads chunks that begin at time 0."""
         first = [place.start_ns for place in self._places if place.start_ns]
         unknown = [place for place in self._places if place.end_ns and not place.start_ns]
         for place in unknown[:_LOOKED_INTO]:
@@ -150,7 +155,7 @@ class McapFile:
         return found
 
     def _wanted(self, topics: Collection[str] | None) -> dict[int, str]:
-        """The channels with messages of these topics (None: all), and the topic of each."""
+        """Return the channels with messages of these topics (None: all topics), and the topic of each channel."""
         return {
             number: channel.topic
             for number, channel in self._index.channels.items()
@@ -160,7 +165,7 @@ class McapFile:
         }
 
     def _topic_of(self, channel: Channel) -> StoredTopic:
-        """What a channel holds."""
+        """Return the topic of a channel, with its type and definition."""
         schema = self._index.schemas.get(channel.schema_id, UNKNOWN)
         return stored_topic(
             channel.topic,
@@ -172,13 +177,13 @@ class McapFile:
         )
 
     def _in_order(self, newest_first: bool) -> Sequence[ChunkPlace]:
-        """The chunks by the earliest time that they can have a message of, or the latest ones first; sorted once."""
+        """Return the chunks by the earliest possible time of a message, or latest first; sorted once."""
         if newest_first not in self._sorted:
             self._sorted[newest_first] = sorted(self._places, key=_by_end if newest_first else _by_start)
         return self._sorted[newest_first]
 
     def _messages_at(self, place: ChunkPlace, span: Span, wanted: dict[int, str]) -> list[tuple[int, Sample]]:
-        """Channel and message of those of a chunk that are wanted, in the order they were written; none if damaged."""
+        """Return channel and message of a chunk's wanted messages, as written; empty if the chunk is damaged."""
         self._read.setdefault(place.offset, {})
         try:
             return self._records_at(place, span, wanted)
@@ -190,7 +195,10 @@ class McapFile:
             return []
 
     def _records_at(self, place: ChunkPlace, span: Span, wanted: dict[int, str]) -> list[tuple[int, Sample]]:
-        """As `_messages_at`; raises `Damaged`. Channels that it finds in the chunk are taken in, in `wanted` too."""
+        """As `_messages_at`, but raises `Damaged`.
+
+        Channels found in the chunk are added to the index and to `wanted`.
+        """
         self._file.seek(place.offset)
         data = self._file.read(place.length)
         if len(data) < HEAD or len(data) != place.length:
@@ -239,6 +247,6 @@ def _by_end(place: ChunkPlace) -> tuple[int, int]:
 
 
 def _is_same(topic: StoredTopic, other: StoredTopic) -> bool:
-    """Whether two channels have messages of the same meaning; JSON says itself what it is."""
+    """Return whether two channels have messages of the same type and definition; JSON needs no definition."""
     is_json = topic.form == "json"
     return topic.type == other.type and (is_json or topic.definition == other.definition)

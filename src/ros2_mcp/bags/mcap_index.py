@@ -1,4 +1,4 @@
-"""Where things are in an MCAP file: from its index if a checksum vouches for it, else by looking through the file."""
+"""Locate chunks and channels in an MCAP file: from its index if the checksum matches, else by scanning the file."""
 
 from __future__ import annotations
 
@@ -15,26 +15,28 @@ from ros2_mcp.bags import chunks
 from ros2_mcp.bags.chunks import HEAD, MAGIC, MESSAGE_HEAD_BYTES, ChunkPlace, Damaged, Schema
 from ros2_mcp.bags.stored import FOREVER, Hole
 
-_FOOTER = struct.Struct("<QQI")  # where the summary and its offsets are, checksum
+_FOOTER = struct.Struct("<QQI")  # offsets of the summary and of its own index, checksum
 _FOOTER_LENGTH = 20
 _FOOTER_BYTES = HEAD + _FOOTER_LENGTH + len(MAGIC)
 _END_LENGTHS: dict[int, int] = {Opcode.DATA_END: 4, Opcode.FOOTER: _FOOTER_LENGTH}
 _MAX_SUMMARY = 1 << 29
-"""Bytes. A larger index is damage: 512 MB would be one of five million chunks."""
+"""Bytes. A larger index is damage: 512 MB would be the index of five million chunks."""
 _WINDOW_BYTES = 4 << 20
-"""What is searched at a time for the next chunk after damage: four of this server's chunks."""
+"""Bytes that are searched at a time for the next chunk after damage: four of this server's chunks."""
 _CHUNK_HEAD = re.compile(rb"\x06(?=.{5}\0\0\0.{28}(?:\0\0\0\0|\x04\0\0\0zstd|\x03\0\0\0lz4))", re.DOTALL)
-"""A chunk's opcode; its length, below 1 TB; times, size and checksum; and one of the three compressions there are."""
+"""The head of a chunk: opcode; length, below 1 TB; times, size and checksum; and one of the three compressions there
+are."""
 _OVERLAP_BYTES = 64
-"""By how much windows overlap: more than the head of a chunk (49 bytes), which the pattern must see as a whole."""
+"""Overlap of two windows: more than the head of a chunk (49 bytes), so that the pattern always sees a head as a
+whole."""
 
 
 @dataclass(slots=True)
 class Index:
-    """What a file holds. `loose` are places of messages outside of chunks; `counts` goes by channel.
+    """Contents of a file. `loose` are the places of messages outside of chunks; `counts` is by channel.
 
-    `problems` say in words what is damaged or missing, of which `unfinished` are those that every file has while it is
-    being written. `holes` are the times of lost messages.
+    `problems` describes what is damaged or missing; `unfinished` are those of them that every file has while it is
+    being written. `holes` are the time ranges of lost messages.
     """
 
     schemas: dict[int, Schema] = field(default_factory=dict[int, Schema])
@@ -48,10 +50,10 @@ class Index:
 
 
 def read_index(file: BinaryIO, size: int) -> Index:
-    """The index of the file; where it has none that can be trusted, the whole file is looked through.
+    """Return the index of the file; if it has no valid one, scan the whole file.
 
     Raises:
-        Damaged: if it is no MCAP file at all.
+        Damaged: if the file is not an MCAP file at all.
     """
     try:
         found = _from_summary(file, size)
@@ -63,7 +65,7 @@ def read_index(file: BinaryIO, size: int) -> Index:
 
 
 def _from_summary(file: BinaryIO, size: int) -> Index:
-    """The index at the end of the file; raises `Damaged` unless it is whole and fits the rest of the file."""
+    """Read the index at the end of the file; raises `Damaged` unless it is complete and fits the file."""
     end = size - _FOOTER_BYTES
     tail = _at(file, max(end, 0), _FOOTER_BYTES)
     if (
@@ -99,7 +101,7 @@ def _from_summary(file: BinaryIO, size: int) -> Index:
 
 
 def _learn(index: Index, kind: int, content: bytes) -> None:
-    """Takes in a record, if it is a schema or a channel."""
+    """Add a record to the index if it is a schema or a channel."""
     if kind == Opcode.SCHEMA:
         number, schema = chunks.schema(content)
         index.schemas[number] = schema
@@ -109,18 +111,18 @@ def _learn(index: Index, kind: int, content: bytes) -> None:
 
 
 def learn_channels(index: Index, inside: bytes | memoryview) -> None:
-    """Takes in the schemas and channels among a chunk's records."""
+    """Add the schemas and channels among a chunk's records to the index."""
     for kind, start, end in chunks.records_in(inside):
         if kind in (Opcode.SCHEMA, Opcode.CHANNEL):
             _learn(index, kind, bytes(inside[start:end]))
 
 
 class _Cut(Damaged):
-    """The end of the file is missing, as it is of every file while it is being written."""
+    """Raised if the end of the file is missing, as in every file while it is being written."""
 
 
 class _Search:
-    """Looks through a file from its beginning; after damage it goes on with the next chunk that is whole."""
+    """Scan a file from its beginning; after damage, continue with the next intact chunk."""
 
     def __init__(self, file: BinaryIO, size: int, reason: str, is_cut: bool) -> None:
         self._file = file
@@ -129,7 +131,7 @@ class _Search:
         self.index = Index(counts=self._counts, problems=[reason], unfinished=[reason] if is_cut else [])
         self._ended = False
         self._newest_ns = 0
-        self._lost: tuple[int, str, int] | None = None  # where damage began, what it is, and after which time
+        self._lost: tuple[int, str, int] | None = None  # offset, description, time before it
         if _at(file, 0, len(MAGIC)) != MAGIC:
             self._note_damage(0, "the file does not begin like an MCAP file")
         place = len(MAGIC)
@@ -149,7 +151,7 @@ class _Search:
             self.index.holes.append(hole)
 
     def _take_record(self, place: int) -> int:
-        """Takes in the record at that place; the place of the next one. Raises `Damaged`."""
+        """Index the record at `place` and return the offset of the next record; raises `Damaged`."""
         start = _at(self._file, place, HEAD)
         if len(start) < HEAD:
             raise Damaged("the file ends inside a record")
@@ -186,7 +188,7 @@ class _Search:
         return place + HEAD + length
 
     def _take_messages(self, places: list[ChunkPlace], place: int, length: int, keys: list[tuple[int, int]]) -> None:
-        """Notes the place of a record with messages of these channels and times, and counts them."""
+        """Add the place of a record with messages of these (channel, time) keys, and count the messages."""
         for channel, _ in keys:
             self._counts[channel] = self._counts.get(channel, 0) + 1
         if keys:
@@ -198,9 +200,10 @@ class _Search:
             places.append(ChunkPlace(place, HEAD + length, min(times), max(times), channels))
 
     def _next_chunk(self, place: int) -> int:
-        """The place of the next whole chunk, or the end of the file.
+        """Return the offset of the next intact chunk, or the end of the file.
 
-        What looks like the head of a chunk may be a part of a message, so each is unpacked, and its checksum decides.
+        Bytes that look like the head of a chunk may be part of a message, so each candidate is unpacked, and its
+        checksum decides.
         """
         while place < self._size:
             window = _at(self._file, place, _WINDOW_BYTES + _OVERLAP_BYTES)
@@ -222,7 +225,7 @@ class _Search:
         return self._size
 
     def _note_damage(self, place: int, what: str) -> None:
-        """Damage from that place on; which times are lost is known when the next messages are found."""
+        """Note damage at `place`. The lost time range is known only when the next messages are found."""
         if self._lost:
             place, what = self._lost[0], f"{self._lost[1]}, and at byte {place}: {what}"
         self._lost = place, what, self._newest_ns

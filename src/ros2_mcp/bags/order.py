@@ -1,4 +1,4 @@
-"""In which order the messages of a file were written: where their times go back, and which have none."""
+"""The order in which the messages of a file were written: where their times go backwards, and which have no time."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from ros2_mcp.bags.stored import LEAST_BACK_NS, OddTimes
 class Written:
     """The messages of one channel in a part of a file, in the order in which they were written.
 
-    `count` of them, of which `untimed` are at time 0; the others begin at `first_ns` and end at `last_ns`, and the
-    oldest is at `least_ns`. `backs` are the numbers (from 1) of those that are older than the one before, with the time
-    before and their own.
+    `untimed` of the `count` messages are at time 0. The times of the others begin with `first_ns` and end with
+    `last_ns`; the smallest is `least_ns`. `backs` has an entry for each message that is older than the one before: its
+    position (from 1), the time of the message before, and its own.
     """
 
     count: int
@@ -28,9 +28,9 @@ class Written:
 
 
 def written(keys: Sequence[tuple[int, int]]) -> dict[int, Written]:
-    """By channel; `keys` are channel and time of each message, in their order."""
+    """Group messages by channel. `keys` are the channel and time of each message, as written."""
     times = [at_ns for _, at_ns in keys]
-    if times and times[0] > 0 and times == sorted(times):  # as nearly all are: without a step of Python for each
+    if times and times[0] > 0 and times == sorted(times):  # true of nearly all, and needs no Python loop
         counts = Counter(channel for channel, _ in keys)
         first, last = dict(reversed(keys)), dict(keys)
         return {
@@ -51,16 +51,16 @@ def _of(times: Sequence[int]) -> Written:
 
 
 def is_back(before_ns: int, at_ns: int) -> bool:
-    """Whether a message is so much older than the one before that it means something."""
+    """Return whether a message is older than the one before by at least `LEAST_BACK_NS`."""
     return before_ns - at_ns >= LEAST_BACK_NS
 
 
 def odd_times(parts: Iterable[Mapping[int, Written] | None], names: Mapping[int, str]) -> dict[str, OddTimes]:
-    """What is odd in all parts of a file in their order, None for those that have not been read; by topic."""
+    """Return irregular times by topic over all parts of a file in order; a part that has not been read is None."""
     seen: dict[str, int] = {}
     last: dict[str, int] = {}
     untimed: Counter[str] = Counter()
-    backs: dict[str, list[tuple[int, int, int]]] = {}  # number (0: not known), the time before, its own
+    backs: dict[str, list[tuple[int, int, int]]] = {}  # position (0: not known), the time before, its own time
     is_whole = True
     for part in parts:
         if part is None:

@@ -1,7 +1,7 @@
-"""The text in which rosbag2 keeps the QoS of a topic's publishers: YAML, with the numbers or the words of `rmw`.
+"""The QoS of a topic's publishers as rosbag2 stores it: YAML, with the numbers or the words of `rmw`.
 
-A module of its own, imported where such a text is read or written: `rosbags.rosbag2` takes 55 ms to import, which
-opening a bag need not pay.
+A module of its own, imported only where such a text is read or written: `rosbags.rosbag2` takes 55 ms to import, which
+would slow down opening a bag.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ _Policy = TypeVar("_Policy", QosHistory, QosReliability, QosDurability, QosLivel
 
 
 def qos_text(publishers: Sequence[QoS]) -> str:
-    """The publishers' QoS as rosbag2 keeps it; with the numbers, which every distribution since Foxy reads."""
+    """Return the publishers' QoS in rosbag2's format, with numbers, which every distribution since Foxy reads."""
     return metadata.dump_qos_v8([_to_rosbags(qos) for qos in publishers])
 
 
-@lru_cache(maxsize=256)  # a text takes 2 ms to parse, and the topics of a robot have few different ones
+@lru_cache(maxsize=256)  # parsing takes 2 ms, and the topics of a robot have few different texts
 def parse_qos(text: str) -> tuple[QoS, ...]:
-    """The QoS of each publisher that the topic had, from rosbag2's text; empty if it says nothing, or is damaged."""
+    """Parse rosbag2's text into the QoS of each publisher of the topic; empty if the text is empty or damaged."""
     try:
         return tuple(_from_rosbags(qos) for qos in metadata.parse_qos(text))
     except (ReaderError, ValueError, TypeError, KeyError, AttributeError):  # what rosbags raises for other YAML
@@ -35,7 +35,7 @@ def parse_qos(text: str) -> tuple[QoS, ...]:
 
 
 def is_latched(text: str) -> bool:
-    """Whether a publisher of the topic kept its last messages for late subscribers (transient_local)."""
+    """Return whether a publisher of the topic kept its last messages for late subscribers (transient_local)."""
     return any(qos.durability == "transient_local" for qos in parse_qos(text))
 
 
@@ -75,7 +75,7 @@ def _time(duration_ns: int | None) -> QosTime:
 
 
 def _duration_ns(time: QosTime) -> int | None:
-    """None is infinite; so is zero, which rmw writes for a duration that nobody has set."""
+    """Return a duration in ns; None is infinite, as is zero, which rmw writes for a duration that was not set."""
     if time.sec >= _INFINITE_FROM_S or time == (0, 0):
         return None
     return time.sec * 1_000_000_000 + time.nsec

@@ -1,6 +1,6 @@
-"""A recording in progress: samples go in from the event loop, a thread writes them, and it ends by itself at limits.
+"""A recording in progress: the event loop puts samples, a thread writes them, and limits end it.
 
-What has been put in is on its way to the disk within `FLUSH_S`, however slow the disk's own syncing is.
+Samples are handed to the operating system within `FLUSH_S`, however slowly the disk syncs.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from ros2_mcp.bags.writer import BagWriter
 from ros2_mcp.model.samples import Sample
 
 FLUSH_S = 0.3
-"""At most this much is lost when the process is killed; shorter would make many small chunks."""
+"""At most this much time is lost when the process is killed; a shorter one would make many small chunks."""
 QUEUE_BYTES = 128_000_000
-"""Four seconds of a camera at 30 MB/s: what a disk may stall for before messages are dropped. Raw pictures at full HD
-come in bursts of ten (62 MB) where the middleware has repaired a loss."""
+"""Four seconds of a camera at 30 MB/s: how long a disk may stall before messages are dropped. Raw full-HD images arrive
+in bursts of ten (62 MB) after the middleware has repaired a loss."""
 _WAKE_BYTES = 4_000_000
-"""So much is written at once: a camera at full HD fills the queue in less than `FLUSH_S`."""
+"""Waiting bytes that wake the writing thread early: a full-HD camera fills the queue in less than `FLUSH_S`."""
 FREE_FLOOR_BYTES = 500_000_000
-"""Left free, because a robot whose disk is full loses its logs and often its software too."""
+"""Kept free, because a robot whose disk is full loses its logs and often its software too."""
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """When a recording ends by itself; 0 is never. `free_floor_bytes` stay free on the disk."""
+    """Limits at which a recording ends by itself; 0 is no limit. `free_floor_bytes` are kept free on the disk."""
 
     duration_s: float = 0.0
     max_bytes: int = 0
@@ -40,12 +40,11 @@ class Limits:
 
 
 class Recorder:
-    """Writes in a thread of its own. `ended` says in words why it ended, and is empty while it runs.
+    """Writes samples in a thread of its own. `ended` is the reason why the recording ended, empty while it runs.
 
-    `failed` is true if that was an error of the disk. `dropped` counts, by topic, samples that the disk was too slow
-    for; what comes after the end is none of the recording's. All methods may be called from any thread. The disk is
-    asked to keep what the system has (`fsync`) in a second thread, so that a slow disk never holds back what the system
-    could already have.
+    `failed` is true if the reason was an error of the disk. `dropped` counts, by topic, samples dropped because the
+    disk was too slow; samples after the end are ignored. All methods may be called from any thread. `fsync` runs in a
+    second thread, so that a slow disk does not delay the writes to the operating system.
     """
 
     def __init__(self, sink: BagWriter, folder: str | os.PathLike[str], limits: Limits | None = None) -> None:
@@ -69,16 +68,16 @@ class Recorder:
 
     @property
     def notes(self) -> Sequence[str]:
-        """What the reader of the recording should know, in words."""
+        """Notes for the reader of the recording, in sentences."""
         return self.sink.notes
 
     def add_topic(self, topic: StoredTopic, type_hash: str = "") -> None:
-        """A topic that samples may be put for from now on."""
+        """Add a topic. Samples of it may be put from now on."""
         with self._news:
             self._topics.append((topic, type_hash))
 
     def put(self, topic_name: str, samples: Sequence[Sample]) -> None:
-        """Hands over samples; those that have no room are dropped and counted: the disk has fallen behind."""
+        """Queue samples for writing. Samples that do not fit in the queue are dropped and counted."""
         with self._news:
             if self.ended:
                 return
@@ -92,7 +91,7 @@ class Recorder:
                 self._news.notify()
 
     def stop(self, reason: str = "stopped") -> None:
-        """Writes what waits, closes the files and waits for that."""
+        """End the recording: write the queued samples, close the files, and wait until both are done."""
         with self._news:
             self._stop = self._stop or reason
             self._news.notify()
@@ -120,7 +119,7 @@ class Recorder:
                 self.ended = reason
 
     def _write_until_the_end(self) -> str:
-        """Writes what waits, every `FLUSH_S` or as soon as it is much, until there is a reason to end; returns that."""
+        """Write the queue every `FLUSH_S`, or sooner if it is large, until the recording ends; return the reason."""
         while True:
             with self._news:
                 self._news.wait_for(lambda: self._stop or self._waiting_bytes >= _WAKE_BYTES, FLUSH_S)
@@ -144,7 +143,7 @@ class Recorder:
             self.sink.add_topic(topic, type_hash)
         for topic_name, sample in waiting:
             if self._is_full():
-                return  # what comes after the limit is not part of it
+                return  # samples after the limit are not part of the recording
             self.sink.write(topic_name, sample)
 
     def _is_full(self) -> bool:
@@ -160,7 +159,7 @@ class Recorder:
         return ""
 
     def _sync(self) -> None:
-        """Asks the disk to keep what the system has; one request at a time, and never waited for here."""
+        """Start an `fsync` in the second thread, one at a time, without waiting for it."""
         if self._syncing is None or self._syncing.done():
             self._settle_sync()
             self._syncing = self._syncer.submit(_fsync, os.dup(self.sink.descriptor))

@@ -1,4 +1,4 @@
-"""Which files of a folder are one recording: those that `metadata.yaml` lists, or whose names differ in `_N` alone."""
+"""Group the files of a folder into recordings: by `metadata.yaml`, or by names that differ in `_N` alone."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from ros2_mcp.model.text import listed, named
 
 SUFFIXES = (".mcap", ".db3", ".db3.zstd", ".mcap.zstd")
 ROS_1_START = b"#ROSBAG V"
-"""What the files of ROS 1 begin with."""
+"""The first bytes of a ROS 1 bag."""
 _STEM = re.compile(r"(?P<stem>.*?)(?:_\d+)?(?:\.mcap|\.db3)(?:\.zstd)?", re.DOTALL)
 _OF_RING = re.compile(r"(?P<stem>box)_\d{8}T\d{6}_\d{9}_0\.mcap")
-"""The files of a black box, whose names have the times at which they began (`ring.py`)."""
+"""The files of a black box, whose names have their start times (`ring.py`)."""
 _MOST_NAMED = 10
-"""Recordings that an error names."""
+"""Most recordings that an error names."""
 
 
 def recordings_in(folder: Path, *, as_whole: bool = True) -> list[Path]:
-    """The recordings of a folder: itself, where all its files are one; else each of them, by its name in the folder.
+    """Return the recordings of a folder: the folder itself if all its files form one; otherwise each recording's path.
 
-    Without `as_whole` the folder itself is none, as the one that has all recordings. A recording of several files has
-    the name that these have in common, without a number and a suffix.
+    Without `as_whole` the folder itself is never returned, for a folder that only contains recordings. A recording of
+    several files has the name that these have in common, without number and suffix.
     """
     files = _in_order(folder)
     stems = {stem_of(path): path for path in files}
@@ -42,12 +42,12 @@ def recordings_in(folder: Path, *, as_whole: bool = True) -> list[Path]:
 
 
 def files_of(path: Path) -> list[Path]:
-    """The files of a recording, in their order.
+    """Return the files of a recording, in order.
 
     Raises:
-        NotFound: if there is none of that path.
-        BadInput: if the folder has several.
-        BadData: if it cannot be looked into.
+        NotFound: if there is no recording at that path.
+        BadInput: if the folder has several recordings.
+        BadData: if the path cannot be read.
     """
     try:
         if path.is_file():
@@ -63,7 +63,7 @@ def files_of(path: Path) -> list[Path]:
 
 
 def is_recording(path: Path) -> bool:
-    """Whether there is something to read at a path: a file, a folder, or files with that name and a number."""
+    """Return whether a recording exists at `path`: a file, a folder, or files with that name and a number."""
     try:
         return path.exists() or bool(_of_stem(path))
     except OSError:
@@ -71,18 +71,18 @@ def is_recording(path: Path) -> bool:
 
 
 def stem_of(path: Path) -> str:
-    """The name of a file without its suffix and its number: `run` of `run_2.mcap`."""
+    """Return the name of a file without its suffix and number: `run` for `run_2.mcap`."""
     match = _OF_RING.fullmatch(path.name) or _STEM.fullmatch(path.name)
     return match["stem"] if match else path.name
 
 
 def order_of(path: Path) -> list[tuple[int, str]]:
-    """`run_2.mcap` comes before `run_10.mcap`."""
+    """Return a sort key that compares numbers as numbers: `run_2.mcap` comes before `run_10.mcap`."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.name)]
 
 
 def of_ros_1(path: Path) -> str:
-    """What is said of a recording of ROS 1, with the way to convert it; empty for other files."""
+    """Return a sentence that names a ROS 1 bag and how to convert it; empty for other files."""
     with path.open("rb") as file:
         if file.read(len(ROS_1_START)) != ROS_1_START:
             return ""
@@ -91,7 +91,7 @@ def of_ros_1(path: Path) -> str:
 
 
 def foreign_in(folder: Path) -> list[str]:
-    """What looks like a recording in a folder and is none of ROS 2, in words."""
+    """Return a sentence for each ROS 1 bag in a folder."""
     found: list[str] = []
     with suppress(OSError):
         for path in sorted(folder.glob("*.bag")):
@@ -101,7 +101,7 @@ def foreign_in(folder: Path) -> list[str]:
 
 
 def _in_folder(folder: Path) -> list[Path]:
-    """The files of the one recording of a folder; raises `BadInput` where there are several."""
+    """Return the files of the one recording of a folder; raises `BadInput` if there are several."""
     files = _in_order(folder)
     if len({stem_of(path) for path in files}) <= 1:
         return files
@@ -115,7 +115,7 @@ def _in_folder(folder: Path) -> list[Path]:
 
 
 def _of_metadata(folder: Path, files: list[Path]) -> list[Path]:
-    """Those of the files that `metadata.yaml` lists, however they are compressed now; none without one."""
+    """Return the files that `metadata.yaml` lists, compressed or not; empty without a readable `metadata.yaml`."""
     facts = read_metadata(folder) if (folder / METADATA).exists() else ""
     if not isinstance(facts, FolderFacts):
         return []
@@ -124,7 +124,7 @@ def _of_metadata(folder: Path, files: list[Path]) -> list[Path]:
 
 
 def _of_stem(path: Path) -> list[Path]:
-    """The files with the name of a path and a number each."""
+    """Return the files whose name is that of the path plus a number."""
     if not path.name or not path.parent.is_dir():
         return []
     return [file for file in _in_order(path.parent) if stem_of(file) == path.name and file.name != path.name]

@@ -1,4 +1,4 @@
-"""The black box: a ring of MCAP files in one folder, of which the oldest give way."""
+"""The black box: a ring of MCAP files in one folder; the oldest files are deleted."""
 
 from __future__ import annotations
 
@@ -13,18 +13,21 @@ from ros2_mcp.bags.writer import MESSAGE_BYTES, BagWriter
 from ros2_mcp.model.samples import Sample
 
 _PARTS = 16
-"""Files of a ring. When the oldest goes, a sixteenth is lost; more files would repeat latched messages more often."""
+"""Files of a ring. When the oldest is deleted, a sixteenth is lost; more files would repeat latched messages more
+often."""
 _CHANNEL_BYTES = 500
-"""At most what a topic needs in a file beside its messages, definition and QoS, all of it twice."""
+"""Upper bound of the bytes that a topic needs in a file besides its messages, and its definition and QoS, which are
+stored twice."""
 MOST_MESSAGES = 32
-"""Of one latched topic. /tf_static has a publisher for each driver and one message of each; over 32 are rare."""
+"""Messages kept of one latched topic. /tf_static has one message from each driver's publisher; more than 32 are
+rare."""
 
 
 class LatchedTopic:
-    """What a late subscriber of a latched topic still needs: its last messages, equal ones once.
+    """The last messages of a latched topic, which a late subscriber needs; equal messages are kept once.
 
-    They are several, because a topic may have several publishers, and nothing in a message says which one sent it:
-    at most `MOST_MESSAGES`, with at most `most_bytes` in a file; the last one is always among them.
+    Several are kept, because a topic may have several publishers and a message does not say which one sent it: at most
+    `MOST_MESSAGES`, taking at most `most_bytes` in a file; the last message is always kept.
     """
 
     def __init__(self, most_bytes: int) -> None:
@@ -38,7 +41,7 @@ class LatchedTopic:
         return self._samples.values()
 
     def add(self, sample: Sample) -> None:
-        """Takes a message; the oldest ones give way to it."""
+        """Add a message; the oldest ones are dropped if there are too many."""
         if self._samples.pop(sample.data, None) is None:
             self.bytes += _size(sample.data)
         self._samples[sample.data] = sample
@@ -53,11 +56,11 @@ def _size(data: bytes) -> int:
 
 
 class RingWriter(BagWriter):
-    """Keeps at most `max_bytes` and `max_age_s`, also of what former runs left in the folder.
+    """Keeps at most `max_bytes` and `max_age_s` of recording, including files of former runs in the folder.
 
-    Each file takes a sixteenth of that and stands by itself: it begins with the last messages of all latched topics,
-    the smallest first, as far as they fit in half of a sixteenth. `notes` say which topics do not. `counts` are of
-    what was written in this run; what has given way meanwhile counts too.
+    Each file takes a sixteenth of that and is complete in itself: it begins with the last messages of all latched
+    topics, the smallest first, as far as they fit in half of a sixteenth. `notes` names the topics that do not fit.
+    `counts` are of this run, including messages in files that have been deleted meanwhile.
     """
 
     def __init__(self, folder: Path, max_bytes: int, max_age_s: float) -> None:
@@ -69,19 +72,22 @@ class RingWriter(BagWriter):
         super().__init__(folder, "")
 
     def add_topic(self, topic: StoredTopic, type_hash: str = "") -> None:
-        """A topic that messages may follow for; of a latched one the last messages are in every file."""
+        """Add a topic; if it is latched, every file begins with its last messages."""
         super().add_topic(topic, type_hash)
         if is_latched(topic.qos):
             self._latched.setdefault(topic.name, LatchedTopic(self._part_bytes // _PARTS))
 
     def write(self, topic_name: str, sample: Sample) -> None:
-        """One message."""
+        """Write one message."""
         super().write(topic_name, sample)
         if topic_name in self._latched:
             self._latched[topic_name].add(sample)
 
     def flush(self) -> None:
-        """Gives everything to the system; begins the next file where this one is full or old, and drops the oldest."""
+        """Flush to the operating system.
+
+        Begin the next file if this one is full or old, and delete the oldest files.
+        """
         self._writer.flush()
         age_s = monotonic() - self._begun
         if self.size - self._size_before >= self._part_bytes or age_s >= self._max_age_s / _PARTS:
@@ -89,13 +95,13 @@ class RingWriter(BagWriter):
             self._open_file()
 
     def close(self) -> None:
-        """Ends the file with its index. There is no `metadata.yaml`: it would name files that have given way."""
+        """End the file with its index. No `metadata.yaml` is written: it would list files that are deleted later."""
         self.end()
 
     def _open_file(self) -> None:
         carried = self._choose_carried()
         self._name = _name(time.time_ns())
-        self.files.clear()  # would grow as long as the server runs, and only `metadata.yaml` needs them
+        self.files.clear()  # this list would grow as long as the server runs, and only `metadata.yaml` needs it
         super()._open_file()
         self._begun = monotonic()
         for topic_name in carried:
@@ -105,7 +111,7 @@ class RingWriter(BagWriter):
         self._size_before = self.size
 
     def _choose_carried(self) -> list[str]:
-        """The latched topics that the next file begins with, for which room is made; the others are noted."""
+        """Choose the latched topics with which the next file begins, note the others, and make room for the file."""
         sizes = {
             name: _CHANNEL_BYTES + 2 * (len(topic.definition.encode()) + len(topic.qos)) + self._latched[name].bytes
             for name, topic in self.topics.items()
@@ -127,7 +133,7 @@ class RingWriter(BagWriter):
         return carried
 
     def _make_room(self, needed: int) -> None:
-        """Deletes the oldest files, those of former runs too, until that many bytes fit."""
+        """Delete the oldest files, also of former runs, until `needed` bytes fit and no file is too old."""
         files = sorted(self.folder.glob("box_*.mcap"), key=lambda path: (path.stat().st_mtime_ns, path.name))
         oldest = time.time() - self._max_age_s
         self.bytes_before = sum(path.stat().st_size for path in files)
@@ -139,6 +145,6 @@ class RingWriter(BagWriter):
 
 
 def _name(at_ns: int) -> str:
-    """Names in the order of time; both parts are of one reading of the clock."""
+    """Return a file name that sorts by time; both parts come from one reading of the clock."""
     seconds, rest_ns = divmod(at_ns, 1_000_000_000)
     return time.strftime("box_%Y%m%dT%H%M%S", time.gmtime(seconds)) + f"_{rest_ns:09d}"

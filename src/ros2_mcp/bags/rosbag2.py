@@ -1,4 +1,4 @@
-"""The folder that rosbag2 makes of a recording: `metadata.yaml` beside the files."""
+"""The folder of a rosbag2 recording: `metadata.yaml` beside the files."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from ros2_mcp.model.text import quoted
 METADATA = "metadata.yaml"
 NOT_CLOSED = f"{METADATA} is missing: the recording was not closed."
 VERSION = 8
-"""Of the metadata: the one of Iron, whose integers for QoS every later distribution reads too."""
+"""Version of the metadata: that of Iron, whose integers for QoS every later distribution reads too."""
 
 
 @dataclass(slots=True)
 class FilePart:
-    """One file of a recording: Unix times of its first and last message (0: none), how many messages of how many bytes.
+    """One file of a recording: Unix times (ns) of its first and last message (0: none), number and bytes of messages.
 
     The bytes are those of the messages only, without the file's index.
     """
@@ -37,7 +37,7 @@ class FilePart:
 
 @dataclass(frozen=True, slots=True)
 class FolderFacts:
-    """What a `metadata.yaml` says: files in their order, number of messages, `file` or `message` if compressed."""
+    """Contents of a `metadata.yaml`: files in order, number of messages, and `file` or `message` if compressed."""
 
     files: Sequence[str]
     count: int
@@ -45,7 +45,7 @@ class FolderFacts:
 
 
 def write_metadata(folder: Path, topics: Sequence[tuple[StoredTopic, str]], files: Sequence[FilePart]) -> None:
-    """Writes `metadata.yaml` in one step; `topics` come with their type hash.
+    """Write `metadata.yaml` atomically; each of `topics` comes with its type hash.
 
     Raises:
         OSError: if the folder cannot be written.
@@ -63,7 +63,7 @@ def write_metadata(folder: Path, topics: Sequence[tuple[StoredTopic, str]], file
 
 
 def read_metadata(folder: Path) -> FolderFacts | str:
-    """What `metadata.yaml` says, or in words why it says nothing."""
+    """Return the contents of `metadata.yaml`, or a sentence why it cannot be read."""
     try:
         loaded = YAML(typ="safe", pure=True).load((folder / METADATA).read_text(encoding="utf-8"))  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]
         raw = cast("dict[str, Any]", loaded)["rosbag2_bagfile_information"]

@@ -1,4 +1,4 @@
-"""The definitions inside a bag: one text for each type, with everything that it refers to."""
+"""The definitions stored in a bag: one text per type, including the types to which it refers."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ _ENDINGS = {"srv": ("_Request", "_Response"), "action": ("_Goal", "_Result", "_F
 
 
 def schema_text(interface: Interface) -> str:
-    """A message type as `ros2msg` text, with every type that it refers to, as rosbag2 and Foxglove read it.
+    """Return a message type as `ros2msg` text for rosbag2 and Foxglove, with every type to which it refers.
 
-    Defaults are left out: they say nothing about bytes.
+    Default values are omitted: they do not affect the encoding.
     """
     parts = [_structure_text(interface.sides["message"])]
     for name, structure in interface.nested.items():
@@ -29,13 +29,13 @@ def schema_text(interface: Interface) -> str:
 
 
 def definitions_in(type_name: str, encoding: str, text: str) -> dict[str, DefinitionText]:
-    """The definitions in a schema's text, by the names of the interfaces; empty where it has none that is known."""
+    """Parse a schema's text into definitions by interface name; empty if the encoding is not known."""
     if encoding not in ("ros2msg", "ros2idl") or not text.strip():
         return {}
     found: dict[str, DefinitionText] = {}
     flat: dict[str, str] = {}
     for name, kind, part in _parts(type_name, encoding, text):
-        if kind == "msg" and is_derived(name) and _SIDES.search(part):  # rosbag2 has the service for its events
+        if kind == "msg" and is_derived(name) and _SIDES.search(part):  # rosbag2 stores the service for its events
             found[defining_type(name)] = DefinitionText("srv", part)
         elif kind == "msg" and is_derived(name):
             flat[name] = part
@@ -45,13 +45,13 @@ def definitions_in(type_name: str, encoding: str, text: str) -> dict[str, Defini
 
 
 def bare(text: str) -> str:
-    """A definition without what means nothing to the bytes: comments and spacing."""
+    """Return a definition without comments and spacing, which do not affect the encoding."""
     lines = (" ".join(line.partition("#")[0].split()) for line in text.splitlines())
     return "\n".join(line for line in lines if line)
 
 
 def _parts(type_name: str, encoding: str, text: str) -> Iterator[tuple[str, str, str]]:
-    """Name, format and text of each part; the first part has no title in `ros2msg`."""
+    """Yield name, format and text of each part; the first part has no title in `ros2msg`."""
     pieces = _PART.split(text)
     if pieces[0].strip() or len(pieces) == 1:
         yield type_name, encoding.removeprefix("ros2"), pieces[0]
@@ -67,7 +67,7 @@ def _full(name: str) -> str:
 
 
 def _owners(flat: Mapping[str, str]) -> dict[str, DefinitionText]:
-    """Services and actions put together again from those of their sides that are there."""
+    """Reassemble services and actions from their parts (request, response, goal, …), as far as they are present."""
     owners: dict[str, DefinitionText] = {}
     for owner in {defining_type(name) for name in flat}:
         kind = owner.split("/")[1]
@@ -94,9 +94,9 @@ def _constant_text(constant: Constant) -> str:
 
 
 def _type_text(written: str) -> str:
-    """`std_msgs/msg/Header` is written `std_msgs/Header` in .msg files; parts of actions keep their full name.
+    """Return a type as in .msg files: `std_msgs/Header`; parts of actions keep their full name.
 
-    `char` is the `uint8` that it is: the type's hash counts it so, and other readers compare the hash.
+    `char` becomes `uint8`, its equivalent: the type's hash treats it so, and other readers compare the hash.
     """
     base = re.match(r"[\w/]+", written)
     assert base

@@ -1,4 +1,4 @@
-"""Reads one SQLite file of rosbag2, of any distribution."""
+"""Read one SQLite file of rosbag2, of any distribution."""
 
 from __future__ import annotations
 
@@ -24,32 +24,33 @@ from ros2_mcp.model.text import named
 from ros2_mcp.model.times import iso_time
 
 _BUSY_S = 1.0
-"""How long to wait for a recorder that writes to the file; its transactions take milliseconds."""
+"""Seconds to wait for a recorder that writes to the file; its transactions take milliseconds."""
 _PAGE_ROWS = (16, 1024)
-"""Rows that are read in one query, the first and the longest: a query that ends lets others write to the file, and who
-asks for the last message needs not a thousand."""
+"""Rows of one query, of the first and at most: a query that ends lets others write to the file, and a reader of only
+the last message does not need a thousand."""
 _PAGE_BYTES = 8_000_000
-"""Messages that one query holds in memory."""
+"""Bytes of messages that one query holds in memory."""
 _UNINDEXED_BYTES = 64_000_000
-"""The same where there is no index of the times (`ros2 bag` makes one): each query reads and sorts the whole file."""
+"""The same without an index of the times (`ros2 bag` makes one): each query then reads and sorts the whole file."""
 _ORDERED_ROWS = 20_000
-"""Rows whose times are read at once: 10 ms, without their data."""
+"""Rows whose times are read at once, without their data: takes 10 ms."""
 _Row: TypeAlias = "tuple[tuple[int, int], tuple[str, Sample] | None]"
-"""The place of a row (its time and number), and its message; None if it is not asked for or cannot be unpacked."""
+"""The place of a row (its time and number), and its message; None if its topic is not wanted or it cannot be
+unpacked."""
 _NOWHERE = (-1, 0)
-"""The place of no row."""
+"""The place before any row."""
 
 
 class SqliteFile:
     """One `.db3` file, open for reading. SQLite has no checksums: only broken structure is noticed.
 
-    `compression` is `""`, `message` or `file` (zstd, the only one rosbag2 has). The `topics` have no counts, for which
-    everything would have to be read.
+    `compression` is `""`, `message` or `file` (zstd, the only one that rosbag2 has). The `topics` have no counts,
+    because counting reads the whole file.
 
-    Whatever reads it raises `Locked` while somebody else writes to it for longer than a second.
+    Every method that reads raises `Locked` if another program writes to the file for longer than a second.
 
     Raises:
-        BadData: if it is no rosbag2 database that can be read.
+        BadData: if it is not a readable rosbag2 database.
     """
 
     def __init__(self, path: Path, compression: str = "") -> None:
@@ -70,7 +71,7 @@ class SqliteFile:
                 database = _connect(whole)
                 self._database = opened.enter_context(closing(database))
                 self._names, self.topics = self._read_topics()
-                ends = "ASC", "DESC"  # one after the other: each is found by the index, without reading what is between
+                ends = "ASC", "DESC"  # two queries: each uses the index, without reading the rows in between
                 order = "SELECT timestamp FROM messages WHERE timestamp > 0 ORDER BY timestamp {} LIMIT 1"
                 rows = [self._database.execute(order.format(end)).fetchone() for end in ends]
                 self._has_index = self._database.execute("PRAGMA index_list(messages)").fetchone() is not None
@@ -82,12 +83,12 @@ class SqliteFile:
 
     @property
     def holes(self) -> list[Hole]:
-        """The times of messages that are lost, as far as it is known yet."""
+        """The time ranges of lost messages, as far as they are known yet."""
         return list(self._holes)
 
     @property
     def count(self) -> int | None:
-        """How many messages there are; None where damage keeps SQLite from counting."""
+        """Number of messages; None if SQLite cannot count them because of damage."""
         try:
             return int(self._database.execute("SELECT count(*) FROM messages").fetchone()[0])
         except sqlite3.Error as error:
@@ -96,7 +97,7 @@ class SqliteFile:
             return None
 
     def counts(self) -> dict[str, int]:
-        """Messages of each topic. Reads an entry of each message."""
+        """Return the number of messages of each topic. This reads an index entry per message."""
         try:
             rows = self._database.execute("SELECT topic_id, count(*) FROM messages GROUP BY topic_id").fetchall()
         except sqlite3.Error as error:
@@ -106,10 +107,10 @@ class SqliteFile:
         return {self._names[number]: int(count) for number, count in rows if number in self._names}
 
     def messages(self, span: Span, newest_first: bool = False) -> Generator[tuple[str, Sample], None, None]:
-        """Topic and message in the order of time; what cannot be read is left out, and noted as a hole.
+        """Yield topic and message in the order of time; omit what cannot be read, and note it as a hole.
 
-        The messages of other topics are passed by one by one, not by the query: a hole is between the messages of the
-        file that can be read around it, whichever topics are asked for.
+        Rows of other topics are skipped here, not by the query: a hole reaches from the last readable message before
+        the damage to the first one after it, whichever topics are wanted.
         """
         numbers = {number for number, name in self._names.items() if span.topics is None or name in span.topics}
         start_ns, end_ns, past = span.start_ns, min(span.end_ns, FOREVER), _NOWHERE
@@ -147,9 +148,9 @@ class SqliteFile:
         past: tuple[int, int],
         most: int,
     ) -> tuple[list[_Row], bool, str]:
-        """The next rows, as many as are held at once; whether they are the last; and what damage comes after them.
+        """Return the next rows that fit in memory, whether they are the last, and the damage after them.
 
-        When it returns no query is open: as long as one is, nobody else can write to the file.
+        No query is open on return: an open query would keep other programs from writing to the file.
         """
         found: list[_Row] = []
         size, room = 0, _PAGE_BYTES if self._has_index else _UNINDEXED_BYTES
@@ -161,7 +162,7 @@ class SqliteFile:
                     if size >= room or (self._has_index and len(found) >= most):
                         return found, False, ""
         except sqlite3.Error as error:
-            # `sqlite3` reads a row ahead and drops the one before the damage: that one is asked for by itself.
+            # `sqlite3` reads a row ahead and drops the one before the damage, so that row is queried on its own.
             past = found[-1][0] if found else past
             start_ns, end_ns = _beyond_place(past, start_ns, end_ns, newest_first)
             before = self._next_row(numbers, start_ns, end_ns, newest_first, past)
@@ -177,11 +178,11 @@ class SqliteFile:
         past: tuple[int, int] = _NOWHERE,
         most: int = -1,
     ) -> Generator[_Row, None, None]:
-        """Each row of the file in that time and beyond the place `past`; only the data of those topics is read."""
+        """Yield each row in that time range beyond the place `past`; data is read only for the topics in `numbers`."""
         order, beyond = ("DESC", "<") if newest_first else ("ASC", ">")
         spans = [("timestamp >= ? AND timestamp < ? AND (timestamp != ? OR id {beyond} ?)", (start_ns, end_ns, *past))]
         if past != _NOWHERE and self._has_index:
-            # Two questions: with one, SQLite would pass by all rows of the time of `past` anew with each page.
+            # Two queries: with one, SQLite would skip all rows with the time of `past` again for each page.
             rest = (start_ns, past[0]) if newest_first else (past[0] + 1, end_ns)
             spans = [("timestamp = ? AND id {beyond} ?", past), ("timestamp >= ? AND timestamp < ?", rest)]
         for condition, bounds in spans:
@@ -219,17 +220,17 @@ class SqliteFile:
     def _next_row(
         self, numbers: Collection[int], start_ns: int, end_ns: int, newest_first: bool, past: tuple[int, int]
     ) -> _Row | None:
-        """The next row beyond `past`; None if it cannot be read."""
+        """Return the next row beyond `past`; None if it cannot be read."""
         try:
             return next(self._rows(numbers, start_ns, end_ns, newest_first, past, 1), None)
         except sqlite3.Error:
             return None
 
     def _beyond(self, numbers: Collection[int], start_ns: int, end_ns: int, newest_first: bool) -> int | None:
-        """The time of the first message that can be read again beyond damage at the start (or the end) of that time."""
+        """Return the time of the first readable message beyond damage at the start (or end) of a time range."""
 
         def found(away_ns: int) -> int | None:
-            """The first message that is so far away, or None where there is no more; raises where it is damaged."""
+            """Return the time of the first message so far away, or None if there is none; raises if it is damaged."""
             span = (start_ns, end_ns - away_ns) if newest_first else (start_ns + away_ns, end_ns)
             return next((place[0] for place, _ in self._rows(numbers, *span, newest_first, most=1)), None)
 
@@ -240,7 +241,7 @@ class SqliteFile:
             start_ns = first_ns
         damaged_ns, step_ns = 0, 1
         best: int | None = None
-        while best is None:  # ever further, until a message can be read
+        while best is None:  # double the distance until a message can be read
             try:
                 best = found(step_ns)
             except sqlite3.Error:
@@ -249,7 +250,7 @@ class SqliteFile:
             if best is None:
                 return None
         whole_ns = step_ns
-        while whole_ns - damaged_ns > 1:  # and back, to where the damage ends
+        while whole_ns - damaged_ns > 1:  # then bisect back to where the damage ends
             middle_ns = (damaged_ns + whole_ns) // 2
             try:
                 nearer = found(middle_ns)
@@ -259,21 +260,21 @@ class SqliteFile:
         return best
 
     def _within(self, start_ns: int, end_ns: int) -> tuple[int, int]:
-        """A span as far as there are messages."""
+        """Return a time range limited to that of the file's messages."""
         first_ns, last_ns = self.times or (start_ns, end_ns)
         return max(start_ns, first_ns), max(min(end_ns, last_ns + 1), start_ns)
 
     def check(self, until_s: float) -> bool:
-        """Reads on, to find damage, until that steady time; whether all has been read."""
+        """Read on until the monotonic time `until_s` to find damage; return whether everything has been read."""
         with closing(self.messages(Span(start_ns=self._checked_ns))) as messages:
             for _, sample in messages:
                 self._checked_ns = sample.received_ns
                 if monotonic() >= until_s:
-                    return False  # and the query is ended: as long as it is open nobody else can write to the file
+                    return False  # closes the query: an open one would keep other programs from writing to the file
         return True
 
     def odd_times(self, until_s: float) -> dict[str, OddTimes]:
-        """What is odd about the times of its messages, by topic, as far as they are read by that steady time."""
+        """Return irregular message times by topic, of the rows that are read until the monotonic time `until_s`."""
         query = "SELECT id, topic_id, timestamp FROM messages WHERE id > ? ORDER BY id LIMIT ?"
         try:
             while monotonic() < until_s:
@@ -283,21 +284,24 @@ class SqliteFile:
                 self._order.append(written([(number, int(at_ns)) for _, number, at_ns in rows]))
                 self._ordered_to = int(rows[-1][0])
         except (sqlite3.Error, TypeError, ValueError):
-            pass  # damage, which is told where messages are read
+            pass  # damage, which is reported where messages are read
         return odd_times(self._order, self._names)
 
     def close(self) -> None:
-        """Closes the file."""
+        """Close the file."""
         self._opened.close()
 
     def __del__(self) -> None:
-        """Closes it with its last reader: a bag that has changed is opened anew while others may still read it."""
+        """Close the file with its last reader.
+
+        A bag that has changed is opened anew while others may still read the old one.
+        """
         self.close()
 
     def _read_topics(self) -> tuple[dict[int, str], Mapping[str, StoredTopic]]:
-        """Names by the file's numbers, and topics by name.
+        """Return topic names by their numbers in the file, and topics by name.
 
-        The first distributions kept no QoS, and only Iron and later keep definitions.
+        The first distributions stored no QoS, and only Iron and later store definitions.
         """
         execute = self._database.execute
         qos = "offered_qos_profiles" if "offered_qos_profiles" in self._columns("topics") else "''"
@@ -321,7 +325,7 @@ class SqliteFile:
         return names, topics
 
     def _columns(self, table: str) -> set[str]:
-        """The names of the table's columns; empty where there is no such table."""
+        """Return the names of the table's columns; empty if there is no such table."""
         return {row[1] for row in self._database.execute(f"PRAGMA table_info({table})")}
 
     def _note_hole(self, hole: Hole, error: str) -> None:
@@ -335,7 +339,7 @@ class SqliteFile:
 
 
 def _connect(path: Path) -> sqlite3.Connection:
-    """A connection that writes nothing, also where the folder is read-only."""
+    """Return a read-only connection, which also works in a read-only folder."""
     uri = path.resolve().as_uri()
     database = sqlite3.connect(f"{uri}?mode=ro", timeout=_BUSY_S, uri=True, check_same_thread=False)
     try:
@@ -345,21 +349,21 @@ def _connect(path: Path) -> sqlite3.Connection:
         if not isinstance(error, sqlite3.OperationalError):
             raise
         _raise_if_locked(path, error)
-        # SQLite wants to write to a journal (WAL) beside the file even to read it; `immutable` does without.
+        # SQLite needs a journal (WAL) beside the file even to read it; `immutable` avoids that.
         database = sqlite3.connect(f"{uri}?immutable=1", timeout=_BUSY_S, uri=True, check_same_thread=False)
     database.text_factory = partial(str, encoding="utf-8", errors="replace")
     return database
 
 
 def _raise_if_locked(path: Path, error: sqlite3.Error) -> None:
-    """Raises `Locked` if that is what the error says: it is no damage."""
+    """Raise `Locked` if the error says that the database is locked, which is not damage."""
     if "locked" in str(error):
         hint = "Ask again when the other program has finished or paused; the file is not damaged."
         raise Locked(f"{path.name} is locked: another program writes to it.", hint) from error
 
 
 def _beyond_place(past: tuple[int, int], start_ns: int, end_ns: int, newest_first: bool) -> tuple[int, int]:
-    """What of a span is beyond a place (or at its time)."""
+    """Return the part of a time range at or beyond the time of a place."""
     if past == _NOWHERE:
         return start_ns, end_ns
     return (start_ns, past[0] + 1) if newest_first else (past[0], end_ns)
@@ -367,7 +371,7 @@ def _beyond_place(past: tuple[int, int], start_ns: int, end_ns: int, newest_firs
 
 @contextmanager
 def _decompressed(path: Path) -> Generator[Path, None, None]:
-    """A file with the contents of a compressed one, as long as it is entered."""
+    """Decompress a file into a temporary one, which is deleted when the context ends."""
     descriptor, name = tempfile.mkstemp(prefix="ros2-mcp-", suffix=".db3")
     try:
         with os.fdopen(descriptor, "wb") as whole, path.open("rb") as packed:  # closed again: else Windows keeps it

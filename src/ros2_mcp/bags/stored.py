@@ -1,4 +1,4 @@
-"""What is said of a topic in a bag, and which messages to read, whatever the kind of its files."""
+"""Topics of a bag, time ranges to read, and defects found, for all kinds of files."""
 
 from __future__ import annotations
 
@@ -10,24 +10,25 @@ from ros2_mcp.model.text import counted, listed, named
 from ros2_mcp.model.times import iso_time
 
 FOREVER = 2**63 - 1
-"""The largest time in nanoseconds that SQLite (and ROS) can hold: the year 2262."""
+"""The largest time in nanoseconds that SQLite (and ROS) can store: the year 2262."""
 MOST_PROBLEMS = 50
-"""Of one file in words. A disk that fails damages thousands of chunks, and nobody reads more than these."""
+"""Problems that are reported of one file. A failing disk damages thousands of chunks, and a reader needs no more than
+these."""
 _MOST_NAMED = 5
 """Topics that are named of one hole; a chunk has those of the whole robot."""
 
 
 Form: TypeAlias = Literal["ros2", "json", "other"]
-"""What the bytes of a topic are: ROS 2 messages, JSON, or something that this package does not read."""
+"""The content of a topic's bytes: ROS 2 messages, JSON, or a format that this package does not read."""
 
 
 @dataclass(frozen=True, slots=True)
 class StoredTopic:
-    """A topic of a bag. `count` is None where only reading everything would tell.
+    """A topic of a bag. `count` is None if only reading the whole file would tell.
 
-    `form` says what its bytes are; `contents.stored_topic` decides that of what a file says. A `type` that is none of
-    ROS 2 begins with the encoding: `json:app.Log`. `encoding` (`ros2msg`, `ros2idl`, `jsonschema` or empty) and
-    `definition` say what the bytes mean; `qos` is rosbag2's text about the publishers.
+    `form` is the format of its bytes, as decided by `contents.stored_topic`. A `type` that is not a ROS 2 type begins
+    with the encoding: `json:app.Log`. `encoding` (`ros2msg`, `ros2idl`, `jsonschema` or empty) and `definition`
+    describe the fields; `qos` is rosbag2's text about the publishers.
     """
 
     name: str
@@ -42,22 +43,22 @@ class StoredTopic:
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """Which messages to read: of these topics (None: all), from `start_ns` up to but without `end_ns`."""
+    """The messages to read: of these topics (None: all), from `start_ns` to before `end_ns`."""
 
     topics: Collection[str] | None = None
     start_ns: int = 0
     end_ns: int = FOREVER
 
     def wants(self, topic: str, at_ns: int) -> bool:
-        """Whether a message is one of them."""
+        """Return whether a message is in the span."""
         return self.start_ns <= at_ns < self.end_ns and (self.topics is None or topic in self.topics)
 
 
 @dataclass(frozen=True, slots=True)
 class Hole:
-    """A part of a recording that cannot be read: messages of these topics (None: it is not known of which) are lost.
+    """A part of a recording that cannot be read, with messages of these topics (None: not known which) lost.
 
-    They were recorded between two Unix times in nanoseconds. 0 is a beginning and `FOREVER` an end that nobody knows.
+    Start and end are Unix times in nanoseconds. A start of 0 and an end of `FOREVER` mean that it is not known.
     """
 
     start_ns: int
@@ -65,13 +66,13 @@ class Hole:
     topics: frozenset[str] | None = None
 
     def touches(self, topics: Collection[str] | None, start_ns: int, end_ns: int) -> bool:
-        """Whether messages of these topics (None: any) may be missing between two times."""
+        """Return whether messages of these topics (None: any) may be missing between two times."""
         is_in_time = self.start_ns < end_ns and self.end_ns > start_ns
         return is_in_time and (topics is None or self.topics is None or not self.topics.isdisjoint(topics))
 
     @property
     def words(self) -> str:
-        """What is lost: `messages from … to … are lost`."""
+        """The loss in words: `messages from … to … are lost`."""
         of = ""
         if self.topics:
             names = sorted(self.topics)
@@ -86,11 +87,11 @@ class Hole:
 
 @dataclass(frozen=True, slots=True)
 class OddTimes:
-    """What is odd about the times of a topic's messages in the order in which they were written.
+    """Irregular times of a topic's messages, in the order in which they were written.
 
-    `untimed` messages are at time 0, which is none: they were recorded with a simulated time that had not begun, or
-    with a clock that was not set. `backs` counts those that are older than the one before; the first of them is `by_ns`
-    older, at `at_ns`, and the topic's `number`-th message (from 1; 0 where that is not known).
+    `untimed` messages have time 0: they were recorded before simulated time began, or with a clock that was not set.
+    `backs` counts messages that are older than the one before; the first of them is `by_ns` older, has time `at_ns`,
+    and is the topic's `number`-th message (from 1; 0 if not known).
     """
 
     untimed: int = 0
@@ -100,7 +101,7 @@ class OddTimes:
     by_ns: int = 0
 
     def joined(self, later: OddTimes) -> OddTimes:
-        """With those of a later file, whose messages have other numbers there."""
+        """Return the sum with a later file, where the positions of messages start anew."""
         untimed, backs = self.untimed + later.untimed, self.backs + later.backs
         if self.backs:
             return replace(self, untimed=untimed, backs=backs)
@@ -108,7 +109,7 @@ class OddTimes:
 
     @property
     def back_words(self) -> str:
-        """Where they go back: `at message 57 by 12.3 s, to 2026-…`; empty where they do not."""
+        """Description of times that go backwards: `at message 57 by 12.3 s, to 2026-…`; empty if they do not."""
         if not self.backs:
             return ""
         first = f"at message {self.number} " if self.number else ""
@@ -117,18 +118,18 @@ class OddTimes:
 
     @property
     def words(self) -> str:
-        """All of it in sentences; empty where nothing is odd."""
+        """All irregularities in sentences; empty if there are none."""
         untimed = f"{self.untimed} of its messages have no time (0) and are left out." if self.untimed else ""
         back = f"Its times go back {self.back_words}; it is read in the order of the times." if self.backs else ""
         return f"{untimed} {back}".strip()
 
 
 LEAST_BACK_NS = 1_000_000
-"""Threads of a recorder that write one after the other's message turn microseconds around, which means nothing."""
+"""The threads of a recorder may swap messages by microseconds, which is not an irregularity."""
 
 
 def odd_times_in_words(odd: Mapping[str, OddTimes]) -> list[str]:
-    """What is odd about the times of several topics, a line for each kind."""
+    """Describe the irregular times of several topics, one line for each kind."""
     lines: list[str] = []
     if untimed := [f"{named(name)} {one.untimed}" for name, one in sorted(odd.items()) if one.untimed]:
         lines.append(
@@ -143,7 +144,7 @@ def odd_times_in_words(odd: Mapping[str, OddTimes]) -> list[str]:
 
 
 def joined(holes: Iterable[Hole]) -> list[tuple[int, int]]:
-    """The times of holes, those that overlap or touch as one, in order."""
+    """Return the time ranges of holes in order; overlapping or adjacent ones are merged."""
     found: list[tuple[int, int]] = []
     for start_ns, end_ns in sorted((hole.start_ns, hole.end_ns) for hole in holes):
         if found and start_ns <= found[-1][1]:

@@ -1,4 +1,4 @@
-"""Writes a recording: MCAP files in a rosbag2 folder, valid up to the last `flush` whatever happens after it."""
+"""Write a recording: MCAP files in a rosbag2 folder, valid up to the last `flush` even after a crash."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from ros2_mcp.bags.stored import StoredTopic
 from ros2_mcp.model.samples import Sample
 
 CHUNK_BYTES = 1 << 20
-"""As the mcap library has it. It is what a damaged byte costs, and what is read for a single message."""
+"""Default of the mcap library. This much is lost to one damaged byte, and read to get a single message."""
 _SEQUENCE_MASK = 0xFFFFFFFF
 """MCAP has 32 bits for the number of a message, ROS 64."""
 MESSAGE_BYTES = 31 + 16
-"""What a message needs beside its data: its record's head, and its place in the chunk's index."""
+"""Bytes of a message besides its data: the head of its record, and its entry in the chunk's index."""
 _LIBRARY = "ros2-mcp"
 
 
 class _Output:
-    """An unbuffered file that knows how much of it is whole."""
+    """An unbuffered file; `whole` is its size at the last flush, up to which its records are complete."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -49,10 +49,10 @@ class _Output:
 
 
 class BagWriter:
-    """One recording on disk. Every method that writes raises `OSError` as the system does; use it from one thread.
+    """One recording on disk. Every method that writes may raise `OSError`; use it from one thread only.
 
-    `counts` has the messages of each topic, `files` the finished files, `bytes_before` their size in all. `notes` say
-    in words what the reader of the recording should know.
+    `counts` has the number of messages of each topic, `files` the finished files, `bytes_before` their total size.
+    `notes` are sentences for the reader of the recording.
     """
 
     def __init__(self, folder: Path, name: str, split_bytes: int = 0) -> None:
@@ -69,7 +69,7 @@ class BagWriter:
 
     @property
     def size(self) -> int:
-        """Bytes of all files, with the messages that are not on the disk yet."""
+        """Total bytes of all files, including messages that are not on the disk yet."""
         return self.bytes_before + max(self._output.size, self._part.bytes)
 
     @property
@@ -79,36 +79,36 @@ class BagWriter:
 
     @property
     def descriptor(self) -> int:
-        """The descriptor of the file that is being written, to sync it."""
+        """The descriptor of the file that is being written, for `fsync`."""
         return self._output.file.fileno()
 
     def add_topic(self, topic: StoredTopic, type_hash: str = "") -> None:
-        """A topic that messages may follow for."""
+        """Add a topic. Messages of it may be written from now on."""
         self.topics[topic.name] = topic
         self.counts.setdefault(topic.name, 0)
         self._hashes[topic.name] = type_hash
 
     def write(self, topic_name: str, sample: Sample) -> None:
-        """One message, with the time of receipt as its time."""
+        """Write one message, with its time of receipt as the log time."""
         self._put(topic_name, sample)
         self.counts[topic_name] += 1
 
     def flush(self) -> None:
-        """Closes the chunk and gives everything to the system; begins the next file where this one is full."""
+        """Close the chunk and flush to the operating system; begin the next file if this one is full."""
         self._writer.flush()
         if self._split_bytes and self._output.size >= self._split_bytes:
             self.end()
             self._open_file()
 
     def close(self) -> None:
-        """Ends the file with its index and writes `metadata.yaml`."""
+        """End the file with its index and write `metadata.yaml`."""
         self.end()
         topics = [(replace(topic, count=self.counts[name]), self._hashes[name]) for name, topic in self.topics.items()]
         write_metadata(self.folder, topics, self.files)
 
     def end(self) -> None:
-        """Ends the file with its index, on the disk, without `metadata.yaml`."""
-        self._writer.flush()  # before the index: where the disk has no room for that, `abandon` keeps the messages
+        """End the file with its index and sync it to the disk, without `metadata.yaml`."""
+        self._writer.flush()  # before the index: if the disk has no room for that, `abandon` keeps the messages
         self._writer.finish()
         self._output.flush()
         os.fsync(self.descriptor)
@@ -118,7 +118,7 @@ class BagWriter:
         self._output.size, self._part = 0, FilePart("")
 
     def abandon(self) -> None:
-        """Ends without writing more than was whole: for a disk that takes no more."""
+        """End the file at its last complete record without writing more, for a disk that accepts no more data."""
         if self._output.file.closed:  # the disk refused the next file, after this one was finished
             return
         try:
@@ -158,7 +158,7 @@ class BagWriter:
 
 
 def fresh_folder(parent: Path, name: str) -> Path:
-    """Makes a new folder below `parent`; its name is made fit and unique.
+    """Make a new folder below `parent`, with a safe and unique name, and return it.
 
     Raises:
         OSError: if it cannot be made.
@@ -176,6 +176,6 @@ def fresh_folder(parent: Path, name: str) -> Path:
 
 
 def safe_name(name: str) -> str:
-    """The name without anything that could lead out of the folder: letters, digits, `-` and `_`, at most 80."""
+    """Return the name with only letters, digits, `-` and `_`, at most 80, so that it cannot lead out of the folder."""
     safe = re.sub("[^A-Za-z0-9-]", "_", name.strip())
     return safe.strip("_-")[:80]

@@ -1,1 +1,1 @@
-"""Frozen data, names and errors; imports nothing of ours."""
+"""Immutable data, names and errors; imports no other package of this server."""

@@ -1,4 +1,4 @@
-"""Where a robot is, as a user writes it: `ssh://me@robot`, `docker://NAME`, `local`, or `NAME=` before one."""
+"""The address of a robot, as a user writes it: `ssh://me@robot`, `docker://NAME`, `local`, or `NAME=` before one."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ros2_mcp.model.text import quoted
 
 AddressKind = Literal["local", "ssh", "docker", "command"]
 
-# DDS reckons its UDP ports from the domain id (7400 + 250 per domain): from 233 on they would lie beyond 65535.
+# DDS computes its UDP ports from the domain id (7400 + 250 per domain): from 233 on they would exceed 65535.
 MAX_DOMAIN_ID = 232
 _MAX_PORT = 65535
 _FORMS = "Write ssh://user@host, ssh://user@host:22?container=NAME, docker://NAME or local."
@@ -23,11 +23,11 @@ _PARTS = re.compile(r"(?P<scheme>[a-z][a-z0-9+.-]*)://(?P<rest>[^?#]*)(?:\?(?P<q
 _LOCAL = re.compile(r"local(?:\?(?P<query>.*))?")
 _PLACE = re.compile(r"(?:(?P<user>.*)@)?(?P<host>\[[^\]]*\]|[^:@/]*)(?::(?P<port>\d*))?/?")
 # Both become words of a command line. None begins with a dash, which ssh and docker would take for an option; and none
-# has a sign that a shell understands: ssh puts user and host into the commands of the user's configuration.
+# contains a shell metacharacter: ssh puts user and host into the commands of the user's configuration.
 _HOST = re.compile(r"[A-Za-z0-9_:][A-Za-z0-9_.:%-]*", re.ASCII)
 _USER = re.compile(r"[A-Za-z0-9_.+][A-Za-z0-9_.+@-]*", re.ASCII)
 _CONTAINER = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*", re.ASCII)
-# What can stand behind the question mark, for each kind.
+# Parameters after the question mark, for each kind.
 _KEYS: Mapping[str, Sequence[str]] = {
     "ssh": ("container", "domain_id"),
     "docker": ("domain_id",),
@@ -37,12 +37,12 @@ _KEYS: Mapping[str, Sequence[str]] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RobotAddress:
-    """One robot and the way to it.
+    """One robot and how to reach it.
 
-    `name` is what the user calls it, `text` the address as it was written, without the name. `user`, `host` and `port`
-    are for ssh, empty and 0 where ssh's own configuration shall decide. `container` is one on that host, or for
-    `docker` on this machine. `command` is the beginning of a command line that gives a shell there. `domain_id` is None
-    where the address does not tell it.
+    `name` is the user's name for the robot, `text` the address as written, without the name. `user`, `host` and `port`
+    are for ssh, empty and 0 if ssh's own configuration decides. `container` is one on that host, or for `docker` on
+    this machine. `command` is the beginning of a command line that starts a shell there. `domain_id` is None if the
+    address does not have it.
     """
 
     kind: AddressKind
@@ -57,12 +57,12 @@ class RobotAddress:
 
     @property
     def is_remote(self) -> bool:
-        """Whether the bridge runs where this server sees neither its processes nor its files."""
+        """Whether the bridge runs where this server can see neither its processes nor its files."""
         return self.kind != "local"
 
     @property
     def place(self) -> str:
-        """What it is called in texts: the address, without what may come behind a question mark but the container."""
+        """The name of the robot's location in texts: the address, of whose parameters only the container is kept."""
         if self.kind == "command":
             return self.text
         container = f"?container={self.container}" if self.kind == "ssh" and self.container else ""
@@ -70,9 +70,9 @@ class RobotAddress:
 
     @property
     def identity(self) -> str:
-        """The same for every address of this robot, whoever logs in and whatever it is called; empty for `local`.
+        """The same for every address of this robot, whatever the login and name; empty for `local`.
 
-        The DDS domain is no part of it.
+        The DDS domain is not part of it.
         """
         if self.kind == "local":
             return ""
@@ -84,7 +84,7 @@ class RobotAddress:
 
     @property
     def written(self) -> str:
-        """As a user would write it."""
+        """The address as a user would write it, with the name."""
         return f"{self.name}={self.text}" if self.name else self.text
 
 
@@ -92,12 +92,15 @@ LOCAL = RobotAddress(kind="local", text="local")
 
 
 def of_command(command: Sequence[str], name: str = "") -> RobotAddress:
-    """The robot behind a command that gives the stdin and stdout of a shell there, such as `kubectl exec -i pod --`."""
+    """Return the address of a robot behind a command that provides the stdin and stdout of a shell there.
+
+    An example is `kubectl exec -i pod --`.
+    """
     return RobotAddress(kind="command", text=shlex.join(command), command=tuple(command), name=name)
 
 
 def parse_address(text: str) -> RobotAddress:
-    """The address that a text means: `NAME=ADDRESS` or `ADDRESS`.
+    """Parse `NAME=ADDRESS` or `ADDRESS`.
 
     Raises:
         BadInput: naming what is wrong, and what would be right.
@@ -152,7 +155,7 @@ def _checked(what: str, value: str, allowed: re.Pattern[str], address: str) -> s
 
 
 def _options(kind: str, query: str | None, address: str) -> dict[str, str | int]:
-    """What stands behind the question mark, as fields."""
+    """Parse the parameters after the question mark into fields."""
     found: dict[str, str | int] = {}
     for key, value in parse_qsl(query or "", keep_blank_values=True):
         if key in found:
@@ -172,6 +175,6 @@ def _options(kind: str, query: str | None, address: str) -> dict[str, str | int]
 
 
 def _is_login(text: str) -> bool:
-    """Whether it looks like what one gives to ssh: `me@robot`, `robot.local`."""
+    """Return whether the text looks like a login for ssh: `me@robot`, `robot.local`."""
     user, _, host = text.rpartition("@")
     return bool(_HOST.fullmatch(host)) and (not user or bool(_USER.fullmatch(user)))

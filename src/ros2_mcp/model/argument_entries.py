@@ -19,7 +19,7 @@ _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,63}")
 
 
 def arguments_under(front: Entry, key: str) -> list[Argument]:
-    """The arguments in the list under a key, in their order; raises `FrontMatterError` with the line of a mistake."""
+    """Return the arguments in the list under a key, in order; raises `FrontMatterError` with the line of a mistake."""
     found: dict[str, Argument] = {}
     for entry in front.entries(key):
         argument = argument_of(entry)
@@ -30,7 +30,7 @@ def arguments_under(front: Entry, key: str) -> list[Argument]:
 
 
 def argument_of(entry: Entry) -> Argument:
-    """The argument that an entry declares; raises `FrontMatterError` with the line of a mistake."""
+    """Return the argument that an entry declares; raises `FrontMatterError` with the line of a mistake."""
     entry.check_keys(_KEYS)
     name, kind = entry.text("name"), entry.text("type") or "string"
     if not _NAME.fullmatch(name):
@@ -47,14 +47,14 @@ def argument_of(entry: Entry) -> Argument:
         maximum=entry.number("maximum", math.inf),
     )
     argument = replace(argument, choices=_values(argument, entry, "choices", entry.texts("choices")))
-    is_list = entry.is_list("default") and kind != "json"  # whose parts would all become texts
+    is_list = entry.is_list("default") and kind != "json"  # a JSON list, whose elements `texts` would turn into strings
     default = json.dumps(entry.texts("default")) if is_list else entry.text("default")
     values = _values(argument, entry, "default", [default] if default else [])
     return replace(argument, default=values[0] if values else None)
 
 
 def _values(argument: Argument, entry: Entry, key: str, texts: Sequence[str]) -> Sequence[Any]:
-    """The values of the texts under a key, each checked like what a client gives."""
+    """Parse the texts under a key, each like a value from a client."""
     try:
         return tuple(argument.value(text) for text in texts)
     except BadInput as error:

@@ -1,4 +1,4 @@
-"""Arguments of prompts. MCP hands them over as text; here they become checked values, and values become text again."""
+"""Arguments of prompts. MCP passes them as text; this module converts text to checked values, and values to text."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from ros2_mcp.model.errors import BadInput, BadName
 _TRUE = ("true", "1", "yes", "on")
 _FALSE = ("false", "0", "no", "off")
 _NOTHING = ("none", "null")
-"""Not given, as programs write it."""
+"""Words for a value that is not given, as programs write it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Argument:
     """One argument of a prompt.
 
-    `kind` is a word of `KINDS`. `default` is a value of that kind, or None where leaving it out means nothing.
-    `choices` are the values allowed; `other_choices` maps further spellings to them. `minimum` and `maximum` bound
-    numbers. `type_of` names the argument whose topic has this message type.
+    `kind` is a key of `KINDS`. `default` is a value of that kind, or None if there is no default. `choices` are the
+    allowed values; `other_choices` maps other spellings to them. `minimum` and `maximum` bound numbers. `type_of` names
+    the argument whose topic has this message type.
     """
 
     name: str
@@ -40,10 +40,10 @@ class Argument:
     type_of: str = ""
 
     def value(self, text: str) -> Any:
-        """The value that a client's text means.
+        """Parse a client's text into a value.
 
         Raises:
-            BadInput: naming the argument, what was given and what is allowed.
+            BadInput: naming the argument, the text and the allowed values.
         """
         reason = ""
         try:
@@ -60,7 +60,7 @@ class Argument:
         return value
 
     def allowed(self) -> str:
-        """What may be given, in words."""
+        """Describe the allowed values."""
         if self.choices:
             return f"one of {', '.join(shown(choice) for choice in self.choices)}"
         low, high = math.isfinite(self.minimum), math.isfinite(self.maximum)
@@ -69,7 +69,7 @@ class Argument:
         return KINDS[self.kind].words + (bounds or (f" of at most {shown(self.maximum)}" if high else ""))
 
     def explained(self) -> str:
-        """The description as the user sees it, with what is allowed and the default."""
+        """Return the description for the user, with the allowed values and the default."""
         notes = [self.allowed()] if self.choices or self.kind in ("number", "integer", "boolean") else []
         if self.default not in (None, "", []):
             notes.append(f"default: {shown(self.default)}")
@@ -88,7 +88,7 @@ def _boolean(text: str) -> bool:
 
 
 def _list(text: str) -> list[str]:
-    """`a, b`, the JSON `["a", "b"]`, or Python's `['a', "b"]`, as the prompts of other servers write it."""
+    """Parse `a, b`, the JSON `["a", "b"]`, or Python's `['a', "b"]`, which prompts of other servers use."""
     if not text.startswith(("[", "(")):
         return [part.strip() for part in text.split(",") if part.strip()]
     try:
@@ -104,7 +104,7 @@ def _list(text: str) -> list[str]:
 
 
 def _json(text: str) -> Any:
-    """Any value but null, which says that nothing is given; NaN and infinities are no JSON."""
+    """Parse any JSON value but null, which means not given; NaN and infinities are rejected."""
     try:
         return json.loads(text, parse_constant=_no_number)
     except RecursionError:
@@ -116,7 +116,7 @@ def _no_number(_: str) -> None:
 
 
 def _literal(text: str) -> Any:
-    """A value in Python's notation; raises `ValueError`, also where Python would raise another error."""
+    """Parse a Python literal; raises `ValueError` in place of Python's other errors."""
     try:
         return ast.literal_eval(text)
     except (SyntaxError, TypeError, MemoryError, RecursionError) as error:
@@ -132,7 +132,7 @@ def _names_of(what: str) -> Callable[[str], list[str]]:
 
 
 class Kind(NamedTuple):
-    """A kind of argument: the function that makes its value of text (`ValueError` where it cannot), and its name."""
+    """A kind of argument: the function that parses a text (raising `ValueError` if it cannot), and a description."""
 
     value: Callable[[str], Any]
     words: str
@@ -154,15 +154,15 @@ KINDS: Mapping[str, Kind] = {
     "action": Kind(_name_of("action"), "the name of an action, such as /navigate"),
     "message_type": Kind(partial(names.interface_type, kind="msg"), "a type, such as sensor_msgs/msg/LaserScan"),
 }
-"""What an argument can be."""
+"""The kinds of arguments."""
 
 
 def values_of(
     arguments: Sequence[Argument], given: Mapping[str, str], whose: str = "This prompt", word: str = "argument"
 ) -> dict[str, Any]:
-    """A checked value for every argument: the given one, else the default.
+    """Return a checked value for every argument: the given one, else the default.
 
-    Empty text counts as not given, and so do None and null for an argument that may be left out and is no free text.
+    Empty text counts as not given; so do None and null for an optional argument that is not a string.
 
     Raises:
         BadInput: for an unknown, missing or wrong argument.
@@ -185,7 +185,7 @@ def values_of(
 
 
 def shown(value: Any) -> str:
-    """A value as text: `true`, `2.5`, `60`, `a, b`."""
+    """Return a value as text: `true`, `2.5`, `60`, `a, b`."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, float) and value.is_integer() and abs(value) < 1e15:

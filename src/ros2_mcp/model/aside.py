@@ -1,4 +1,4 @@
-"""Work that takes long is done aside, in a thread: the event loop renews the link lease and is not to be held up."""
+"""Run long work in a thread, so that it does not block the event loop, which renews the link lease."""
 
 from __future__ import annotations
 
@@ -15,21 +15,23 @@ from anyio.lowlevel import RunVar
 T = TypeVar("T")
 
 LARGE = 20_000
-"""Bytes of a message, or characters of JSON. Measured: the codec takes up to 5 ms for so much, as long as a thread may
-keep the interpreter from the event loop; below that a thread costs more than it saves."""
+"""Bytes of a message, or characters of JSON. Measured: the codec takes up to 5 ms for this size, the longest that a
+thread may keep the interpreter from the event loop; for less, a thread costs more than it saves."""
 _LEAST = 10
-"""Characters that any value of JSON counts for, with what stands around it: the time goes by values, not by digits."""
+"""Characters that any JSON value counts for, with its separators: the time depends on the number of values, not of
+digits."""
 READING = "reading of messages"
-"""The turn of what clients send, so that a stop does not wait behind the values of others."""
+"""The turn for parsing what clients send: separate from the turn of values, so that a stop does not wait behind
+them."""
 _turns = RunVar[dict[str, anyio.Semaphore]]("the turns of large work")
 _loaded: set[str] = set()
 
 
 async def aside(size: int, work: Callable[..., T], *args: Any, turn: str = "values") -> T:
-    """What `work(*args)` returns: done at once if what it works on is small, else in a thread, one after the other.
+    """Return `work(*args)`: run at once if its input is small, else in a thread, one at a time in each turn.
 
-    One at a time in each turn, because each thread that computes takes the event loop its share. Who is cancelled
-    waits no longer, but the turn ends only when the thread does: nobody can make it compute on for itself.
+    One at a time, because each computing thread takes its share of the interpreter from the event loop. A cancelled
+    caller stops waiting, but the turn ends only when the thread does; thus a caller cannot keep several threads busy.
     """
     if size <= LARGE:
         return work(*args)
@@ -49,8 +51,10 @@ async def _until_done(turn: anyio.Semaphore, work: Callable[..., T], *args: Any)
 
 
 def _without_collecting(work: Callable[..., T], *args: Any) -> T:
-    """Large work makes a million objects, and no garbage in circles. To look for that among them holds all threads up:
-    for 100,000 poses six times, for up to 0.15 s of processor time.
+    """Run large work without garbage collection.
+
+    It creates a million objects and no reference cycles. Searching them for cycles would block all threads: for 100,000
+    poses six times, for up to 0.15 s of processor time.
     """
     was_enabled = gc.isenabled()
     gc.disable()
@@ -62,7 +66,7 @@ def _without_collecting(work: Callable[..., T], *args: Any) -> T:
 
 
 def extent(value: object) -> int:
-    """About how many characters a value is as JSON; of what is large no more is counted than that it is."""
+    """Return about how many characters a value has as JSON; counting stops once it is large."""
     size, waiting = 0, [value]
     while waiting and size <= LARGE:
         one = waiting.pop()
@@ -81,7 +85,7 @@ def extent(value: object) -> int:
 
 
 async def load(*modules: str) -> None:
-    """Imports what is imported only when it is needed, in a thread: NumPy and the codec take 0.3 to 1 s."""
+    """Import modules in a thread, which are needed only now: NumPy and the codec take 0.3 to 1 s."""
     missing = [name for name in modules if name not in _loaded]
     if missing:
         await to_thread.run_sync(_import, missing, abandon_on_cancel=True)

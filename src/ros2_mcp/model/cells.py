@@ -1,6 +1,6 @@
-"""Values on one line of a text, and rows of them as a table: nothing of the robot forges a line, or a column.
+"""Format values on one line, and rows as a table, such that text from the robot cannot forge a line or a column.
 
-A text of the robot is bare only where it can be nothing but a name, else a JSON string.
+Text from the robot is written without quotes only if it can only be a name; otherwise it is a JSON string.
 """
 
 from __future__ import annotations
@@ -11,24 +11,25 @@ from typing import Any, cast
 from ros2_mcp.model.text import exact_json, is_name
 
 NOTHING = "-"
-"""What stands in the place of an empty value."""
+"""Placeholder for an empty value."""
 _BETWEEN = " | "
 
 
 class Exact(str):
-    """The text of a cell as it is, such as JSON that is made visible already."""
+    """The text of a cell, written unchanged, such as JSON that is escaped already."""
 
     __slots__ = ()
 
 
 def is_empty(value: Any) -> bool:
-    """Whether it is nothing: null, an empty text, list or object. 0 and false are values."""
+    """Return whether a value is null or an empty string, list or object. 0 and false are values."""
     return value is None or (isinstance(value, (str, Sequence, Mapping)) and not value)
 
 
 def cell(value: Any) -> str:
-    """A value on one line: a measured number as `short_number`, a list of texts with commas between them, an object
-    as JSON.
+    """Format a value on one line.
+
+    A float is formatted by `short_number`, a list of strings with commas, an object as JSON.
     """
     if isinstance(value, Exact):
         return str(value)
@@ -46,29 +47,29 @@ def cell(value: Any) -> str:
 
 
 def quoted_json(text: str) -> str:
-    """A text of the robot as a JSON string, visible."""
+    """Return a text of the robot as a JSON string, with hidden characters escaped."""
     return exact_json(text)
 
 
 def short_number(value: float) -> str:
-    """A measured number as summaries have it: below 1 four digits, else thousandths."""
+    """Format a measured number: below 1 with four digits, else with three decimals."""
     return f"{value:.4g}" if abs(value) < 1 else f"{round(value, 3):.15g}"
 
 
 def heading(name: str) -> str:
-    """The name of a column; paths come from the robot."""
+    """Return the name of a column, quoted if necessary; paths come from the robot."""
     return name if is_name(name) else quoted_json(name)
 
 
 def table(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> list[str]:
-    """A header, and a line for each row; nothing where there are no columns. Empty cells at the end are left out."""
+    """Return a header, and a line for each row; empty without columns. Empty cells at the end of a line are omitted."""
     if not names:
         return []
     return [_BETWEEN.join(map(heading, names)), *(line([row[name] for name in names]) for row in rows)]
 
 
 def line(cells: Sequence[Any]) -> str:
-    """One row."""
+    """Format one row."""
     texts = [in_column(value) for value in cells]
     while len(texts) > 1 and texts[-1] == NOTHING:
         texts.pop()
@@ -76,12 +77,15 @@ def line(cells: Sequence[Any]) -> str:
 
 
 def in_column(value: Any) -> str:
-    """The text of a cell: no column begins within it."""
-    return cell(value).replace("|", "\\u007c")  # within a JSON string, where alone it can be, this is the same
+    """Return the text of a cell, without a column separator."""
+    return cell(value).replace("|", "\\u007c")  # equivalent in a JSON string, where alone `|` can occur
 
 
 def told_apart(rows: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[str]]:
-    """The columns in which rows differ, and those that are equal in all; without those that are empty in all."""
+    """Return the columns in which rows differ, and those equal in all rows.
+
+    Columns that are empty in all are omitted.
+    """
     texts = [{name: in_column(value) for name, value in row.items()} for row in rows]
     names = [name for name in (texts[0] if texts else ()) if any(row[name] != NOTHING for row in texts)]
     if len(rows) < 2:
@@ -91,5 +95,5 @@ def told_apart(rows: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[str]]
 
 
 def pairs(row: Mapping[str, Any], names: Sequence[str]) -> str:
-    """`name: value` of each, with commas between them."""
+    """Return `name: value` of each column, separated by commas."""
     return ", ".join(f"{name}: {cell(row[name])}" for name in names)

@@ -1,6 +1,6 @@
-"""Every act that may change something: frozen, with resolved names, full types and the principal who asks for it.
+"""Commands: every act that may change something, with resolved names, full types and the principal that asks for it.
 
-A command says what shall happen; `Robot.do` decides about it and carries it out. Its type parameter is its result.
+A command only describes; `Robot.do` decides about it and executes it. Its type parameter is the type of its result.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ Risk = Literal["write", "actuate"]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Principal:
-    """Who asks: one for stdio, one for each session or program over HTTP, and the server itself.
+    """The origin of a command: one for stdio, one for each session or program over HTTP, and the server itself.
 
-    `transport` is that of MCP by which it came: `stdio`, `http` or `socket`; `server` for what the server does of its
-    own. `login` is the name of the token over HTTP, and of the user at a Unix socket; several principals may share it.
-    `program` is the id of the program through which it asks: what one program does ends with it, and nothing else does.
+    `transport` is that of MCP (`stdio`, `http` or `socket`), or `server` for the server's own commands. `login` is the
+    name of the token over HTTP, and of the user at a Unix socket; several principals may share it. `program` is the id
+    of the program through which the command comes: when a program ends, only its own acts end.
     """
 
     name: str
@@ -36,26 +36,26 @@ class Principal:
 
     @property
     def counted_as(self) -> str:
-        """Whom limits count it for: its login, since a client over HTTP can give itself as many names as it likes."""
+        """The name under which limits count it: its login, as a client over HTTP can choose any number of names."""
         return f"{self.transport} {self.login or self.name}"
 
 
 SERVER = Principal(name="server", transport="server")
 """The server itself, such as for its black box."""
 LOCAL = Principal(name="local", transport="stdio")
-"""The one client of a server over stdio."""
+"""The only client of a server over stdio."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Sent:
-    """What became of a publication; `ours` of the matched subscribers are this server's own.
+    """The outcome of a publication; `ours` of the `matched` subscribers are this server's own.
 
-    `acked` is None where it is not known: best effort and repetitions have no acknowledgement. `late` counts missed
-    periods of a repetition, which ends with a zero command (`stopped_with_zero`) where its type is a velocity command;
-    `ended_by` is what ended it before its time. Under a policy, `limited` messages left slower than was asked for, as a
-    ramp lets them, and after `hold_s` without another one the bridge sends the zero (0: it does not). `stopper_s` is
-    how long it waited for the stopper, `unguarded` why it went on without one, in words. `endpoints` is how many
-    publishers and subscribers the topic has, where that is known.
+    `acked` is None if not known: best effort and repeats have no acknowledgement. `late` counts missed periods of a
+    repeat; a repeat of velocity commands ends with a zero (`stopped_with_zero`). `ended_by` is the reason for an early
+    end. Under a policy, `limited` messages were slower than requested because of a ramp, and `hold_s` after the last
+    message the bridge sends the zero (0: it does not). `stopper_s` is how long it waited for the stopper, `unguarded`
+    the reason why it continued without one. `endpoints` are the numbers of publishers and subscribers of the topic, if
+    known.
     """
 
     topic: str
@@ -78,7 +78,7 @@ class Sent:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """The response of a service as CDR bytes of `type`, and how long it took."""
+    """The response of a service as CDR bytes of `type`, and its delay."""
 
     type: str
     body: bytes
@@ -87,11 +87,10 @@ class Answer:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Command(Generic[R]):
-    """One act, and who asks for it.
+    """One act, and the principal that asks for it.
 
-    `name` is the absolute name of what is acted on: a topic, a service, an action, a node, a bag. `type` is its full
-    type; `value` the JSON value that is sent. `rate_hz` and `duration_s` are None for what happens once; a duration of
-    0 has no end.
+    `name` is the absolute name of the target: a topic, a service, an action, a node, a bag. `type` is its full type;
+    `value` the JSON value to send. `rate_hz` and `duration_s` are None for a single act; a duration of 0 has no end.
     """
 
     principal: Principal
@@ -103,11 +102,11 @@ class Command(Generic[R]):
     risk: Risk = "actuate"
 
     ACT: ClassVar[str]
-    """What is done, in words that begin a sentence, with the fields of the command: `Publishing on {0.name}`."""
+    """The action, as the beginning of a sentence with the command's fields: `Publishing on {0.name}`."""
 
     @property
     def act(self) -> str:
-        """What is done: `Publishing on /cmd_vel`."""
+        """The action in words: `Publishing on /cmd_vel`."""
         return self.ACT.format(self)
 
 
@@ -116,7 +115,7 @@ class Command(Generic[R]):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Publish(Command[Sent]):
-    """One message. The result waits, within bounds, for a subscriber to match and for its acknowledgement."""
+    """Publish one message. The result waits, within bounds, for a matching subscriber and its acknowledgement."""
 
     ACT = "Publishing on {0.name}"
 
@@ -127,9 +126,9 @@ class Publish(Command[Sent]):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Repeat(Command[Sent]):
-    """One message again and again; the rhythm is kept inside the bridge. The result comes at its end.
+    """Publish one message repeatedly; the bridge keeps the rate. The result comes at the end.
 
-    `repeat_id` is its name in the bridge, where it may have to be ended by it.
+    `repeat_id` is its id in the bridge, by which it can be ended.
     """
 
     ACT = "Publishing on {0.name}"
@@ -143,10 +142,10 @@ class Repeat(Command[Sent]):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Moved:
-    """What became of a motion.
+    """The outcome of a motion.
 
-    `sent` is as of a repetition. `outcome` is a word for what ended it and `why` a sentence, both empty where
-    `sent.ended_by` says it; `report` is what its controller told of it at the end.
+    `sent` is as for a repeat. `outcome` is a word and `why` a sentence for the reason of its end, both empty if
+    `sent.ended_by` has it; `report` is the controller's report at the end.
     """
 
     sent: Sent
@@ -156,17 +155,17 @@ class Moved:
 
     @property
     def ended_by(self) -> EndedBy:
-        """What ended it before its time."""
+        """The reason for an early end."""
         return self.sent.ended_by
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Move(Command[Moved]):
-    """Velocity commands that follow from what is heard: a controller in the bridge decides them, `rate_hz` a second.
+    """Send velocity commands of a controller in the bridge, which receives feedback, `rate_hz` times a second.
 
-    `controller` is what it is made of, with its `kind`; `hears` are the types of the topics that it hears. `value` is
-    the fastest command that it may send, by which a policy decides; the bridge judges each that leaves. `duration_s` is
-    its time limit, `motion_id` its name in the bridge. The result comes at its end.
+    `controller` are its parameters, with its `kind`; `hears` are the types of the topics to which it subscribes.
+    `value` is the fastest command that it may send, by which a policy decides; the bridge checks each command that it
+    sends. `duration_s` is the time limit, `motion_id` its id in the bridge. The result comes at the end.
     """
 
     ACT = "Driving by {0.name}"
@@ -182,9 +181,9 @@ class Move(Command[Moved]):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Relay(Command[RelayCounts]):
-    """What comes on `source` is published on `name`. The result comes when it ends, after `duration_s` or before.
+    """Publish messages of `source` on `name`. The result comes at the end, after `duration_s` or earlier.
 
-    Where it `is_fed` (`Feed`), the bridge knows neither its source, its rate nor its end. `relay_id` is its name there.
+    If it `is_fed` (`Feed`), the bridge does not know its source, rate and end. `relay_id` is its id in the bridge.
     """
 
     ACT = "Relaying to {0.name}"
@@ -198,11 +197,11 @@ class Relay(Command[RelayCounts]):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Play(Command[RelayCounts]):
-    """One recorded topic is published again on `name`, fed (`Feed`) in its rhythm; the result comes at its end.
+    """Publish one recorded topic on `name`, fed (`Feed`) in its recorded rhythm; the result comes at the end.
 
-    `relay_id` is its name in the bridge, `bag` the recording, `part` the times of it that are played, in words, and
-    `topic` what the topic is called there. With `force`
-    it is played though somebody publishes there, or is moved by it; `speed` is 1 for that of the recording.
+    `relay_id` is its id in the bridge, `bag` the recording, `part` a description of the played time range, and `topic`
+    the topic's name in the recording. With `force` it is played even if the topic has other publishers or moves the
+    robot; `speed` is 1 for the recorded speed.
     """
 
     ACT = "Playing {0.bag} on {0.name}"
@@ -219,9 +218,9 @@ class Play(Command[RelayCounts]):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Feed(Command[int]):
-    """Messages (CDR of `type`) for a relay or playback that is fed; the result is how many it has passed on so far.
+    """Pass messages (CDR of `type`) to a fed relay or playback; the result is how many it has published so far.
 
-    Without messages: whether it runs. Raises `NotFound` where no relay of that id does.
+    Without messages it checks that the relay runs. Raises `NotFound` if no relay with that id runs.
     """
 
     ACT = "Publishing on {0.name}"
@@ -232,9 +231,9 @@ class Feed(Command[int]):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Record(Command[None]):
-    """Topics are written to the bag `name`: those of `topics`, and those that fit one of `patterns`; without both, all.
+    """Record topics to the bag `name`: those in `topics`, and those matching one of `patterns`; without both, all.
 
-    Nothing is sent: it is decided, no more.
+    Nothing is sent: a record command is only decided.
     """
 
     ACT = "Recording"
@@ -249,10 +248,10 @@ class Record(Command[None]):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ServiceBorne(Command[Answer]):
-    """A request to a service. Without `wait_s` the time-out holds for waiting for a server and for its answer together.
+    """A request to a service. Without `wait_s` the time-out covers waiting for a server as well as its answer.
 
-    Raises, when it is done:
-        NotFound: if no server appeared in time, or it left before it answered.
+    Raises, when it is executed:
+        NotFound: if no server appeared in time, or it left before answering.
         TimedOut: if it did not answer in time.
     """
 
@@ -268,7 +267,7 @@ class ServiceBorne(Command[Answer]):
 
     @property
     def service_type(self) -> str:
-        """Its full type."""
+        """The full type of the service."""
         return self.type
 
     @property
@@ -279,12 +278,12 @@ class ServiceBorne(Command[Answer]):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ServiceCall(ServiceBorne):
-    """A request to the service `name`; `value` is the request."""
+    """Call the service `name`; `value` is the request."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _OfNode(ServiceBorne):
-    """A request to a node `name` through a service of it."""
+    """A request to the node `name` through the service `through`."""
 
     through: str
 
@@ -296,7 +295,7 @@ class _OfNode(ServiceBorne):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SetParameters(_OfNode):
-    """Parameters of the node `name`; `value` is the request, `parameters` what they become as plain JSON values."""
+    """Set parameters of the node `name`; `value` is the request, `parameters` the new values as plain JSON."""
 
     ACT = "Setting parameters of {0.name}"
 
@@ -305,7 +304,7 @@ class SetParameters(_OfNode):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ChangeState(_OfNode):
-    """A transition of the lifecycle node `name`, by its label or its id; `value` is the request."""
+    """Trigger a transition of the lifecycle node `name`, by its label or id; `value` is the request."""
 
     ACT = "Changing the state of {0.name}"
 
@@ -315,7 +314,7 @@ class ChangeState(_OfNode):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SendGoal(ServiceBorne):
-    """A goal for the action `name` of type `type`; `value` is the goal, `goal_id` its 32 hexadecimal digits."""
+    """Send a goal to the action `name` of type `type`; `value` is the goal, `goal_id` its 32 hexadecimal digits."""
 
     ACT = "Sending a goal to {0.name}"
 
@@ -328,7 +327,7 @@ class SendGoal(ServiceBorne):
 
     @property
     def service_type(self) -> str:
-        """Its full type."""
+        """The full type of the service."""
         return f"{self.type}_SendGoal"
 
     @property
@@ -339,7 +338,7 @@ class SendGoal(ServiceBorne):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CancelGoals(ServiceBorne):
-    """Cancels one goal of the action `name`; without a `goal_id` all that were accepted up to `stamp`, or all."""
+    """Cancel one goal of the action `name`; without a `goal_id` all goals accepted up to `stamp`, or all."""
 
     ACT = "Cancelling goals of {0.name}"
 

@@ -1,7 +1,7 @@
-"""What the costs of a costmap mean, as Nav2 publishes it in nav_msgs/msg/OccupancyGrid.
+"""The costs of a costmap, as Nav2 publishes it in nav_msgs/msg/OccupancyGrid.
 
-0 is free, 1 to 98 nearer and nearer to something; 99 where the robot's middle is so near that it touches; 100 occupied,
--1 unknown.
+Cost 0 is free; 1 to 98 increase towards obstacles; 99 is inscribed (a robot with its centre there touches an obstacle);
+100 is occupied; -1 is unknown.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ UNKNOWN, TOUCHING, OCCUPIED = -1, 99, 100
 
 @dataclass(frozen=True, slots=True)
 class Reach:
-    """Whether one can get to a goal, and the place nearest to it that one can get to, `short_m` from it."""
+    """Whether a goal is reachable, and the reachable point nearest to it, at the distance `short_m`."""
 
     is_reached: bool
     x_m: float
@@ -23,9 +23,11 @@ class Reach:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Narrowest:
-    """How narrow a way is: `clearance_m` is the least distance of it (the robot's middle) from what is occupied, at the
-    point `clearance_at`; `gap_m` the narrowest gap that it leads through, with its middle `gap_at` (None: none below
-    3 m)."""
+    """The narrowest spot of a path.
+
+    `clearance_m` is the least distance of the path (the robot's centre) from an occupied cell, at the point
+    `clearance_at`; `gap_m` is the width of the narrowest gap on it, with the centre `gap_at` (None: no gap below 3 m).
+    """
 
     clearance_m: float
     clearance_at: tuple[float, float]
@@ -43,7 +45,7 @@ class Narrowest:
 
 
 def cost_in_words(cost: int | None) -> str:
-    """What a cost means, such as `free` or `occupied (cost 100)`; None is outside."""
+    """Describe a cost, such as `free` or `occupied (cost 100)`; None is outside of the costmap."""
     if cost is None:
         return "outside the costmap"
     if cost < 0:

@@ -1,50 +1,50 @@
-"""The one tree of errors.
+"""The tree of all errors.
 
-Every error carries a message that says what was wrong and a hint that says what would be right::
+Every error has a message that says what was wrong, and a hint that says what would be right::
 
     RobotError
     ├── BadInput              the caller's arguments
     │   ├── BadName           not a valid ROS name
     │   ├── BadValue          a value that does not fit its definition (names the path)
-    │   └── UnknownInterface  no definition of that type is known
-    ├── NotFound              nothing of that name is in the graph
-    ├── NoTransform           where one frame is in another is not known
-    ├── TypeConflict          several types, or another type than the one asked for
+    │   └── UnknownInterface  there is no known definition of that type
+    ├── NotFound              the graph has nothing with that name
+    ├── NoTransform           there is no transform between two frames
+    ├── TypeConflict          several types, or another type than the requested one
     ├── TimedOut              a bounded wait ended
-    ├── Refused               the policy of this server forbids it, or one of its limits
+    ├── Refused               the policy of this server, or one of its limits, forbids it
     │   └── ApprovalNeeded    a person has to approve it first
-    ├── Stopped               a stop came first
-    │   ├── Lapsed            or the end of the link lease did
-    │   └── Latched           or the latch is set, which only an operator resets
-    ├── Rehearsed             it would be done, and is not: this is a rehearsal
-    ├── AllFailed             everything that one call asked for failed
+    ├── Stopped               a stop came before the command was sent
+    │   ├── Lapsed            the link lease lapsed before the command was sent
+    │   └── Latched           the latch is set, which only an operator resets
+    ├── Rehearsed             the command would be executed, but this is a rehearsal
+    ├── AllFailed             every part of one call failed
     ├── BadData               bytes from the robot that do not fit their definition
     ├── Locked                a file that another program is writing to
-    ├── SystemLimit           the operating system gives this server no more files, memory or disk
+    ├── SystemLimit           the operating system's limit of files, memory or disk is reached
     └── LinkError             between this server and the robot
         ├── RosNotFound       no ROS 2 installation to run the bridge with
-        ├── Unreachable       the machine of the robot was not reached, or lets nobody in
-        ├── BridgeLost        the bridge died or hung; it is being started again
+        ├── Unreachable       the robot's machine could not be reached, or denies access
+        ├── BridgeLost        the bridge died or hung, and is being restarted
         └── BridgeRefused     the bridge answered with an error
 """
 
 from __future__ import annotations
 
 LEASE = "the bridge, which had not heard from this server for longer than the link lease"
-"""What has ended something where a link lease lapsed; it completes "It was ended by …"."""
+"""The reason for an end by a lapsed link lease; it completes "It was ended by …"."""
 
 
 LATCH = "the latch of the robot, which only an operator resets"
-"""The same, where the latch was set."""
+"""The reason for an end by the latch; it completes "It was ended by …"."""
 
 
 def latch_set_by(by: str) -> str:
-    """The same, with who has set it and why, where that is known."""
+    """Return `LATCH` with the operator and the reason of the latch, if known."""
     return f"{LATCH}; it was set by {by}" if by else LATCH
 
 
 class RobotError(Exception):
-    """Base of everything this package raises on purpose: `message` says what was wrong, `hint` what would be right."""
+    """Base of the errors that this package raises on purpose: `message` says what was wrong, `hint` what is right."""
 
     def __init__(self, message: str, hint: str = "") -> None:
         super().__init__(message)
@@ -55,7 +55,7 @@ class RobotError(Exception):
         return f"{self.message} {self.hint}".rstrip()
 
     def again(self) -> RobotError:
-        """The same error for one more who is to be told."""
+        """Return a copy of the error, to raise it for another caller."""
         return type(self)(self.message, self.hint)
 
 
@@ -68,7 +68,7 @@ class BadName(BadInput):
 
 
 class BadValue(BadInput):
-    """A value that does not fit its definition; `path` says where, such as `pose.position.x` or `ranges[3]`."""
+    """A value that does not fit its definition; `path` is its place, such as `pose.position.x` or `ranges[3]`."""
 
     def __init__(self, path: str, message: str, hint: str = "") -> None:
         super().__init__(f"{path}: {message}" if path else message, hint)
@@ -76,48 +76,48 @@ class BadValue(BadInput):
         self._problem = message
 
     def below(self, field: str) -> BadValue:
-        """The same error for who gave the value of that field alone: its path begins there."""
+        """Return the error with its path relative to `field`, for a caller that gave only the value of that field."""
         if self.path != field and not self.path.startswith((f"{field}.", f"{field}[")):
             return self
         return BadValue(self.path.removeprefix(field).removeprefix("."), self._problem, self.hint)
 
 
 class UnknownInterface(BadInput):
-    """No definition of that type is known here."""
+    """There is no known definition of that type."""
 
 
 class NotFound(RobotError):
-    """Nothing of that name is in the graph."""
+    """The graph has nothing with that name."""
 
 
 class NoTransform(RobotError):
-    """Where one frame is in another is not known; `reason` says why in a word or two, such as `two trees`."""
+    """There is no transform between two frames; `reason` says why in a word or two, such as `two trees`."""
 
     def __init__(self, reason: str, message: str, hint: str = "") -> None:
         super().__init__(message, hint)
         self.reason = reason
 
     def again(self) -> NoTransform:
-        """The same error for one more who is to be told."""
+        """Return a copy of the error, to raise it for another caller."""
         return NoTransform(self.reason, self.message, self.hint)
 
 
 class TypeConflict(RobotError):
-    """Several types under one name, or another type than the one asked for."""
+    """Several types under one name, or another type than the requested one."""
 
 
 class TimedOut(RobotError):
-    """A bounded wait ended before what it waited for happened."""
+    """A bounded wait ended before the expected event."""
 
 
 class Refused(RobotError):
-    """The policy of this server forbids it, or one of its limits."""
+    """The policy of this server forbids the command, or one of its limits does."""
 
 
 class ApprovalNeeded(Refused):
-    """A person has to approve it first: the same call again is carried out once it is approved.
+    """A person has to approve the command first: the same call again executes it once it is approved.
 
-    `request_id` is what the person sees it under.
+    `request_id` is the id under which the person sees the request.
     """
 
     def __init__(self, message: str, hint: str = "", *, request_id: str = "") -> None:
@@ -126,7 +126,7 @@ class ApprovalNeeded(Refused):
 
 
 class Stopped(RobotError):
-    """It was accepted before a stop came, and is not sent after it; `may_have_left` where that is not known.
+    """The command was accepted before a stop and is not sent after it; `may_have_left` if that is not certain.
 
     `reason` is what stopped it: it completes "It was ended by …".
     """
@@ -138,15 +138,16 @@ class Stopped(RobotError):
 
 
 class Lapsed(Stopped):
-    """The link lease lapsed after it was accepted."""
+    """The link lease lapsed after the command was accepted."""
 
     def __init__(self, message: str, hint: str = "") -> None:
         super().__init__(message, hint, reason=LEASE)
 
 
 class Latched(Stopped):
-    """The latch of the robot is set, or was since it was accepted; only an operator resets it. `by` says who has set it
-    and why, if that is known.
+    """The latch of the robot is set, or was set after the command was accepted; only an operator resets it.
+
+    `by` is the operator that set it and why, if known.
     """
 
     def __init__(self, message: str, hint: str = "", *, by: str = "") -> None:
@@ -154,47 +155,47 @@ class Latched(Stopped):
 
 
 class Rehearsed(RobotError):
-    """It would be done now, and is not: this is a rehearsal."""
+    """The command would be executed now, but this is a rehearsal."""
 
 
 class AllFailed(RobotError):
-    """Everything that one call asked for failed, such as each of several topics."""
+    """Every part of one call failed, such as each of several topics."""
 
 
 class BadData(RobotError):
-    """Bytes from the robot that do not fit their definition."""
+    """Bytes from the robot do not fit their definition."""
 
 
 class Locked(RobotError):
-    """A file that cannot be read just now, because another program is writing to it."""
+    """A file cannot be read at present, because another program is writing to it."""
 
 
 class SystemLimit(RobotError):
-    """The operating system gives this server no more of something, such as open files: nobody's request is wrong."""
+    """A limit of the operating system is reached, such as open files; the request itself is not wrong."""
 
 
 class LinkError(RobotError):
-    """Something between this server and the robot."""
+    """A failure between this server and the robot."""
 
 
 class RosNotFound(LinkError):
-    """There is no ROS 2 installation to run the bridge with."""
+    """There is no ROS 2 installation with which to run the bridge."""
 
 
 class Unreachable(LinkError):
-    """The machine of the robot was not reached, or lets nobody in; `is_lasting` where only a person changes that."""
+    """The robot's machine could not be reached, or denies access; `is_lasting` if only a person can change that."""
 
     def __init__(self, message: str, hint: str = "", *, is_lasting: bool = False) -> None:
         super().__init__(message, hint)
         self.is_lasting = is_lasting
 
     def again(self) -> Unreachable:
-        """The same error for one more who is to be told."""
+        """Return a copy of the error, to raise it for another caller."""
         return Unreachable(self.message, self.hint, is_lasting=self.is_lasting)
 
 
 class BridgeLost(LinkError):
-    """The bridge died or hung; it is being started again."""
+    """The bridge died or hung, and is being restarted."""
 
 
 class BridgeRefused(LinkError):

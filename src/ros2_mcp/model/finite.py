@@ -1,4 +1,4 @@
-"""Numbers that are not finite, which JSON does not have."""
+"""Replace NaN and infinities, which JSON does not have."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, cast
 
 
 def finite(value: Any, instead: Callable[[float], str | None] = lambda _: None) -> Any:
-    """The same value with null, or what is to stand there, for each number that is none, or infinite."""
+    """Return the value with each NaN and infinity replaced by the result of `instead`, by default null."""
     if isinstance(value, float):
         return value if math.isfinite(value) else instead(value)
     if isinstance(value, Mapping):

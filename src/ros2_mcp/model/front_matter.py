@@ -14,7 +14,7 @@ _NULL = "tag:yaml.org,2002:null"
 
 
 class FrontMatterError(Exception):
-    """What is wrong, and the line of the file, counted from 1."""
+    """A mistake in the front matter, with its line in the file, counted from 1."""
 
     def __init__(self, line: int, text: str) -> None:
         super().__init__(text)
@@ -25,10 +25,10 @@ class FrontMatterError(Exception):
 class Entry:
     """A mapping of the front matter: the YAML node and the line of every key. Lines count from 1 in the file.
 
-    Everything in it is read as text, as a client would write it; the arguments say what it means.
+    All values are read as text, as a client would write them; the declared arguments define their types.
 
     Raises:
-        FrontMatterError: from every method, if a value is not what is asked for.
+        FrontMatterError: from every method, if a value is not of the requested type.
     """
 
     def __init__(self, node: Any, what: str) -> None:
@@ -44,43 +44,43 @@ class Entry:
             self._nodes[key], self._lines[key] = value, _line(key_node)
 
     def line_of(self, key: str) -> int:
-        """The line of a key; of the whole entry if there is no such key."""
+        """Return the line of a key; of the whole entry if there is no such key."""
         return self._lines.get(key, self._line)
 
     def check_keys(self, allowed: Sequence[str]) -> None:
-        """Checks that there are no other keys than these."""
+        """Raise `FrontMatterError` for any other key than these."""
         for key in self._nodes:
             if key not in allowed:
                 hint = did_you_mean(key, allowed, f"Known are: {', '.join(allowed)}.")
                 raise FrontMatterError(self.line_of(key), f"{key!r} means nothing here. {hint}")
 
     def text(self, key: str) -> str:
-        """The text under a key; empty without the key."""
+        """Return the text under a key; empty without the key."""
         return _text(self._nodes[key], self.line_of(key), key) if key in self._nodes else ""
 
     def texts(self, key: str) -> list[str]:
-        """The texts in the list under a key."""
+        """Return the texts in the list under a key."""
         return [_text(node, self.line_of(key), key) for node in self._items(key, "such as [slow, fast]")]
 
     def flag(self, key: str) -> bool:
-        """Whether the value under a key is true; false without the key."""
+        """Return whether the value under a key is true; false without the key."""
         if key in self._nodes and self._nodes[key].tag != _BOOL:
             raise FrontMatterError(self.line_of(key), f"{key} must be true or false.")
         return self.text(key).lower() == "true"
 
     def number(self, key: str, otherwise: float) -> float:
-        """The number under a key."""
+        """Return the number under a key; `otherwise` without the key."""
         try:
             return float(self.text(key) or otherwise)
         except ValueError:
             raise FrontMatterError(self.line_of(key), f"{key} must be a number.") from None
 
     def entries(self, key: str) -> list[Entry]:
-        """The mappings in the list under a key."""
+        """Return the mappings in the list under a key."""
         return [Entry(node, f"each of {key}") for node in self._items(key, "each entry starting with '- name: …'")]
 
     def is_list(self, key: str) -> bool:
-        """Whether there is a list under a key."""
+        """Return whether there is a list under a key."""
         return key in self._nodes and isinstance(self._nodes[key].value, list) and not _is_mapping(self._nodes[key])
 
     def _items(self, key: str, example: str) -> list[Any]:
@@ -90,12 +90,12 @@ class Entry:
 
 
 def split(text: str) -> tuple[Entry, str, int]:
-    """The front matter, the text after it, and the line where that text starts.
+    """Split a file into front matter, the text after it, and the line where that text starts.
 
     Raises:
         FrontMatterError: if there is no front matter, or it is not a mapping in YAML.
     """
-    from ruamel.yaml import YAML  # 90 ms, for nothing without a folder of prompts
+    from ruamel.yaml import YAML  # takes 90 ms, which is wasted without a folder of prompts
     from ruamel.yaml.error import YAMLError
 
     lines = text.split("\n")
@@ -105,7 +105,7 @@ def split(text: str) -> tuple[Entry, str, int]:
     if end is None:
         raise FrontMatterError(1, "The front matter has no end: a line of --- is missing.")
     try:
-        # Nodes, not values: nothing in the YAML can act, and every part knows its line.
+        # Nodes, not values: nothing in the YAML can be executed, and every node knows its line.
         root = cast("Any", YAML(typ="safe", pure=True)).compose("\n".join(lines[1:end]))
     except YAMLError as error:
         mark, problem = getattr(error, "problem_mark", None), getattr(error, "problem", None) or "unreadable"
@@ -116,7 +116,7 @@ def split(text: str) -> tuple[Entry, str, int]:
 
 
 def entry_of(values: Mapping[str, Any]) -> Entry:
-    """What a client gives as JSON, read as if it stood in a file; raises `FrontMatterError`."""
+    """Return an entry from a client's JSON, as if it were in a file; raises `FrontMatterError`."""
     return split(f"{_FENCE}\n{json.dumps(values, ensure_ascii=False)}\n{_FENCE}")[0]
 
 
@@ -125,7 +125,7 @@ def _is_mapping(node: Any) -> bool:
 
 
 def _line(node: Any) -> int:
-    """YAML counts lines from 0, and starts after the first line of the file."""
+    """Convert YAML's line, from 0 and without the first line of the file, to a line of the file from 1."""
     return node.start_mark.line + 2
 
 

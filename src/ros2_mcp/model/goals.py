@@ -1,4 +1,4 @@
-"""Goals of actions: their identity and state."""
+"""Goals of actions: their ids and states."""
 
 from __future__ import annotations
 
@@ -32,19 +32,20 @@ CANCEL_CODES: Mapping[int, str] = {
 
 CANCEL_TYPE = "action_msgs/srv/CancelGoal"
 STATUS_TYPE = "action_msgs/msg/GoalStatusArray"
-"""Of the latched topic `<action>/_action/status`, on which a server publishes the states of its goals."""
+"""The type of the latched topic `<action>/_action/status`, on which an action server publishes the states of its
+goals."""
 
 
 def new_goal_id() -> str:
-    """A fresh goal id: 32 hexadecimal digits."""
+    """Return a new goal id: 32 hexadecimal digits."""
     return uuid.uuid4().hex
 
 
 def goal_id_bytes(goal_id: str) -> list[int]:
-    """The 16 bytes of a goal id as unique_identifier_msgs/msg/UUID holds them.
+    """Return the 16 bytes of a goal id, as in unique_identifier_msgs/msg/UUID.
 
     Raises:
-        BadValue: if it is not 32 hexadecimal digits, or all zeros, which stands for every goal.
+        BadValue: if it is not 32 hexadecimal digits, or all zeros, which means every goal.
     """
     try:
         raw = uuid.UUID(hex=goal_id)
@@ -56,16 +57,16 @@ def goal_id_bytes(goal_id: str) -> list[int]:
 
 
 def cancel_request(goal_id: str = "", stamp: Mapping[str, int] | None = None) -> dict[str, Any]:
-    """The request that cancels one goal; without a goal id, all that were accepted up to the stamp, or all."""
+    """Return the request that cancels one goal; without a goal id, all goals accepted up to the stamp, or all."""
     raw_id = goal_id_bytes(goal_id) if goal_id else [0] * 16
     return {"goal_info": {"goal_id": {"uuid": raw_id}, "stamp": dict(stamp or {"sec": 0, "nanosec": 0})}}
 
 
 def goal_id_hex(raw: Sequence[int]) -> str:
-    """The goal id of 16 bytes."""
+    """Return the goal id of 16 bytes."""
     return bytes(raw).hex()
 
 
 def stamp_seconds(stamp: Mapping[str, Any]) -> float:
-    """A builtin_interfaces/msg/Time as seconds."""
+    """Convert a builtin_interfaces/msg/Time to seconds."""
     return int(stamp["sec"]) + int(stamp["nanosec"]) / 1e9

@@ -12,12 +12,12 @@ from ros2_mcp_common.wire.protocol import EndedBy
 Row = TypeVar("Row")
 
 OF_EVERY_NODE = frozenset({"/parameter_events", "/rosout"})
-"""Topics that every ROS system has: they say nothing about one robot."""
+"""Topics that every ROS system has, and which say nothing about a particular robot."""
 
 
 @dataclass(frozen=True, slots=True)
 class Rows(Generic[Row]):
-    """One answer of the graph; `settled` is false if discovery was still under way when the wait for it ended."""
+    """One answer of the graph; `settled` is false if discovery was still in progress when the wait for it ended."""
 
     rows: Sequence[Row]
     settled: bool
@@ -53,7 +53,7 @@ class NodeRow:
 
 @dataclass(frozen=True, slots=True, order=True)
 class NamedTypes:
-    """A topic or service that a node uses, with the types it uses it with."""
+    """A topic or service that a node uses, with the types by which it uses it."""
 
     name: str
     types: Sequence[str]
@@ -61,7 +61,7 @@ class NamedTypes:
 
 @dataclass(frozen=True, slots=True)
 class NodeEndpoints:
-    """What one node publishes, subscribes to, serves and calls."""
+    """The topics that one node publishes and subscribes to, and the services that it serves and calls."""
 
     publishers: Sequence[NamedTypes]
     subscribers: Sequence[NamedTypes]
@@ -71,7 +71,7 @@ class NodeEndpoints:
 
 @dataclass(frozen=True, slots=True)
 class TopicEndpoints:
-    """Who publishes and who subscribes on one topic. Until discovery has `settled`, there may be more."""
+    """The publishers and subscribers of one topic. Until discovery has `settled`, there may be more."""
 
     topic: str
     publishers: Sequence[Endpoint]
@@ -84,19 +84,19 @@ class TopicEndpoints:
         return sorted({endpoint.type for endpoint in (*self.publishers, *self.subscribers)})
 
     def subscribers_of(self, type_name: str) -> int:
-        """The number of subscribers of one type."""
+        """Return the number of subscribers of one type."""
         return sum(subscriber.type == type_name for subscriber in self.subscribers)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RelayCounts:
-    """What became of the messages of one relay in the bridge so far.
+    """The outcome so far of the messages of one relay in the bridge.
 
-    `lost` is None where the middleware cannot know. `matched` subscribers and `publishers` are the present ones. Of a
-    relay that has ended: `final_sent`, whether its zero command was sent; `ended_by`, what ended it before its
-    time. `refused` are what the policy holds back, and velocities that are not finite or cannot be decoded; of
-    `limited` less was sent than came. `stopper_s` is how long the first one waited for the stopper, `unguarded` why it
-    went on without one, in words.
+    `passed` were published, `limited` of them with reduced values. `dropped` were held back by the relay's rate.
+    `refused` were rejected by the policy, or are velocities that are not finite or cannot be decoded. `lost` is None if
+    the middleware cannot know. `matched` subscribers and `publishers` are the present ones. After the end, `final_sent`
+    is whether the zero was sent, and `ended_by` the reason for an early end. `stopper_s` is how long the first message
+    waited for the stopper, `unguarded` the reason why it continued without one.
     """
 
     running: bool = False
@@ -116,7 +116,7 @@ class RelayCounts:
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """What a bridge says of itself when it is there, and what was measured of the way to it; see `BridgeStatus`."""
+    """A bridge's description of itself when it connects, and measurements of the link; see `BridgeStatus`."""
 
     distro: str
     rmw: str
@@ -127,11 +127,11 @@ class Contact:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BridgeStatus:
-    """The running bridge: how it introduced itself, and what it holds now.
+    """The running bridge: its description of itself, and its present resources.
 
     `starts` counts the bridges of this server, `restarts` are the reasons why former ones were lost, `found` says why
     this ROS installation was chosen. `clock_offset_s` is how far the robot's clock is ahead of this machine's,
-    `link_rtt_s` the shortest way to the bridge and back of the last minute; None before they are known.
+    `link_rtt_s` the shortest round-trip time to the bridge in the last minute; None until they are known.
     """
 
     python: str

@@ -1,4 +1,4 @@
-"""What the definitions of messages, services and actions say."""
+"""Definitions of messages, services and actions as data."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Literals: TypeAlias = "bool | int | float | str | Sequence[bool | int | float | 
 
 @dataclass(frozen=True, slots=True)
 class DefinitionText:
-    """A definition as it is written in the file that defines it; `format` is `msg`, `srv`, `action` or `idl`."""
+    """A definition as written in its file; `format` is `msg`, `srv`, `action` or `idl`."""
 
     format: str
     text: str
@@ -31,7 +31,7 @@ class DefinitionText:
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """A field: its type, its default (None where the definition gives none) and the comment written beside it."""
+    """A field: its type, its default (None if there is none) and the comment beside it."""
 
     name: str
     type: FieldType
@@ -41,7 +41,7 @@ class Field:
 
 @dataclass(frozen=True, slots=True)
 class Constant:
-    """A constant."""
+    """A constant of a message, with its type, value and comment."""
 
     name: str
     type: str
@@ -51,7 +51,7 @@ class Constant:
 
 @dataclass(frozen=True, slots=True)
 class Structure:
-    """The fields and constants of one message, or of one side of a service or an action, in their order."""
+    """The fields and constants of one message, or of one side of a service or an action, in order."""
 
     type: str
     fields: tuple[Field, ...]
@@ -61,9 +61,9 @@ class Structure:
 
 @dataclass(frozen=True, slots=True)
 class Interface:
-    """A message, service or action (`kind` is `msg`, `srv` or `action`) with all that it refers to, for showing.
+    """A message, service or action (`kind` is `msg`, `srv` or `action`) with all nested types, for display.
 
-    `sides` in their order: `message`; or `request` and `response`; or `goal`, `result` and `feedback`.
+    `sides` are in order: `message`; or `request` and `response`; or `goal`, `result` and `feedback`.
     """
 
     type: str
@@ -72,7 +72,7 @@ class Interface:
     nested: Mapping[str, Structure]
 
     def text(self) -> str:
-        """The definition as a listing: each side, then each nested message once."""
+        """Return the definition as a listing: each side, then each nested message once."""
         lines: list[str] = []
         for side, structure in self.sides.items():
             lines += [self.type if side == "message" else f"{self.type} {side}", *_lines_of(structure)]

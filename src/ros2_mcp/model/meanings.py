@@ -1,4 +1,4 @@
-"""What a message of a sensor means, in a few numbers and in words: what is near, and where it is free."""
+"""Interpretation of a sensor's message in a few numbers and in words: near obstacles, and free directions."""
 
 from __future__ import annotations
 
@@ -9,20 +9,19 @@ from dataclasses import dataclass, field
 from ros2_mcp.model.text import named
 
 SECTORS = ("front", "front left", "left", "rear left", "rear", "rear right", "right", "front right")
-"""Of 45° each, from x towards y; the front is from -22.5° to 22.5°."""
+"""Sectors of 45° each, from x towards y; the front is from -22.5° to 22.5°."""
 SECTOR_RAD = 2 * math.pi / len(SECTORS)
 _ON_REQUEST = {"on_request": True}
-"""As in `ops/results/results.py`: a field that is left out where it is None."""
+"""As in `ops/results/results.py`: a field that is omitted if it is None."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScanMeaning:
-    """What a laser scan says, seen from the origin of `seen_from`: the robot's base, or the scan's own frame where its
-    mount is not known (`is_base` false).
+    """A laser scan, seen from the origin of `seen_from`: the robot's base, or the scanner if its mount is not known.
 
-    Bearings in degrees from straight ahead, to the left positive. `nearest_m` is null where nothing is within
-    `reach_m`, as far as the scanner sees. `free_m` is the free distance of each sector of 45°, at most about `reach_m`;
-    null where the scan does not cover it. Of `beams`, `invalid` tell nothing.
+    `is_base` is true in the first case. Bearings are in degrees from straight ahead, left positive. `nearest_m` is null
+    if there is no obstacle within `reach_m`, the scanner's range. `free_m` is the free distance in each sector of 45°,
+    at most about `reach_m`; null if the scan does not cover the sector. `invalid` of the `beams` carry no information.
     """
 
     seen_from: str
@@ -38,7 +37,7 @@ class ScanMeaning:
     note: str = field(default="")
 
     def __str__(self) -> str:
-        """Two sentences."""
+        """Return two sentences for the model, and the note."""
         return " ".join(filter(None, (self._nearest(), self._free(), self.note)))
 
     def _nearest(self) -> str:
@@ -59,14 +58,14 @@ class ScanMeaning:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DepthMeaning:
-    """What a point cloud or a depth image says, seen from the origin of `seen_from`: the robot's base, or (`is_base`
-    false) the sensor's place, x forward, y to the left, z up, where its mount is not known.
+    """A point cloud or a depth image, seen from the origin of `seen_from`: the robot's base, or the sensor.
 
-    `nearest_m` is the horizontal distance of the nearest thing that stands 0.1 to 2 m above the ground, with its
-    bearing in degrees (left positive) and its place; null where there is none. `ground_z_m` is the height of the
-    ground, with the share of points that lie in it; null where none is seen. The extent is that of all points but the
-    outermost hundredth. Of `points`, `invalid` have no place. Of a depth image without a camera info only `nearest_m`
-    (along the optical axis) and `note` are told.
+    The sensor is used (`is_base` false) if its mount is not known, with x forward, y to the left, z up. `nearest_m` is
+    the horizontal distance of the nearest point that is 0.1 to 2 m above the ground, with its bearing in degrees (left
+    positive) and its position; null if there is none. `ground_z_m` is the height of the ground, `ground_share` the
+    share of points in it; null if no ground is seen. The extent is that of all points without the outermost hundredth.
+    `invalid` of the `points` have no position. A depth image without a camera info has only `nearest_m` (along the
+    optical axis) and `note`.
     """
 
     seen_from: str
@@ -89,7 +88,7 @@ class DepthMeaning:
     note: str = field(default="")
 
     def __str__(self) -> str:
-        """Up to four sentences."""
+        """Return up to four sentences for the model, and the note."""
         return " ".join(filter(None, (self._nearest(), self._ground(), self._extent(), self.note)))
 
     def _nearest(self) -> str:
@@ -115,8 +114,9 @@ class DepthMeaning:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Meaning:
-    """What the newest message says: `scan` of a laser scan, `depth` of a point cloud or a depth image; or `unknown`:
-    why it says nothing, where its header and its data contradict each other.
+    """The interpretation of the newest message: `scan` of a laser scan, `depth` of a point cloud or a depth image.
+
+    `unknown` says why there is none, if the header and the data of the message contradict each other.
     """
 
     scan: ScanMeaning | None = field(default=None, metadata=_ON_REQUEST)
@@ -124,17 +124,17 @@ class Meaning:
     unknown: str = field(default="", metadata=_ON_REQUEST)
 
     def __str__(self) -> str:
-        """In words."""
+        """Return the interpretation in words."""
         return str(self.scan or self.depth or self.unknown)
 
 
 def bearing_in_words(degrees: float) -> str:
-    """`straight ahead`, `35° to the left`, `straight behind`."""
+    """Describe a bearing: `straight ahead`, `35° to the left`, `straight behind`."""
     if round(abs(degrees)) in (0, 180):
         return "straight behind" if abs(degrees) > 90 else "straight ahead"
     return f"{abs(degrees):.0f}° to the {'left' if degrees > 0 else 'right'}"
 
 
 def sector_of(degrees: float) -> str:
-    """The sector in which a bearing lies."""
+    """Return the sector of a bearing."""
     return SECTORS[math.floor(degrees / math.degrees(SECTOR_RAD) + 0.5) % len(SECTORS)]

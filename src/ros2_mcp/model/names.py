@@ -1,4 +1,4 @@
-"""ROS names: topics, services, nodes and interface types, checked and brought into one form."""
+"""ROS names of topics, services, nodes and interface types: validated and brought into one form."""
 
 from __future__ import annotations
 
@@ -12,23 +12,24 @@ from ros2_mcp.model.text import named, quoted
 
 _NAME = re.compile(r"^(/[A-Za-z_][A-Za-z0-9_]*)+$")
 KINDS = ("msg", "srv", "action")
-"""Of interfaces."""
+"""Kinds of interfaces."""
 _SHORT_TYPE = re.compile(r"^[A-Za-z][A-Za-z0-9_]*$")
 _TYPE = re.compile(r"^(?P<package>[a-z][a-z0-9_]*)/(?:(?P<kind>msg|srv|action)/)?(?P<name>[A-Za-z][A-Za-z0-9_]*)$")
 
 _LONGEST = 247
-"""Of a name: the middleware's 255 without the prefix and suffix that ROS gives it (`rmw_validate_full_topic_name`)."""
+"""Characters of a name: the middleware's 255 without the prefix and suffix that ROS adds
+(`rmw_validate_full_topic_name`)."""
 
 UNKNOWN_NODE = "(unknown node)"
-"""Instead of a name that the middleware does not know yet: it comes a little after the node's endpoints."""
+"""Placeholder for a name that the middleware does not know yet: it arrives a little after the node's endpoints."""
 _NAMELESS = {"_NODE_NAME_UNKNOWN_": UNKNOWN_NODE, "_CREATED_BY_BARE_DDS_APP_": "(not a ROS node)"}
 
 
 def absolute(name: str, what: str = "topic") -> str:
-    """The fully qualified name: `scan` and `/scan` are `/scan`.
+    """Return the fully qualified name: `/scan` for `scan` and `/scan`.
 
     Raises:
-        BadName: where ROS 2 does not allow the name.
+        BadName: if ROS 2 does not allow the name.
     """
     full = name.strip()
     if full.startswith("~"):
@@ -48,7 +49,7 @@ def absolute(name: str, what: str = "topic") -> str:
 
 
 def is_valid(name: str) -> bool:
-    """Whether ROS 2 allows the name of a topic, with or without the slash before it."""
+    """Return whether ROS 2 allows the name of a topic, with or without the leading slash."""
     try:
         return bool(absolute(name))
     except BadName:
@@ -56,24 +57,24 @@ def is_valid(name: str) -> bool:
 
 
 def node_name(name: str) -> tuple[str, str]:
-    """Name and namespace of a node: `/arm/driver` is `("driver", "/arm")`."""
+    """Return name and namespace of a node: `("driver", "/arm")` for `/arm/driver`."""
     full = absolute(name, "node")
     namespace, _, base = full.rpartition("/")
     return base, namespace or "/"
 
 
 def full_node_name(name: str, namespace: str) -> str:
-    """Joins what `node_name` parts; says so where the middleware does not know the node."""
+    """Join name and namespace; return a placeholder for a node that the middleware does not know."""
     if name in _NAMELESS:
         return _NAMELESS[name]
     return f"{namespace.rstrip('/')}/{name}"
 
 
 def interface_type(name: str, kind: str) -> str:
-    """The full type name: `std_msgs/String` and `std_msgs.msg.String` are `std_msgs/msg/String`.
+    """Return the full type name: `std_msgs/msg/String` for `std_msgs/String` and `std_msgs.msg.String`.
 
     Raises:
-        BadName: if it is not a type's name, or of another kind than `kind` (`msg`, `srv` or `action`).
+        BadName: if it is not a type's name, or not of the kind `kind` (`msg`, `srv` or `action`).
     """
     match = _TYPE.match(name.strip().replace(".", "/").replace("::", "/"))
     if match is None:
@@ -85,12 +86,12 @@ def interface_type(name: str, kind: str) -> str:
 
 
 def is_short(type_name: str) -> bool:
-    """Whether it is the name of a type alone, such as `Twist`, without its package."""
+    """Return whether the name is that of a type without its package, such as `Twist`."""
     return bool(_SHORT_TYPE.match(type_name.strip()))
 
 
 def is_type(requested: str, full: str, kind: str = "msg") -> bool:
-    """Whether somebody who asks for `Twist`, `geometry_msgs/Twist` or its full name means that type.
+    """Return whether `requested` (`Twist`, `geometry_msgs/Twist` or the full name) means the type `full`.
 
     Raises:
         BadName: if it is not a type's name, or of another kind.
@@ -107,8 +108,8 @@ _DERIVED = re.compile(
 
 
 def defining_type(name: str) -> str:
-    """The interface whose file defines a type: `a/action/Go_SendGoal_Request` is defined by `a/action/Go`."""
-    if name.count("/") != 2:  # the name of a JSON type in a recording, for one, which defines itself
+    """Return the interface whose file defines a type: `a/action/Go` for `a/action/Go_SendGoal_Request`."""
+    if name.count("/") != 2:  # for example a JSON type in a recording, which defines itself
         return name
     package, kind, base = name.split("/")
     match = _DERIVED.search(name) if kind != "msg" else None
@@ -116,12 +117,12 @@ def defining_type(name: str) -> str:
 
 
 def is_derived(name: str) -> bool:
-    """Whether the type is a part of a service or an action, such as `a/action/Go_FeedbackMessage`."""
+    """Return whether the type is a part of a service or an action, such as `a/action/Go_FeedbackMessage`."""
     return name.count("/") == 2 and defining_type(name) != name
 
 
 def type_in_words(name: str) -> str:
-    """A type as people know it: `std_srvs/srv/SetBool_Request` is the request of std_srvs/srv/SetBool."""
+    """Return a readable type: `the request of std_srvs/srv/SetBool` for `std_srvs/srv/SetBool_Request`."""
     if not is_derived(name):
         return name
     whole = defining_type(name)
@@ -130,18 +131,19 @@ def type_in_words(name: str) -> str:
 
 
 def is_of_action(name: str) -> bool:
-    """Whether it is the name of a topic or service of an action's server, such as `/dock/_action/status`."""
+    """Return whether the name is that of a topic or service of an action, such as `/dock/_action/status`."""
     return "/_action/" in name
 
 
 def is_hidden(name: str) -> bool:
-    """Whether ROS hides the name by convention: a part that starts with an underscore."""
+    """Return whether ROS hides the name by convention: a part of it begins with an underscore."""
     return "/_" in name
 
 
 def matching(names: Iterable[str], pattern: str, types_of: Callable[[str], Sequence[str]] = lambda _: ()) -> list[str]:
-    """The names that a pattern selects, by themselves or by a type: a glob if it has `*`, `?` or `[`, else any part of
-    the name or type; empty is all.
+    """Return the names that match a pattern themselves or by a type.
+
+    A pattern with `*`, `?` or `[` is a glob, any other one a part of the name or type; the empty pattern matches all.
     """
     if not pattern:
         return list(names)
@@ -152,16 +154,16 @@ def matching(names: Iterable[str], pattern: str, types_of: Callable[[str], Seque
 
 
 def nearest(name: str, known: Sequence[str]) -> str:
-    """The known name that `name` was most likely meant to be, or an empty string."""
+    """Return the known name that `name` was most likely meant to be, or an empty string."""
     by_folded = {candidate.lower(): candidate for candidate in known}
     close = difflib.get_close_matches(name.lower(), list(by_folded), n=1, cutoff=0.6)
     return by_folded[close[0]] if close else ""
 
 
 def may_be_one(one: str, other: str) -> bool:
-    """Whether two names of frames may be meant to be the same: misspelt, or with a prefix that the other lacks.
+    """Return whether two frame names may mean one frame: misspelt, or with a prefix that the other lacks.
 
-    Names that differ in a number, or have two prefixes, are those of several things.
+    Names that differ in a number, or have two different prefixes, are those of different frames.
     """
     if one.rpartition("/")[2].lower() == other.rpartition("/")[2].lower():
         return ("/" in one) != ("/" in other) or one.lower() == other.lower()
@@ -171,10 +173,10 @@ def may_be_one(one: str, other: str) -> bool:
 
 
 _ALIKE = 0.85
-"""A letter that is lacking, wrong or changed with the next one in the names of frames; not left for right."""
+"""Least similarity: a missing, wrong or swapped letter in a frame name passes, left instead of right does not."""
 
 
 def did_you_mean(name: str, known: Sequence[str], otherwise: str = "") -> str:
-    """A hint for an unknown name: the nearest known one, never the name itself, or `otherwise`."""
+    """Return a hint for an unknown name: the nearest known one, never the name itself, or `otherwise`."""
     near = nearest(name, [each for each in known if each != name])
     return f"Did you mean {named(near)}?" if near else otherwise

@@ -1,6 +1,6 @@
-"""What Nav2's interfaces mean: its types, which server an error code is of, and the codes in words.
+"""Nav2's interfaces: its types, the servers of its error codes, and the codes in words.
 
-Codes are those of the actions' definitions (nav2_msgs, from Iron to Kilted; Humble has none). Where Nav2 runs several
+Codes are those of the actions' definitions (nav2_msgs, from Iron to Kilted; Humble has none). If Nav2 runs several
 servers, a goal of `NavigateToPose` ends with the code of the one that failed.
 """
 
@@ -24,18 +24,18 @@ BELOW = frozenset(
         *("Spin", "BackUp", "DriveOnHeading", "AssistedTeleop", "Wait", "DockRobot", "UndockRobot"),
     )
 )
-"""Actions of the servers that carry out what a navigator decides."""
+"""Actions of the servers that execute a navigator's decisions."""
 CANNOT_MOVE = frozenset(
     {
         *(f"nav2_msgs/action/{name}" for name in ("ComputePathToPose", "ComputePathThroughPoses", "SmoothPath")),
         *("nav2_msgs/action/ComputeRoute", "tf2_msgs/action/LookupTransform"),
     }
 )
-"""Actions that compute, and set nothing in motion."""
+"""Actions that only compute and do not move the robot."""
 NO_PROGRESS = 105
-"""The controller's code for a robot that did not come on."""
+"""The controller's code for a robot that made no progress."""
 MANAGE = "nav2_msgs/srv/ManageLifecycleNodes"
-"""By which a lifecycle manager starts and stops its nodes together."""
+"""The service by which a lifecycle manager starts and stops its nodes together."""
 POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
 PATH = "nav_msgs/msg/Path"
 COSTMAP = "nav2_msgs/msg/Costmap"
@@ -52,25 +52,28 @@ SERVERS: Mapping[range, str] = {
     range(900, 1000): "docking_server",
     range(9000, 9200): "bt_navigator",
 }
-"""Which server a code is of."""
+"""The server of each range of codes."""
 
 NAVIGATION_NODES = (
     *("bt_navigator", "planner_server", "controller_server", "smoother_server", "behavior_server", "route_server"),
     *("global_costmap", "local_costmap", "velocity_smoother", "collision_monitor", "map_server", "amcl"),
     *("waypoint_follower", "lifecycle_manager_navigation", "lifecycle_manager_localization", "slam_toolbox"),
 )
-"""What Nav2's nodes are called."""
+"""Names of Nav2's nodes."""
 
 
 def is_drawn_by_nav2(topic: TopicEndpoints) -> bool:
-    """Whether only Nav2's own nodes publish it: clouds and markers of its costmaps, for people, are no sensors."""
+    """Return whether only Nav2's own nodes publish the topic.
+
+    Clouds and markers of its costmaps are for display, and are not sensor data.
+    """
     nodes = {one.node for one in topic.publishers}
     return bool(nodes) and all(not set(node.split("/")).isdisjoint(NAVIGATION_NODES) for node in nodes)
 
 
 @dataclass(frozen=True, slots=True)
 class ErrorCode:
-    """One code: its name in the definitions, what it means, and what would help."""
+    """One code: its name in the definitions, its meaning, and a remedy."""
 
     name: str
     meaning: str
@@ -150,16 +153,16 @@ CODES: Mapping[int, ErrorCode] = {
         _SERVERS_ACTIVE,
     ),
 }
-"""Code → what it means. 0 is none."""
+"""Meaning of each code; 0 is no error."""
 
 
 def server_of(code: int) -> str:
-    """The server that a code is of; empty where that is not known."""
+    """Return the server of a code; empty if it is not known."""
     return next((server for codes, server in SERVERS.items() if code in codes), "")
 
 
 def in_words(code: int) -> str:
-    """A code in words, such as `GOAL_OCCUPIED (206): the goal is in an occupied cell of the costmap`; empty for 0."""
+    """Describe a code, such as `GOAL_OCCUPIED (206): the goal is in an occupied cell of the costmap`; empty for 0."""
     if not code:
         return ""
     known = CODES.get(code)

@@ -1,4 +1,4 @@
-"""What an occupancy grid says in numbers: nav_msgs/msg/OccupancyGrid, maps and costmaps."""
+"""Facts about an occupancy grid (nav_msgs/msg/OccupancyGrid: maps and costmaps)."""
 
 from __future__ import annotations
 
@@ -6,12 +6,13 @@ import math
 from dataclasses import dataclass
 
 OCCUPIED_FROM = 50
-"""Cells of a map from this percentage on count as occupied, below as free: the middle, as a map tells no threshold."""
+"""Cells of a map from this percentage on count as occupied, lower ones as free: the middle, because a map has no
+threshold."""
 
 
 @dataclass(frozen=True, slots=True)
 class MapFacts:
-    """Size and content of a map: metres per cell, cells, the pose of cell (0, 0)'s corner, shares of all cells."""
+    """Size and content of a map: metres per cell, cells, pose of the corner of cell (0, 0), shares of all cells."""
 
     frame_id: str
     resolution_m: float

@@ -1,4 +1,4 @@
-"""Parameter values: JSON ↔ rcl_interfaces/msg/ParameterValue, exactly."""
+"""Convert parameter values exactly between JSON and rcl_interfaces/msg/ParameterValue."""
 
 from __future__ import annotations
 
@@ -29,21 +29,21 @@ _INTEGER = re.compile(r"-?[0-9]{1,19}")
 
 
 def type_name(code: int) -> str:
-    """The name of a parameter type's code."""
+    """Return the name of a parameter type's code."""
     return TYPES[code] if 0 <= code < len(TYPES) else f"unknown({code})"
 
 
 def value_of(message: Mapping[str, Any]) -> Any:
-    """The plain value of a ParameterValue; None where it is not set."""
+    """Return the plain value of a ParameterValue; None if it is not set."""
     code = int(message["type"])
     return message[_FIELDS[code]] if 0 < code < len(_FIELDS) else None
 
 
 def as_message(path: str, value: Any, declared: str) -> dict[str, Any]:
-    """The ParameterValue of a JSON value for a parameter declared with that type.
+    """Return the ParameterValue of a JSON value for a parameter declared with that type.
 
-    An integer is taken for a double (1 → 1.0) and a whole double for an integer (3.0 → 3), text only where the value
-    is shown as text: not finite, or an integer beyond 2^53. Nothing else is converted.
+    An integer is accepted as a double (1 → 1.0) and a whole double as an integer (3.0 → 3); a string only for values
+    that are shown as strings: not finite, or an integer beyond 2^53. Nothing else is converted.
 
     Raises:
         BadValue: if the value is not of the declared type.
@@ -96,7 +96,7 @@ def _converted(path: str, value: Any, kind: str) -> Any:
 
 
 def _scalar(path: str, value: Any, kind: str, declared: str) -> Any:
-    """The value of a scalar, or of an element of a list, whose parameter is `declared` so."""
+    """Convert a scalar, or an element of a list, whose parameter has the type `declared`."""
     is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
     if kind == "bool" and isinstance(value, bool):
         return value
@@ -116,7 +116,7 @@ def _scalar(path: str, value: Any, kind: str, declared: str) -> Any:
 
 
 def _whole(value: Any) -> int | None:
-    """The integer that the value is exactly, None where it is none."""
+    """Return the integer to which the value is exactly equal; None if there is none."""
     if isinstance(value, str) and _INTEGER.fullmatch(value) and abs(int(value)) > EXACT_INTEGER:
         return int(value)
     if isinstance(value, bool) or not isinstance(value, (int, float)):

@@ -1,4 +1,4 @@
-"""Pictures as they travel to the model, which messages are pictures, and how pictures may be asked for."""
+"""Pictures for the model, the message types that are pictures, and options for drawing."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ LASER_SCAN = "sensor_msgs/msg/LaserScan"
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 
 MAX_SIDE = 1568
-"""Pixels. Vision models scale down what is longer, so more would cost time and show nothing."""
+"""Pixels. Vision models scale down larger sides, so more would cost time and show nothing."""
 MAX_BYTES = 700_000
-"""Clients take results of up to 1 MB; base64 makes 933 kB of this, which leaves room for the text."""
+"""Clients accept results of up to 1 MB; base64 makes 933 kB of this, which leaves room for the text."""
 
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """An encoded picture; `note` says what it shows and what was done to it, in words.
+    """An encoded picture; `note` says what it shows and how it was processed.
 
-    `whole` is how large it was (width, height) before it was made smaller to keep to bounds; (0, 0): it was not.
+    `whole` is its original size (width, height) if it was scaled down to the bounds; (0, 0) if not.
     """
 
     data: bytes
@@ -33,19 +33,19 @@ class Picture:
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """What a picture must keep to: pixels of its longer side, bytes of its file."""
+    """Bounds of a picture: pixels of its longer side, bytes of its file."""
 
     max_side: int = MAX_SIDE
     max_bytes: int = MAX_BYTES
 
 
 BOUNDS = Bounds()
-"""The bounds where nothing else is asked for."""
+"""The default bounds."""
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where something is in a frame, seen from above: metres, and radians from x towards y."""
+    """A position and heading in a frame, seen from above: metres, and radians from x towards y."""
 
     x_m: float
     y_m: float
@@ -54,7 +54,7 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class RobotPlace(Place):
-    """The place of a robot, with its height, and the time of which it is told; None: it is fixed there."""
+    """The place of a robot with its height, and the stamp of the pose; None: the robot is fixed there."""
 
     z_m: float = 0.0
     stamp_ns: int | None = None
@@ -62,8 +62,11 @@ class RobotPlace(Place):
 
 @dataclass(frozen=True, slots=True)
 class BirdEyeOptions:
-    """How to look at a cloud: metres for each pixel, the part shown (heights: None is all; x and y: None is where the
-    points are, without outliers), `intensity`, `height` or `rgb` as colour, `jet` or `gray` as the scale of colours."""
+    """Options for drawing a cloud from above: metres per pixel, the part shown, and the colours.
+
+    A limit of None means all heights, or, for x and y, the extent of the points without outliers. `color_mode` is
+    `intensity`, `height` or `rgb`, `colormap` is `jet` or `gray`.
+    """
 
     resolution_m: float = 0.05
     x_min_m: float | None = None

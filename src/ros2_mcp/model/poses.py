@@ -1,4 +1,4 @@
-"""Poses: where one coordinate frame is in another. Pure Python, so that nothing waits for numpy.
+"""Poses of coordinate frames in other frames. Pure Python, so that nothing waits for the import of NumPy.
 
 Rotations are unit quaternions in the order of ROS 2 messages: x, y, z, w.
 """
@@ -13,23 +13,23 @@ from typing import TypeAlias
 from ros2_mcp_common.geometry import yaw_rad
 
 Vector: TypeAlias = "tuple[float, float, float]"
-"""x, y, z; of places in metres."""
+"""x, y, z; positions are in metres."""
 Quaternion: TypeAlias = "tuple[float, float, float, float]"
 """x, y, z, w."""
 
 _GIMBAL = 1.0 - 1e-12
-"""From this sine of the pitch on, roll and yaw turn about one axis: the roll is then given as 0."""
+"""From this sine of the pitch on, roll and yaw are about the same axis (gimbal lock): the roll is then 0."""
 _ALIKE = 1.0 - 1e-12
-"""From this cosine of half the angle between two rotations on, going straight is exact to 1e-12, and dividing by the
-sine of the angle is not."""
+"""From this cosine of half the angle between two rotations on, linear interpolation is exact to 1e-12, while dividing
+by the sine of the angle is not."""
 
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """Where a frame is in another one: its origin there, in metres, and how it is turned.
+    """The pose of a frame in another one: its origin there, in metres, and its rotation.
 
-    `outer @ inner` is the pose of the inner frame in the outermost one; `pose.applied(point)` is where a point of the
-    frame is in the other one.
+    `outer @ inner` is the pose of the inner frame in the outermost one; `pose.applied(point)` transforms a point from
+    the frame to the other one.
     """
 
     translation: Vector = (0.0, 0.0, 0.0)
@@ -40,25 +40,25 @@ class Pose:
 
     @property
     def inverse(self) -> Pose:
-        """Where the other frame is in this one."""
+        """The pose of the other frame in this one."""
         x, y, z, w = self.rotation
         back = (-x, -y, -z, w)
         at = rotated(back, self.translation)
         return Pose((-at[0], -at[1], -at[2]), back)
 
     def applied(self, point: Vector) -> Vector:
-        """Where a point, given in the frame, is in the other one."""
+        """Transform a point from the frame to the other one."""
         turned, origin = rotated(self.rotation, point), self.translation
         return turned[0] + origin[0], turned[1] + origin[1], turned[2] + origin[2]
 
     @property
     def distance_m(self) -> float:
-        """How far apart the two origins are, in metres."""
+        """The distance between the two origins, in metres."""
         return math.hypot(*self.translation)
 
     @property
     def roll_pitch_yaw_rad(self) -> Vector:
-        """The rotation as turns about the fixed axes x, y and z, in this order, as URDF and tf2's `getRPY` have it."""
+        """The rotation about the fixed axes x, y and z, in this order, as in URDF and tf2's `getRPY`."""
         length = math.hypot(*self.rotation) or 1.0
         x, y, z, w = (part / length for part in self.rotation)
         sine = 2 * (w * y - z * x)
@@ -74,24 +74,24 @@ class Pose:
 
 
 def planar(x_m: float, y_m: float, yaw_rad: float = 0.0) -> Pose:
-    """A pose on the ground."""
+    """Return a pose on the ground."""
     return Pose((x_m, y_m, 0.0), about_z(yaw_rad))
 
 
 def about_z(yaw_rad: float) -> Quaternion:
-    """A turn about the axis that points upwards."""
+    """Return a rotation about the z axis, which points up."""
     return 0.0, 0.0, math.sin(yaw_rad / 2), math.cos(yaw_rad / 2)
 
 
 def from_roll_pitch_yaw(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Quaternion:
-    """Turns about the fixed axes x, y and z, in this order: what `Pose.roll_pitch_yaw_rad` gives."""
+    """Return the rotation about the fixed axes x, y and z, in this order: the inverse of `Pose.roll_pitch_yaw_rad`."""
     about_x = (math.sin(roll_rad / 2), 0.0, 0.0, math.cos(roll_rad / 2))
     about_y = (0.0, math.sin(pitch_rad / 2), 0.0, math.cos(pitch_rad / 2))
     return product(about_z(yaw_rad), product(about_y, about_x))
 
 
 def product(a: Quaternion, b: Quaternion) -> Quaternion:
-    """The rotation `b`, and then `a`."""
+    """Return the rotation `b` followed by `a`."""
     ax, ay, az, aw = a
     bx, by, bz, bw = b
     return (
@@ -103,7 +103,7 @@ def product(a: Quaternion, b: Quaternion) -> Quaternion:
 
 
 def rotated(q: Quaternion, v: Vector) -> Vector:
-    """A vector, turned: v + 2 w (u × v) + 2 u × (u × v), where u is the quaternion's vector part."""
+    """Rotate a vector: v + 2 w (u × v) + 2 u × (u × v), where u is the quaternion's vector part."""
     x, y, z, w = q
     vx, vy, vz = v
     tx, ty, tz = 2 * (y * vz - z * vy), 2 * (z * vx - x * vz), 2 * (x * vy - y * vx)
@@ -111,7 +111,7 @@ def rotated(q: Quaternion, v: Vector) -> Vector:
 
 
 def normalised(q: Quaternion) -> Quaternion:
-    """The same rotation with length 1. Raises `ValueError` where it has none, or is not finite."""
+    """Return the rotation with length 1. Raises `ValueError` if the length is 0 or not finite."""
     length = math.sqrt(sum(part * part for part in q))
     if not length or not math.isfinite(length):
         raise ValueError("no rotation")
@@ -119,9 +119,9 @@ def normalised(q: Quaternion) -> Quaternion:
 
 
 def between(first: Pose, second: Pose, share: float) -> Pose:
-    """The pose at that share of the way (0 to 1) from one to the other, as tf2 has it.
+    """Interpolate between two poses; `share` is 0 for the first and 1 for the second, as in tf2.
 
-    The place goes straight; the rotation goes the shorter way about one axis, at a constant rate (slerp).
+    The position is interpolated linearly, the rotation along the shorter arc at a constant rate (slerp).
     """
     (ax, ay, az), (bx, by, bz) = first.translation, second.translation
     rest = 1.0 - share
@@ -130,7 +130,7 @@ def between(first: Pose, second: Pose, share: float) -> Pose:
 
 
 def slerp(a: Quaternion, b: Quaternion, share: float) -> Quaternion:
-    """The rotation at that share of the shorter way between two."""
+    """Interpolate between two rotations along the shorter arc; `share` is 0 for the first and 1 for the second."""
     cosine = a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
     if cosine < 0:
         b, cosine = (-b[0], -b[1], -b[2], -b[3]), -cosine
@@ -149,17 +149,18 @@ def slerp(a: Quaternion, b: Quaternion, share: float) -> Quaternion:
 
 
 def angle_between_rad(a: Quaternion, b: Quaternion) -> float:
-    """By how much two rotations differ: the angle of the turn from one to the other, 0 to π. Of quaternions of any
-    length; 0 where one is all zeros.
+    """Return the angle of the rotation from one to the other, 0 to π.
+
+    Quaternions may have any length; the result is 0 if one is all zeros.
     """
     x, y, z, w = product((-a[0], -a[1], -a[2], a[3]), b)
     return 2 * math.atan2(math.hypot(x, y, z), abs(w))
 
 
 def mean_of(poses: Sequence[Pose]) -> Pose:
-    """The mean of poses that are near each other: of the places, and of the rotations as quaternions of one sign.
+    """Return the mean of poses that are near each other: of positions, and of quaternions with equal signs.
 
-    For rotations within some ten degrees that is the mean in the sense of least squares, to a part in a thousand.
+    For rotations within some ten degrees this is the least-squares mean, to a part in a thousand.
     """
     count, reference = len(poses), poses[0].rotation
     sums = [0.0] * 7

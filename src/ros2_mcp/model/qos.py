@@ -1,4 +1,4 @@
-"""Quality of service: what endpoints offer and ask for, what we choose, and why two of them do not match."""
+"""Quality of service: policies of endpoints, our choice for our own endpoints, and reasons for a mismatch."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _LIVELINESS_RANK = {"automatic": 0, "manual_by_topic": 1}
 class QoS:
     """The policies of one endpoint; None is an infinite duration.
 
-    What the middleware does not report is `"unknown"`, an unknown depth is None.
+    A policy that the middleware does not report is `"unknown"`, an unknown depth is None.
     """
 
     reliability: str = "reliable"
@@ -32,7 +32,7 @@ class QoS:
     liveliness_lease_ns: int | None = None
 
     def request(self) -> dict[str, str | int | None]:
-        """The policies that the bridge sets on an endpoint of ours."""
+        """Return the policies that the bridge sets on an endpoint of this server."""
         return {
             "reliability": self.reliability,
             "durability": self.durability,
@@ -43,7 +43,7 @@ class QoS:
 
 @dataclass(frozen=True, slots=True)
 class Endpoint:
-    """A publisher or subscriber of a topic, as discovery has found it; `ours` if it is this server's own."""
+    """A publisher or subscriber of a topic, as found by discovery; `ours` if it is this server's own."""
 
     node: str
     type: str
@@ -54,12 +54,12 @@ class Endpoint:
 
     @property
     def who(self) -> str:
-        """The name of its node, for people; it says so if that is this server."""
+        """The name of its node, for people; it is marked if it is this server."""
         return f"{self.node} (this server)" if self.ours else self.node
 
     @classmethod
     def parse(cls, raw: protocol.Endpoint, own_nodes: Collection[str] = ()) -> Endpoint:
-        """From the bridge's `endpoints` reply."""
+        """Parse one endpoint of the bridge's `endpoints` reply."""
         qos: dict[str, Any] = {**raw["qos"]}
         if qos["depth"] == "unknown":
             qos["depth"] = None
@@ -70,15 +70,16 @@ class Endpoint:
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """The QoS we use for an endpoint of ours and the reason, in words."""
+    """The QoS for an endpoint of this server, and the reason in words."""
 
     qos: QoS
     reason: str
 
 
 def for_subscribing(publishers: Sequence[Endpoint], depth: int = 100, *, is_volatile: bool = False) -> Choice:
-    """What a subscription needs so that it matches every publisher and loses as little as possible; with `is_volatile`
-    it gets nothing that was published before it.
+    """Choose the QoS of a subscription that matches every publisher and loses as little as possible.
+
+    With `is_volatile` it receives nothing that was published earlier.
     """
     if not publishers:
         return Choice(QoS("best_effort", "volatile", depth=depth), "no publisher is known; this QoS matches any")
@@ -95,16 +96,16 @@ def for_subscribing(publishers: Sequence[Endpoint], depth: int = 100, *, is_vola
 
 
 def still_fits(subscribed: QoS, publishers: Sequence[Endpoint]) -> bool:
-    """Whether a subscription to these publishers would be made in the same way; also where there is none (any more).
+    """Return whether a new subscription to these publishers would have the same QoS; true without publishers.
 
-    Not only a mismatch counts: when a publisher has gone, the others may allow a stricter subscription.
+    This detects more than a mismatch: when a publisher has gone, the others may allow a stricter subscription.
     """
     now = for_subscribing(publishers).qos
     return not publishers or (now.reliability, now.durability) == (subscribed.reliability, subscribed.durability)
 
 
 def for_publishing(subscribers: Sequence[Endpoint]) -> Choice:
-    """What a publisher needs so that it reaches every subscriber."""
+    """Choose the QoS of a publisher that reaches every subscriber."""
     if not subscribers:
         return Choice(QoS(), "no subscriber is known; the defaults of ROS 2")
     latched = any(subscriber.qos.durability == "transient_local" for subscriber in subscribers)
@@ -124,7 +125,7 @@ def for_publishing(subscribers: Sequence[Endpoint]) -> Choice:
 
 
 def mismatch(publisher: QoS, subscriber: QoS) -> str:
-    """Why these two never exchange a message, in words; empty if they do. Rules of DDS request/offered matching."""
+    """Explain why two endpoints do not match, by the request/offered rules of DDS; empty if they match."""
     reasons: list[str] = []
     if publisher.reliability == "best_effort" and subscriber.reliability == "reliable":
         reasons.append("the publisher offers best_effort, the subscriber asks for reliable")
@@ -142,7 +143,7 @@ def mismatch(publisher: QoS, subscriber: QoS) -> str:
 
 
 def _too_long(what: str, offered_ns: int | None, asked_ns: int | None) -> str:
-    """What the publisher offers and the subscriber asks for, in seconds; None is infinite."""
+    """Describe the offered and the requested duration in seconds; None is infinite."""
     offered, asked = ("infinite" if ns is None else f"{ns / 1e9:g} s" for ns in (offered_ns, asked_ns))
     return f"the publisher's {what} ({offered}) is longer than the subscriber asks for ({asked})"
 

@@ -1,4 +1,4 @@
-"""Received messages as they travel through the server: bytes with times, not yet values."""
+"""Received messages inside the server: bytes with times, not yet decoded."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ STAMP_END = 12
 class Sample:
     """One received message.
 
-    `received_ns` and `source_ns` are Unix times in nanoseconds (receiver's and publisher's clock; `source_ns` is 0
-    where the middleware gives none). `sequence` counts the publisher's messages, or is None where unknown.
-    `data` is CDR with its four-byte encapsulation header; where only its head was asked for, `whole_bytes` is the size
-    of all of it, else 0.
+    `received_ns` and `source_ns` are Unix times in nanoseconds (receiver's and publisher's clock; `source_ns` is 0 if
+    the middleware gives none). `sequence` is the publisher's number of the message, or None if unknown. `data` is CDR
+    with its four-byte encapsulation header; if only its head was requested, `whole_bytes` is the size of the whole
+    message, else 0.
     """
 
     received_ns: int
@@ -27,16 +27,16 @@ class Sample:
 
     @property
     def size(self) -> int:
-        """Of the message in bytes, whether all of it is here or not."""
+        """The size of the whole message in bytes, even if only its head is here."""
         return self.whole_bytes or len(self.data)
 
 
 @dataclass(frozen=True, slots=True)
 class Counts:
-    """What became of a subscription's messages so far.
+    """The outcome of a subscription's messages so far.
 
-    `received` were taken from the middleware; of these `dropped` were discarded by our own bounds (oldest first).
-    `lost` never reached us: gaps in the publishers' sequence numbers; None where that cannot be known.
+    `received` were taken from the middleware; `dropped` of these were discarded by our own bounds (oldest first).
+    `lost` never arrived: gaps in the publishers' sequence numbers; None if that cannot be known.
     """
 
     received: int = 0
@@ -44,12 +44,12 @@ class Counts:
     lost: int | None = 0
 
     def __add__(self, other: Counts) -> Counts:
-        """Those of two subscriptions to the same topic, one after the other."""
+        """Add the counts of two successive subscriptions to the same topic."""
         lost = None if self.lost is None or other.lost is None else self.lost + other.lost
         return Counts(self.received + other.received, self.dropped + other.dropped, lost)
 
 
 def header_stamp_ns(data: bytes) -> int:
-    """The stamp of a message that starts with a std_msgs/msg/Header, from its CDR bytes."""
+    """Return the stamp (ns) of a message that begins with a std_msgs/msg/Header, from its CDR bytes."""
     seconds, nanoseconds = struct.unpack_from("<iI" if data[1] & 1 else ">iI", data, 4)
     return seconds * 1_000_000_000 + nanoseconds

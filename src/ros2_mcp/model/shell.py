@@ -1,4 +1,4 @@
-"""Commands as one types them."""
+"""Join and split shell commands."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 
 def typed(words: Sequence[str]) -> str:
-    """The words as one types them in the shell of this system."""
+    """Join words to a command for the shell of this system."""
     if sys.platform == "win32":
         from subprocess import list2cmdline
 
@@ -17,7 +17,7 @@ def typed(words: Sequence[str]) -> str:
 
 
 def words_of(text: str) -> tuple[str, ...]:
-    """The words of a command as one types them; on Windows a backslash is part of a path. Raises `ValueError`."""
+    """Split a shell command into words; on Windows a backslash is part of a path. Raises `ValueError`."""
     lexer = shlex.shlex(text, posix=True, punctuation_chars=False)
     lexer.whitespace_split = True
     lexer.commenters = ""

@@ -1,4 +1,4 @@
-"""Errors that say that a limit of the operating system is reached, wherever they come from."""
+"""Recognise errors that mean that a limit of the operating system is reached, whatever raised them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if sys.platform != "win32":
     import resource
 
 _OF_RUST = re.compile(r"\(os error (\d+)\)")
-"""How libraries written in Rust, such as the sandbox, say the number of an error of the system."""
+"""The notation of system errors in libraries written in Rust, such as the sandbox."""
 _FILES = (errno.EMFILE, errno.ENFILE)
 _MEMORY = "This machine has no more memory for this server."
 _DISK = "The disk is full."
@@ -25,10 +25,10 @@ _FILES_HINT = (
 
 
 def system_limit(error: BaseException) -> SystemLimit | None:
-    """The limit of the system that an error is about; None if it is about none.
+    """Return the system limit behind an error; None if there is none.
 
-    An error that was raised on purpose says itself what is wrong, except where it was led astray: with no file left
-    nothing can be opened, and each place that opens something blames what it was to open.
+    An error that was raised on purpose explains itself, except when no file can be opened: then each place that opens a
+    file blames the file.
     """
     on_purpose = isinstance(error, RobotError)
     for number in _numbers(error):
@@ -44,7 +44,7 @@ def system_limit(error: BaseException) -> SystemLimit | None:
 
 
 def _numbers(error: BaseException | None) -> Iterator[int]:
-    """The numbers of the system's errors that an error names, and those it was raised from."""
+    """Yield the system error numbers of an error, and of the errors from which it was raised."""
     seen: set[int] = set()
     while error is not None and id(error) not in seen:
         seen.add(id(error))
@@ -56,7 +56,7 @@ def _numbers(error: BaseException | None) -> Iterator[int]:
 
 
 def _most() -> str:
-    """How many files this process may have open, in parentheses; empty where nobody tells."""
+    """Return the limit of open files of this process, in parentheses; empty if it is not known."""
     if sys.platform == "win32":
         return ""
     return f" ({resource.getrlimit(resource.RLIMIT_NOFILE)[0]})"

@@ -1,7 +1,7 @@
-"""Text from the robot, made fit to be shown (decision 23).
+"""Escape text from the robot for display (decision 23).
 
-Operations and errors carry text as it is. Where it leaves for a model or a person, and nowhere else, it goes through
-`visible`, once: what is escaped twice says something else. Within a sentence it is `quoted` before.
+Operations and errors carry text unchanged. Text is escaped by `visible` once, where it leaves for a model or a person,
+and nowhere else: escaping twice would change its meaning. Within a sentence it is `quoted` before.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from ros2_mcp.model.finite import finite
 from ros2_mcp.model.values import not_finite_text
 
 _HIDDEN_CLASSES = frozenset({"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp", "Zs"})
-"""The classes of Unicode whose characters cannot be seen, cannot be told from a space, or change how others are seen:
-control, format (among them direction, joiners and tags), surrogates, private use, unassigned, separators."""
+"""Unicode classes whose characters are invisible, look like a space, or change how others are displayed: control,
+format (including direction, joiners and tags), surrogates, private use, unassigned, separators."""
 
 _HIDDEN_RANGES = (
-    # Default_Ignorable_Code_Point of Unicode's DerivedCoreProperties, what of it is of no hidden class.
+    # Default_Ignorable_Code_Point of Unicode's DerivedCoreProperties, as far as not in a hidden class.
     (0x034F, 0x034F),  # combining grapheme joiner
     (0x115F, 0x1160),  # Hangul fillers
     (0x17B4, 0x17B5),  # Khmer inherent vowels
@@ -31,7 +31,7 @@ _HIDDEN_RANGES = (
     (0xFE00, 0xFE0F),  # variation selectors
     (0xFFA0, 0xFFA0),  # halfwidth Hangul filler
     (0xE0000, 0xE0FFF),  # tags, more variation selectors, reserved ones
-    # What Unicode counts as seen, but is drawn as nothing, or as a space.
+    # Characters that Unicode counts as visible, but which are drawn as nothing, or as a space.
     (0x2800, 0x2800),  # Braille pattern blank
     (0xFFFC, 0xFFFC),  # object replacement character
     (0x16FE4, 0x16FE4),  # Khitan small script filler
@@ -40,24 +40,25 @@ _HIDDEN_RANGES = (
 _OPEN, _CLOSE = "⟦", "⟧"
 _ESCAPE = re.compile(rf"{_OPEN}U\+([0-9A-F]{{4,6}}(?: [0-9A-F]{{4,6}})*){_CLOSE}")
 _ESCAPED_CONTROL = re.compile(r"\\(?:u00|b|f|r)|\x7f")
-"""A control character other than a new line or a tab in JSON text; or what only looks like one, which does no harm."""
+"""A control character other than a new line or a tab in JSON text. Text that only looks like one matches, too, without
+harm."""
 
 LAYOUT = "\n\t"
-"""What structures a text of several lines and is seen to do so; kept where no line of ours can be forged with it."""
+"""Whitespace that visibly structures a text of several lines; kept where it cannot forge a line of ours."""
 
 _MOST_QUOTED = 80
-"""Characters of the robot's text within a sentence: about a line. The whole of it stands in the values beside it."""
+"""Characters of the robot's text within a sentence: about a line. The full text is in the values beside it."""
 LOG_LINE = 240
-"""Of a line of the log, which names node, file and goal before it comes to the reason."""
+"""Characters of a line of the log, which names node, file and goal before the reason."""
 _LINE_BREAKS = re.compile(r"[\n\r\v\f\x1c-\x1e\x85\u2028\u2029]+")
 _NAME = re.compile(r"[\w/~.:+\[\]*-]{1,256}", re.ASCII)
 
 
 def visible(text: str, keep: str = "") -> str:
-    """The text with each hidden character as its code, such as `⟦U+202E⟧`; those in `keep` stay as they are.
+    """Replace each hidden character by its code, such as `⟦U+202E⟧`, except those in `keep`.
 
-    Only the space U+0020 is a space. Several in a row share their brackets: `⟦U+200B 200C⟧`. The brackets themselves
-    are escaped too, so that no text can be taken for an escape, and `as_sent` gives exactly the text back.
+    Only the space U+0020 counts as visible space. Several in a row share their brackets: `⟦U+200B 200C⟧`. The brackets
+    themselves are escaped too, so that no text can pass for an escape, and `as_sent` is an exact inverse.
     """
     if text.isascii() and text.isprintable():
         return text
@@ -66,9 +67,9 @@ def visible(text: str, keep: str = "") -> str:
 
 
 def as_sent(text: str) -> str:
-    """The text that `visible` made this of: what a model was shown and sends back is the robot's own text again.
+    """Inverse of `visible`: turn escapes in text from a model back into the robot's original characters.
 
-    An escape of what is no character (a surrogate, or beyond U+10FFFF) stays as it is: no text could carry it.
+    Escapes of surrogates or of code points beyond U+10FFFF are left alone, because no text can contain these.
     """
     return _ESCAPE.sub(_as_characters, text) if _OPEN in text else text
 
@@ -81,9 +82,12 @@ def _as_characters(escape: re.Match[str]) -> str:
 
 
 def visible_json(value: Any) -> tuple[Any, str]:
-    """A JSON value whose texts and keys are all visible (new lines and tabs stay), and the compact JSON text of it."""
+    """Return a JSON value with all hidden characters in strings and keys escaped, and its compact JSON text.
+
+    New lines and tabs are kept.
+    """
     text = _json(value)
-    # Looking at the text is 20 times as fast as walking through the value, which hardly ever has something to hide.
+    # Searching the text is 20 times as fast as walking through the value, which rarely has hidden characters.
     if not _ESCAPED_CONTROL.search(text) and (text.isascii() or not any(map(_is_hidden, set(text)))):
         return value, text
     value = _visible_value(value)
@@ -91,14 +95,14 @@ def visible_json(value: Any) -> tuple[Any, str]:
 
 
 def exact_json(value: Any) -> str:
-    """A JSON value as compact JSON text that hides nothing, and that every parser reads as the value itself."""
+    """Return compact JSON text without hidden characters, which every parser reads as the original value."""
     return with_json_escapes(visible_json(value)[1])
 
 
 def with_json_escapes(text: str) -> str:
-    """JSON text of what was made visible, with the escapes of JSON in place of ours: `\\u200d` for `⟦U+200D⟧`.
+    """Replace our escapes in JSON text by those of JSON: `\\u200d` for `⟦U+200D⟧`.
 
-    What JSON cannot say keeps ours: the brackets, which `as_sent` would take for an escape, and halves of a character.
+    Brackets, which `as_sent` would take for an escape, and lone surrogates keep our escapes.
     """
     return _ESCAPE.sub(_as_json_escapes, text) if _OPEN in text else text
 
@@ -112,7 +116,7 @@ def _as_json_escapes(escape: re.Match[str]) -> str:
 
 
 def quoted(text: str, most: int = _MOST_QUOTED) -> str:
-    """Text of the robot within a sentence of ours: `«text»`, on one line, cut to `most` characters as shown."""
+    """Quote text of the robot within a sentence: `«text»`, on one line, cut to `most` characters as shown."""
     line = _LINE_BREAKS.sub(" ⏎ ", text[: 2 * most].strip()).replace("\t", " ")
     line = line.replace("«", "‹").replace("»", "›")
     length = 0
@@ -124,40 +128,40 @@ def quoted(text: str, most: int = _MOST_QUOTED) -> str:
 
 
 def named(name: str) -> str:
-    """A name of the robot within a sentence: as it is where it can only be a name, else `quoted`.
+    """Return a name of the robot for a sentence: unchanged if it can only be a name, else `quoted`.
 
-    ROS allows nothing else in names, but a recording may have anything.
+    ROS allows nothing else in names, but a recording may contain anything.
     """
     return name if is_name(name) else quoted(name)
 
 
 def listed(found: Sequence[str], most: int) -> str:
-    """Names of the robot within a sentence, each `named`: the first ones, and how many more there are."""
+    """List names of the robot for a sentence, each `named`: the first `most`, and how many more there are."""
     more = f" and {len(found) - most} more" if len(found) > most else ""
     return ", ".join(map(named, found[:most])) + more
 
 
 def counted(number: int, noun: str, plural: str | None = None) -> str:
-    """A number beside its noun: `1 topic`, `2 topics`, `3 bodies`; `plural` where no rule here gives it."""
+    """Return a number with its noun: `1 topic`, `2 topics`, `3 bodies`; `plural` for irregular nouns."""
     if number == 1:
         return f"1 {noun}"
     return f"{number} {plural or _plural(noun)}"
 
 
 def is_name(text: str) -> bool:
-    """Whether it has only the characters that ROS allows in names, types, paths of fields and names of files."""
+    """Return whether it has only the characters that ROS allows in names, types, field paths and file names."""
     return bool(_NAME.fullmatch(text))
 
 
 def in_quotes(value: object) -> str:
-    """A value of the robot within a sentence: numbers as they are, texts `quoted`, lists and objects as quoted JSON."""
+    """Return a value of the robot for a sentence: numbers unchanged, strings `quoted`, others as quoted JSON."""
     if isinstance(value, str):
         return quoted(value)
     return _json(value) if value is None or isinstance(value, (bool, int, float)) else quoted(_json(value))
 
 
 def excerpt(value: object, most: int = 60) -> str:
-    """A value as short JSON-like text for a message."""
+    """Return a value as short JSON-like text for a message."""
     try:
         text = json.dumps(value, ensure_ascii=False)
     except (TypeError, ValueError):
@@ -166,7 +170,7 @@ def excerpt(value: object, most: int = 60) -> str:
 
 
 def is_unicode(text: str) -> bool:
-    """Whether it has no lone surrogates: neither bytes that were not UTF-8, nor halves of a character."""
+    """Return whether it has no lone surrogates, from invalid UTF-8 or from half a character."""
     try:
         text.encode()
     except UnicodeEncodeError:
@@ -175,7 +179,7 @@ def is_unicode(text: str) -> bool:
 
 
 def escaped_bytes(text: str) -> str:
-    """The text with `\\xb0` for each byte that was not UTF-8."""
+    """Return the text with `\\xb0` for each byte that was not UTF-8."""
     return text.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
 
 
@@ -215,5 +219,5 @@ def _visible_value(value: Any) -> Any:
 def _json(value: Any) -> str:
     try:
         return json.dumps(value, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
-    except ValueError:  # a number that is not finite, which JSON does not have: as it is shown, and accepted, elsewhere
+    except ValueError:  # NaN or infinity, which JSON does not have: as shown and accepted elsewhere
         return json.dumps(finite(value, not_finite_text), ensure_ascii=False, separators=(",", ":"))

@@ -7,23 +7,23 @@ from datetime import datetime, timezone
 
 
 def iso_time(unix_ns: int) -> str:
-    """A Unix time in nanoseconds as ISO 8601 in UTC with microseconds."""
+    """Format a Unix time in nanoseconds as ISO 8601 in UTC with microseconds."""
     date = datetime.fromtimestamp(unix_ns // 1000 / 1e6, tz=timezone.utc)
     return date.isoformat(timespec="microseconds").replace("+00:00", "Z")
 
 
 def seconds_in(unix_ns: int, began_ns: int | None) -> float | None:
-    """How many seconds after the beginning of a recording; None without a beginning, as of what is live.
+    """Return the seconds since the beginning of a recording; None without a beginning, for live data.
 
-    Whole milliseconds, rounded down: as `start` it still includes the message of that time.
+    Rounded down to milliseconds: used as `start`, it still includes the message of that time.
     """
     return (unix_ns - began_ns) // 1_000_000 / 1000 if began_ns is not None else None
 
 
 def recorded_time(unix_ns: int, began_ns: int | None = None) -> str:
-    """A time as `iso_time`; of a recording also in seconds after its beginning, as `start` takes it: `… (12.3 s in)`.
+    """Format a time by `iso_time`; in a recording also with the seconds since its beginning: `… (12.3 s in)`.
 
-    `began_ns` is None for what is live.
+    `began_ns` is None for live data. The seconds can be given as `start`.
     """
     seconds = seconds_in(unix_ns, began_ns)
     if seconds is None:
@@ -33,13 +33,16 @@ def recorded_time(unix_ns: int, began_ns: int | None = None) -> str:
 
 
 def both_times(unix_ns: int, zero_ns: int) -> str:
-    """A time in milliseconds, as people read it: in seconds from another one, and absolute."""
+    """Format a time in milliseconds for people: seconds since another one, and absolute."""
     return f"{(unix_ns - zero_ns) / 1e9:.3f} s ({iso_time(unix_ns)[:-4]}Z)"
 
 
 @dataclass(frozen=True, slots=True)
 class Outage:
-    """A time in which a robot elsewhere was out of reach, from when it was last heard of (monotonic, in s)."""
+    """An interval during which a remote robot was unreachable.
+
+    `began_at` is when it last responded (monotonic clock, s).
+    """
 
     began_at: float
     lasted_s: float

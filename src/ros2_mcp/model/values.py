@@ -1,4 +1,4 @@
-"""How values look where JSON has no way to write them: what `codec/render` writes, `codec/check` reads back."""
+"""The notation of values that JSON cannot express: written by `values/render.py`, read by `values/check.py`."""
 
 from __future__ import annotations
 
@@ -6,40 +6,41 @@ import math
 from collections.abc import Mapping
 
 NOT_FINITE: Mapping[str, float] = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
-"""The texts that stand for floating-point numbers that JSON cannot write, as they are shown."""
+"""The strings for floating-point numbers that JSON cannot express."""
 
 EXACT_INTEGER = 2**53
-"""Integers beyond this are decimal strings: JSON readers that keep numbers as float64 would lose their last digits."""
+"""Integers beyond this are decimal strings: JSON readers that store numbers as float64 would lose their last digits."""
 
 SUMMARY = "$summary"
-"""The key of an object that stands for a value too long to show; it holds the value's type.
+"""The key of an object that replaces a value too long to show; its value is the type of that value.
 
 No field can have this name, so a summary is never mistaken for a value.
 """
 
 DIAGONAL = "$diagonal"
-"""The key of an object that stands for a square matrix, row by row, of which only the diagonal is not 0.
+"""The key of an object that replaces a square matrix, row by row, that is 0 off the diagonal.
 
-It holds the diagonal: what most covariances are. Unlike a summary it is the whole value, and accepted as such.
+Its value is the diagonal; most covariances are of this form. Unlike a summary it is the whole value, and accepted as
+such.
 """
 
 
 DIAGONAL_EXPLAINED = (
     f'{{"{DIAGONAL}": […]}} is a square matrix, row by row, with 0 beside its diagonal; accepted as such.'
 )
-"""What is said where there is one."""
+"""The explanation in results that contain one."""
 
 
 def is_covariance(path: str) -> bool:
-    """Whether the field at a path may be written as its diagonal: by its name it is a covariance."""
+    """Return whether the field at a path may be written as its diagonal: its name contains `covariance`."""
     return "covariance" in path.rpartition(".")[2]
 
 
 def summarised(paths: Mapping[str, str]) -> str:
-    """What is said of paths whose values are summaries, and how to get the values; empty where there are none.
+    """Return a sentence about summarised paths, and how to read their values; empty if there are none.
 
     Args:
-        paths: each with the field that shows more of it.
+        paths: each with the field to select for more of it.
     """
     if not paths:
         return ""
@@ -51,11 +52,11 @@ def summarised(paths: Mapping[str, str]) -> str:
 
 
 def not_finite_number(text: str) -> float | None:
-    """The number that a text of `NOT_FINITE` stands for, in any case, `infinity` written out too; None for others."""
+    """Return the number of a string in `NOT_FINITE`, in any case, also with `infinity`; None for other strings."""
     return NOT_FINITE.get(text.lower().replace("infinity", "inf").removeprefix("+"))
 
 
 def not_finite_text(value: float) -> str:
-    """The text of `NOT_FINITE` for a number that is not finite; a NaN has no sign there."""
+    """Return the string in `NOT_FINITE` for a number that is not finite; NaN has no sign there."""
     same = math.isnan if math.isnan(value) else value.__eq__
     return next(text for text, number in NOT_FINITE.items() if same(number))

@@ -1,4 +1,4 @@
-"""Points seen from above: x to the right, y up, the highest point of each pixel on top."""
+"""Draw points from above: x to the right, y up, the highest point of each pixel on top."""
 
 from __future__ import annotations
 
@@ -17,26 +17,29 @@ from ros2_mcp.pictures.raster import encoded, magnified
 from ros2_mcp.world.clouds import Cloud
 
 _COARSER = 1.1
-"""The least factor by which the resolution grows when a picture has too many bytes. The square root of the excess
-mostly fits at once, as bytes grow with the area."""
+"""The least factor by which the resolution is made coarser if a picture has too many bytes. The square root of the
+excess usually fits at once, because bytes grow with the area."""
 
 _DARKEST = 24
-"""A black point could not be told from the black of no point."""
+"""Least brightness of a point, so that a black point differs from the black background."""
 
 _CORE = (0.05, 0.95)
-"""Between these ranks lie the points that a cloud is of, whatever a tenth of them are."""
+"""Quantiles of x and y that bound the core of a cloud, which may have a tenth of outliers."""
 _BEYOND = 3
-"""Points farther from the core than so many times its extent are outliers, such as reflections: they would make the
-picture of the others a few pixels large. Lidars see near points more densely, so far walls are no outliers."""
+"""Points farther from the core than this many times its extent are outliers, such as reflections, which would shrink
+the rest of the picture to a few pixels. Lidars sample near surfaces more densely, so far walls are no outliers."""
 _FEW = 20
-"""Of fewer points the ranks tell nothing."""
+"""Number of points below which quantiles are not meaningful."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BirdEyeNumbers:
-    """What a picture shows: pixel (left_px + column, top_px + row) begins at (x_min + column · m, y_max - row · m),
-    where m is `metres_per_pixel`; the rest are axes. `color_low` and `color_high` are the values at the ends of the
-    colours; None for `rgb`."""
+    """Scale, extent and colours of a picture in numbers.
+
+    Pixel (left_px + column, top_px + row) has its corner at (x_min + column · m, y_max - row · m), where m is
+    `metres_per_pixel`; pixels outside of that area are axes. `color_low` and `color_high` are the values at the ends of
+    the colour scale; None for `rgb`.
+    """
 
     shown: int
     resolution_m: float
@@ -57,7 +60,7 @@ class BirdEyeNumbers:
 
 @dataclass(frozen=True, slots=True)
 class BirdEye:
-    """A picture from above and what it shows in numbers."""
+    """A picture from above, and what it shows in numbers."""
 
     picture: Picture
     numbers: BirdEyeNumbers
@@ -73,12 +76,12 @@ class _Coloured:
 
 
 def bird_eye(cloud: Cloud, options: BirdEyeOptions, robot: Place | None = None) -> BirdEye:
-    """The cloud from above, with axes and the robot (a place in the cloud's frame).
+    """Draw a cloud from above, with axes and the robot (a place in the cloud's frame).
 
-    The resolution is made coarser where the picture would be too large.
+    The resolution is made coarser if the picture would be too large.
 
     Raises:
-        BadData: if no point is left to show.
+        BadData: if there is no point to show.
     """
     kept, far = _kept(cloud, options)
     xyz = cloud.xyz[kept]
@@ -130,10 +133,10 @@ def bird_eye(cloud: Cloud, options: BirdEyeOptions, robot: Place | None = None) 
 
 
 def _kept(cloud: Cloud, options: BirdEyeOptions) -> tuple[NDArray[np.bool_], str]:
-    """Which points are shown: those within the limits, without outliers; and a note where there are some.
+    """Return which points to show, those within the limits without outliers; and a note if there are outliers.
 
     Raises:
-        BadData: if none is.
+        BadData: if there is no such point.
     """
     limits = (
         (options.x_min_m, options.x_max_m),
@@ -164,7 +167,7 @@ def _kept(cloud: Cloud, options: BirdEyeOptions) -> tuple[NDArray[np.bool_], str
 
 
 def _extent(xy: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Between which x and y the points lie without outliers; None where that cannot be told."""
+    """Return the lower and upper bounds of x and y without outliers; None if they cannot be determined."""
     if len(xy) < _FEW:
         return None
     low, high = np.quantile(xy, _CORE[0], axis=0, method="higher"), np.quantile(xy, _CORE[1], axis=0, method="lower")
@@ -173,7 +176,7 @@ def _extent(xy: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.fl
 
 
 def _finest(xyz: NDArray[np.float64], max_side: int) -> float:
-    """The resolution at which the cloud just fits, two significant digits rounded up."""
+    """Return the resolution in m at which the cloud just fits, rounded up to two significant digits."""
     needed = float(np.ptp(xyz[:, :2], axis=0).max()) / (max_side - 2)
     if not needed:
         return 0.0
@@ -184,7 +187,7 @@ def _finest(xyz: NDArray[np.float64], max_side: int) -> float:
 def _pixels(
     xyz: NDArray[np.float64], rgb: NDArray[np.uint8], resolution: float
 ) -> tuple[NDArray[np.uint8], float, float]:
-    """The picture, and x and y of its upper left corner, which are whole multiples of the resolution."""
+    """Return the picture, and x and y of its upper left corner, which are multiples of the resolution."""
     cells = np.floor(xyz[:, :2] / resolution).astype(np.int64)
     left, lowest = cells.min(axis=0)
     right, highest = cells.max(axis=0)
@@ -198,7 +201,7 @@ def _pixels(
 
 
 def _coloured(cloud: Cloud, kept: NDArray[np.bool_], options: BirdEyeOptions) -> _Coloured:
-    """The colour of each point; by height if the cloud lacks what was asked for."""
+    """Return the colour of each point; by height if the cloud lacks the requested field."""
     if options.color_mode == "rgb" and cloud.rgb is not None:
         return _Coloured(np.maximum(cloud.rgb[kept], _DARKEST), "rgb")
     values, mode = cloud.xyz[kept, 2], "height"
@@ -206,7 +209,7 @@ def _coloured(cloud: Cloud, kept: NDArray[np.bool_], options: BirdEyeOptions) ->
         values, mode = cloud.intensity[kept], "intensity"
     note = "" if mode == options.color_mode else f"The cloud has no {options.color_mode}; colours show the height."
     finite = values[np.isfinite(values)]
-    # Two per cent at both ends, so that single outliers do not use up the scale of colours.
+    # Without 2 % at both ends, so that outliers do not use up the colour scale.
     low, high = (float(bound) for bound in np.percentile(finite, (2, 98))) if len(finite) else (0.0, 0.0)
     share = np.nan_to_num((values - low) / (high - low), nan=0.0) if high > low else np.full(len(values), 0.5)
     scaled = np.minimum(np.maximum(share, 0.0), 1.0)
@@ -214,7 +217,7 @@ def _coloured(cloud: Cloud, kept: NDArray[np.bool_], options: BirdEyeOptions) ->
 
 
 def _jet(share: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """Blue, cyan, green, yellow, red; without the dark ends, which would be hard to see."""
+    """Map 0 to 1 to blue, cyan, green, yellow, red; without the dark ends, which would be hard to see."""
     parts = [1.5 - np.abs(0.5 + 3 * share - centre) for centre in (3, 2, 1)]
     return np.rint(255 * np.minimum(np.maximum(np.stack(parts, axis=1), 0), 1)).astype(np.uint8)
 

@@ -1,4 +1,4 @@
-"""Axes in metres around what is seen from above, with the origin of the frame and the robot in it."""
+"""Draw axes in metres around a view from above, with the origin of the frame and the robot."""
 
 from __future__ import annotations
 
@@ -13,26 +13,29 @@ from ros2_mcp.pictures.plot import Span, labels, letters, ticks, width_of
 from ros2_mcp.pictures.raster import Pixels
 
 ROOM_PX = 120
-"""What the axes take of a picture's side at most: labels of nine characters on the left, half a one on the right."""
+"""Upper bound of the pixels that axes add to a side: labels of nine characters on the left, half a label on the
+right."""
 _LEAST_SIDE = 300
-"""Pixels. In smaller pictures axes would leave no room for what they are axes of."""
+"""Pixels. Smaller pictures have no room for axes."""
 _FARTHEST_M = 1e9
-"""Beyond it the labels of ticks could not be told apart; broken maps say so."""
+"""Metres. Labels of ticks beyond it would look alike; only broken maps have such coordinates."""
 _TOP, _RIGHT, _BOTTOM, _GAP, _TICK = 24, 24, 46, 10, 6
-"""Pixels around the ground: a line of text, half a label, two lines; from a label to its tick; a tick's length."""
+"""Pixels around the ground: above (a line of text), right (half a label), below (two lines); from a label to its tick;
+and the length of a tick."""
 _BETWEEN_X, _BETWEEN_Y = 80, 40
-"""Pixels between ticks, about: the width of a label, and what the eye follows easily."""
+"""Approximate pixels between ticks: the width of a label in x, and what the eye follows easily in y."""
 _ARROW, _ROBOT = 36, 13
-"""Pixels: the arrows at the origin, and from the robot's middle to its tip. Seen at once, and small against a room."""
+"""Pixels: length of the arrows at the origin, and from the robot's centre to its tip: easily seen, yet small against a
+room."""
 _INK, _PAPER, _X, _Y, ROBOT_COLOUR = "#222222", "#ffffff", "#e02020", "#10a030", "#ff8c00"
 
 
 @dataclass(frozen=True, slots=True)
 class Ground:
-    """Where pixels seen from above lie: the coordinates of their lower left corner, and metres for each pixel.
+    """The coordinates of a view from above: those of its lower left corner, and metres for each pixel.
 
-    `origin` is where the frame's own origin lies in these coordinates, turned if they are; `robot` likewise, if known.
-    `axes` names the coordinates.
+    `origin` is the pose of the frame's own origin in these coordinates; `robot` that of the robot, if known. `axes`
+    names the coordinates.
     """
 
     x_min_m: float
@@ -45,7 +48,7 @@ class Ground:
 
 @dataclass(frozen=True, slots=True)
 class Framed:
-    """The picture with its axes, and which of its pixels is the upper left one of the ground."""
+    """A picture with its axes, and the position of the upper left pixel of the ground in it."""
 
     pixels: Pixels
     left_px: int
@@ -53,12 +56,12 @@ class Framed:
 
 
 def has_axes(max_side: int) -> bool:
-    """Whether a picture of that size has room for axes."""
+    """Return whether a picture of that size has room for axes."""
     return max_side >= _LEAST_SIDE
 
 
 def with_axes(pixels: Pixels, ground: Ground) -> Framed:
-    """The ground with axes, arrows at the origin and the robot, as far as they are within it."""
+    """Add axes, arrows at the origin, and the robot, if they lie within the ground."""
     height, width = pixels.shape[:2]
     metres = ground.metres_per_pixel
     finite = math.isfinite(ground.x_min_m + ground.y_min_m + metres)
@@ -98,7 +101,7 @@ def with_axes(pixels: Pixels, ground: Ground) -> Framed:
 
 
 def marks_in_words(ground: Ground) -> str:
-    """What the marks in the picture mean, and where the robot is."""
+    """Return a legend for the marks, with the pose of the robot."""
     words = "Axes in metres; the red and green arrows are x and y at the origin of the frame."
     if robot := ground.robot:
         heading = f"heading {math.degrees(robot.yaw_rad):.0f}° from x towards y"
@@ -107,7 +110,7 @@ def marks_in_words(ground: Ground) -> str:
 
 
 def _towards(at: tuple[float, float], yaw_rad: float, length: float) -> tuple[float, float]:
-    """The pixel so far away in that direction; y of pixels goes down."""
+    """Return the pixel at this distance and direction; the y axis of pixels points down."""
     return at[0] + length * math.cos(yaw_rad), at[1] - length * math.sin(yaw_rad)
 
 

@@ -1,4 +1,4 @@
-"""Camera and depth images (sensor_msgs/msg/Image and CompressedImage) as what can be shown: grey or RGB, eight bits."""
+"""Convert camera and depth images (sensor_msgs/msg/Image, CompressedImage) to 8-bit grey or RGB."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from ros2_mcp.pictures.labels import label_raster
 from ros2_mcp.pictures.raster import Pixels, Raster
 
 _MAX_PIXELS = 64_000_000
-"""Largest compressed image that is unpacked: 192 MB as RGB. A file of a few kB may claim far more."""
+"""Pixels of the largest compressed image that is unpacked: 192 MB as RGB. A file of a few kB may claim far more."""
 _READ = ("JPEG", "PNG", "WEBP", "BMP", "TIFF")
 _MIMES = {"JPEG": "image/jpeg", "PNG": "image/png"}
-_DEPTH_HEADER = struct.Struct("<iff")  # format, and the two numbers of the quantisation
+_DEPTH_HEADER = struct.Struct("<iff")  # format, and the two parameters of the quantisation
 
 
 _Show = Callable[[NDArray[Any], str], Raster]
@@ -36,7 +36,7 @@ class _Layout:
 
 
 def image_raster(message: Any, _: Bounds) -> Raster:
-    """The pixels of an image.
+    """Convert an Image to pixels.
 
     Raises:
         BadData: for an encoding that cannot be shown, or data that does not fit width, height and step.
@@ -54,19 +54,19 @@ def image_raster(message: Any, _: Bounds) -> Raster:
 
 
 def may_be_depth(message: Any) -> bool:
-    """Whether an Image or CompressedImage says that it is a depth image."""
+    """Return whether an Image or CompressedImage declares the encoding of a depth image."""
     if hasattr(message, "format"):
         return "compressedDepth" in message.format or message.format.partition(";")[0].strip() in _DEPTHS
     return message.encoding in _DEPTHS
 
 
 def depth_of(message: Any) -> NDArray[np.float64] | None:
-    """The distances of a depth image along its optical axis in metres, height × width; what is none is NaN.
+    """Return the distances of a depth image along its optical axis in m, height × width; NaN where invalid.
 
-    It may be compressed. None for an image that is no depth image: another encoding, or 16 bits that are labels.
+    The image may be compressed. None if it is no depth image: another encoding, or 16-bit labels.
 
     Raises:
-        BadData: if its data does not fit width, height and step, or is no whole picture.
+        BadData: if its data does not fit width, height and step, or is not a complete image.
     """
     if hasattr(message, "format"):
         if "compressedDepth" not in message.format:
@@ -84,7 +84,7 @@ def depth_of(message: Any) -> NDArray[np.float64] | None:
 
 
 def _depth_in_file(described: str, data: bytes) -> NDArray[np.float64] | None:
-    """The distances in a PNG or TIFF whose raw type is that of a depth image; None for another picture."""
+    """Return the distances in a PNG or TIFF declared as a depth image; None for any other image."""
     raw = described.partition(";")[0].strip()
     if raw not in _DEPTHS or "jp" in described.partition(";")[2].lower():
         return None
@@ -99,9 +99,9 @@ def _depth_in_file(described: str, data: bytes) -> NDArray[np.float64] | None:
 
 
 def _depth_raster(metres: NDArray[Any], encoding: str) -> Raster:
-    """Distances as grey: the nearest 2 % white, the farthest 2 % dark, everything that is no distance black.
+    """Draw distances as grey: the nearest 2 % white, the farthest 2 % dark, invalid ones black.
 
-    Two per cent at both ends, so that single outliers do not use up the scale.
+    The 2 % at both ends are clipped, so that outliers do not use up the scale.
     """
     valid = np.isfinite(metres) & (metres > 0)
     share = 1 - float(np.count_nonzero(valid)) / metres.size
@@ -120,7 +120,7 @@ def _depth_raster(metres: NDArray[Any], encoding: str) -> Raster:
 
 
 def _labels_or(show: Callable[[NDArray[Any], str], Raster], *, any_value: bool = False) -> _Show:
-    """Labels where the values look like them; else what `show` makes of one channel."""
+    """Return a function that draws labels if the values look like labels, else calls `show` with the channel."""
 
     def shown(pixels: NDArray[Any], encoding: str) -> Raster:
         plane = pixels[:, :, 0]
@@ -130,14 +130,14 @@ def _labels_or(show: Callable[[NDArray[Any], str], Raster], *, any_value: bool =
 
 
 def _stretched(values: NDArray[Any], encoding: str) -> Raster:
-    """Grey values of more than eight bits, stretched from their least to their greatest."""
+    """Stretch grey values of more than eight bits from their minimum to their maximum."""
     low, high = int(values.min()), int(values.max())
     pixels = np.rint((values.astype(np.float64) - low) * (255 / max(high - low, 1))).astype(np.uint8)
     return Raster(pixels, f"{named(encoding)}: black is {low}, white is {high}.")
 
 
 def _rows(message: Any, dtype: str, channels: int, rows: int = 0) -> NDArray[Any]:
-    """The data as rows × width × channels, without the padding at each row's end."""
+    """Return the data as rows × width × channels, without the padding at the end of each row."""
     kind: np.dtype[Any] = np.dtype((">" if message.is_bigendian else "<") + dtype)
     width, height = message.width, rows or message.height
     row = width * channels * kind.itemsize
@@ -160,18 +160,18 @@ def _grey(plane: NDArray[Any], encoding: str) -> Raster:
 
 
 def _colour(*order: int) -> Callable[[NDArray[Any], str], Raster]:
-    """Red, green and blue; `order` are their places in a pixel."""
+    """Return a function that draws RGB; `order` are the indices of red, green and blue in a pixel."""
 
     def show(pixels: NDArray[Any], encoding: str) -> Raster:
         dropped = " without its alpha" if pixels.shape[2] == 4 else ""
-        in_order = order == tuple(range(pixels.shape[2]))  # each copy of a picture costs as much as a tenth of its JPEG
+        in_order = order == tuple(range(pixels.shape[2]))  # each copy costs a tenth of the JPEG encoding
         return Raster(_to_8_bit(pixels if in_order else np.take(pixels, order, axis=2)), f"{encoding}{dropped}.")
 
     return show
 
 
 def _bayer(red: int, blue: int) -> Callable[[NDArray[Any], str], Raster]:
-    """Each square of four becomes one pixel; `red` and `blue` are their places in it, row by row."""
+    """Return a function that merges each 2 × 2 Bayer square; `red` and `blue` are their indices in it, row by row."""
 
     def show(pixels: NDArray[Any], encoding: str) -> Raster:
         plane = _to_8_bit(pixels[:, :, 0])
@@ -189,7 +189,7 @@ def _bayer(red: int, blue: int) -> Callable[[NDArray[Any], str], Raster]:
 
 
 def _yuv_422(luma: int) -> Callable[[NDArray[Any], str], Raster]:
-    """Two bytes a pixel, the luma at `luma`, the chroma of two neighbours in the other."""
+    """Return a function for YUV 4:2:2: two bytes per pixel, luma at index `luma`, chroma of two pixels in the other."""
 
     def show(pixels: NDArray[Any], encoding: str) -> Raster:
         width = pixels.shape[1] // 2 * 2
@@ -201,7 +201,7 @@ def _yuv_422(luma: int) -> Callable[[NDArray[Any], str], Raster]:
 
 
 def _nv(message: Any, order: tuple[int, int]) -> Raster:
-    """A plane of luma, then at half the size chroma in pairs."""
+    """Convert NV12 or NV21: a plane of luma, then interleaved chroma at half the size."""
     height, width = message.height // 2 * 2, message.width // 2 * 2
     planes = _rows(message, "u1", 1, rows=message.height + (message.height + 1) // 2)[:, :width, 0]
     chroma = planes[message.height :][: height // 2]
@@ -224,10 +224,10 @@ def _to_8_bit(pixels: NDArray[Any]) -> Pixels:
 
 
 def compressed_raster(message: Any, bounds: Bounds) -> Raster | Picture:
-    """The picture in a sensor_msgs/msg/CompressedImage; as the robot sent it where it keeps to the bounds.
+    """Convert a sensor_msgs/msg/CompressedImage; return the original file if it is within the bounds.
 
     Raises:
-        BadData: if it is no whole picture in a format that can be shown.
+        BadData: if it is not a complete image in a format that can be shown.
     """
     described: str = message.format
     data = message.data.tobytes()
@@ -236,7 +236,7 @@ def compressed_raster(message: Any, bounds: Bounds) -> Raster | Picture:
     image = _opened(data, described)
     note = f"{named(described) if described else image.format}."
     raw = described.partition(";")[0].strip()
-    if image.mode == "F":  # TIFF alone carries floating-point numbers
+    if image.mode == "F":  # only TIFF has floating-point pixels
         values = np.asarray(image).astype(np.float64)
         return _depth_raster(values, raw) if raw in _DEPTHS else _stretched_floats(values, raw or "32FC1")
     if raw in _WIDE and image.mode in ("L", "RGB"):
@@ -257,14 +257,14 @@ def compressed_raster(message: Any, bounds: Bounds) -> Raster | Picture:
 
 
 def _lost(raw: str, file_format: str | None) -> str:
-    """What is said of a raw type of more than eight bits in a file of eight."""
+    """Describe the loss if a raw type of more than eight bits was put into an 8-bit file."""
     what = "distances are lost" if raw in _DEPTHS else "values are lost"
     right = "compressedDepth, or png" if raw in _DEPTHS else "png"
     return f"{raw} in {file_format} of 8 bits: its {what}, brightness is none. The publisher has to send {right}."
 
 
 def _stretched_floats(values: NDArray[Any], encoding: str) -> Raster:
-    """Grey values that are floating-point numbers, stretched from their least to their greatest."""
+    """Stretch floating-point grey values from their minimum to their maximum."""
     finite = values[np.isfinite(values)]
     if not len(finite):
         return Raster(np.zeros(values.shape, np.uint8), f"{named(encoding)}: no finite value.")
@@ -274,7 +274,7 @@ def _stretched_floats(values: NDArray[Any], encoding: str) -> Raster:
 
 
 def _unreadable(data: bytes, described: str) -> BadData:
-    """Why bytes are no picture, in words of this program: the library's say nothing of the robot."""
+    """Return the error for bytes that are not an image; the library's own errors would not help."""
     words = described.lower()
     if not data:
         return BadData(f"0 bytes with the format {quoted(described)} are not a whole picture: it is empty.", _FORMATS)
@@ -301,15 +301,15 @@ _VIDEO = {
     "ffmpeg": "ffmpeg's stream",
     "x264": "H.264",
 }
-"""Words in formats that mean video."""
+"""Words in `format` that mean video."""
 _VIDEO_HINT = "Read the raw image, or let the publisher offer compressed pictures (jpeg, png), too."
 _ANNEX_B = (b"\0\0\0\1", b"\0\0\1")
-"""What a stream of H.264 or H.265 begins with."""
+"""The first bytes of an H.264 or H.265 stream."""
 _STARTS = (b"\xff\xd8", b"\x89PNG", b"RIFF", b"BM", b"II*\0", b"MM\0*")
 
 
 def _opened(data: bytes, described: str) -> Image.Image:
-    """The picture in a file's bytes, completely read."""
+    """Decode the image in a file's bytes completely."""
     try:
         image = Image.open(io.BytesIO(data), formats=_READ)
         if image.width * image.height > _MAX_PIXELS:
@@ -323,12 +323,12 @@ def _opened(data: bytes, described: str) -> Image.Image:
 
 
 def _compressed_depth(described: str, data: bytes) -> Raster:
-    """What image_transport's compressed_depth sends."""
+    """Draw a message of image_transport's compressed_depth."""
     return _depth_raster(_compressed_metres(described, data), described.partition(";")[0].strip())
 
 
 def _compressed_metres(described: str, data: bytes) -> NDArray[np.float64]:
-    """Distances in metres, height × width: of twelve bytes of header, then a PNG of 16 bits."""
+    """Return the distances in m, height × width, from a header of twelve bytes and a 16-bit PNG."""
     if "rvl" in described.lower():
         raise BadData("Depth pictures compressed with RVL cannot be shown.", "Set the publisher's format to png.")
     if len(data) <= _DEPTH_HEADER.size:
@@ -344,9 +344,9 @@ def _compressed_metres(described: str, data: bytes) -> NDArray[np.float64]:
 # ── encodings of images ──────────────────────────────────────────────────────────────────────────────────────────
 
 _DEPTHS = {"32FC1": ("f4", 1.0), "16UC1": ("u2", 0.001)}
-"""Encodings of depth images by REP 118, with their kind of number and the metres of one."""
+"""Encodings of depth images by REP 118: type of a number, and metres per unit."""
 _WIDE = (*_DEPTHS, "mono16", "16SC1", "32SC1")
-"""Raw types whose values are lost in a file of eight bits."""
+"""Raw types whose values are lost in an 8-bit file."""
 _BAYER = {"rggb": (0, 3), "bggr": (3, 0), "gbrg": (2, 1), "grbg": (1, 2)}
 _NV = {"nv12": (0, 1), "nv21": (1, 0)}
 _LAYOUTS: Mapping[str, _Layout] = {

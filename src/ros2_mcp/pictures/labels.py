@@ -1,4 +1,4 @@
-"""Pictures whose values are labels, such as the classes of a segmentation: each in a colour of its own."""
+"""Draw images whose values are labels, such as segmentation classes: one colour per label."""
 
 from __future__ import annotations
 
@@ -11,24 +11,25 @@ from numpy.typing import NDArray
 from ros2_mcp.pictures.raster import Raster
 
 _DARK = 64
-"""Labels begin at 1: values below this would all look black as grey, and are no distance that a depth camera sees."""
+"""Labels begin at 1: as grey, values below this would all look black, and as distances they are nearer than a depth
+camera sees."""
 _VOID = 255
-"""What no class is given, by the convention of Cityscapes and others."""
+"""The label of unclassified pixels, by the convention of Cityscapes and others."""
 _PATCHES = 0.8
-"""Labels lie in patches: at least so many pixels are like their right neighbour. In a dark photograph noise sees to it
-that fewer are."""
+"""Labels form patches: at least this share of pixels equals the right neighbour. In a dark photograph, sensor noise
+prevents that."""
 _MOST = 256
-"""More different values are rather measurements."""
+"""More distinct values are probably measurements."""
 _NAMED = 16
-"""So many labels are told with their colours; the others have small shares."""
+"""Labels that the note names with their colours; the others have small shares."""
 _GOLDEN = 0.618034
-"""Steps around the circle of colours that keep neighbouring labels apart, however many there are."""
+"""Step around the colour circle, which keeps neighbouring labels distinct, however many there are."""
 
 
 def label_raster(values: NDArray[Any], encoding: str, *, any_value: bool = False) -> Raster | None:
-    """The labels in colours, 0 black and 255 grey; None for a picture that does not look like labels.
+    """Draw labels in colours, 0 black and 255 grey; return None if the image does not look like labels.
 
-    `any_value`: labels may have any value, as in pictures of 32 bits, which are made for labels.
+    With `any_value` labels may have any value, as in 32-bit images, which are made for labels.
     """
     if not any_value and not ((values < _DARK) | (values == _VOID)).all():
         return None
@@ -45,7 +46,7 @@ def label_raster(values: NDArray[Any], encoding: str, *, any_value: bool = False
 
 
 def _alike(values: NDArray[Any]) -> float:
-    """The share of pixels that are like their right neighbour."""
+    """Return the share of pixels that equal their right neighbour."""
     return np.count_nonzero(values[:, 1:] == values[:, :-1]) / max(values[:, 1:].size, 1)
 
 

@@ -1,4 +1,4 @@
-"""nav_msgs/msg/OccupancyGrid as a picture."""
+"""Draw a nav_msgs/msg/OccupancyGrid."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _UNKNOWN_GREY = 128
 
 @dataclass(frozen=True, slots=True)
 class MapDrawing:
-    """A map as pixels; its upper left one is at `left_px`, `top_px` of the raster, the rest are axes."""
+    """A map as pixels; the map's upper left pixel is at `left_px`, `top_px` of the raster, the rest are axes."""
 
     raster: Raster
     metres_per_pixel: float
@@ -29,15 +29,15 @@ class MapDrawing:
 
 
 def map_raster(message: Any, bounds: Bounds) -> Raster:
-    """The map as `map_drawing` draws it, without the robot."""
+    """Draw a map as `map_drawing` does, without the robot."""
     return map_drawing(OccupancyGrid(message), bounds).raster
 
 
 def map_drawing(grid: OccupancyGrid, bounds: Bounds, robot: Place | None = None) -> MapDrawing:
-    """The map with its first row at the bottom, free white, occupied black, unknown grey; axes, and the robot (a place
-    in the frame of the map).
+    """Draw a map with axes and the robot (a place in the frame of the map).
 
-    Cells are magnified, or taken together with the darkest one winning, so that walls stay visible.
+    The first row is at the bottom; free is white, occupied black, unknown grey. Cells are magnified, or pooled with the
+    darkest one winning, so that walls stay visible.
     """
     cells, facts = grid.percentages(), grid.facts()
     grey = np.where(cells < 0, _UNKNOWN_GREY, 255 - cells.astype(np.int16) * 255 // 100)
@@ -64,7 +64,7 @@ def map_drawing(grid: OccupancyGrid, bounds: Bounds, robot: Place | None = None)
 
 
 def _ground(facts: MapFacts, metres_per_pixel: float, robot: Place | None) -> Ground:
-    """The coordinates of the picture: the frame's, or those along the map's sides where the map is turned in it."""
+    """Return the coordinates of the picture: the frame's, or along the map's sides if the map is rotated."""
     if abs(facts.origin_yaw_rad) < 1e-6:
         return Ground(facts.origin_x_m, facts.origin_y_m, metres_per_pixel, Place(0, 0), robot)
     corner = Place(facts.origin_x_m, facts.origin_y_m, facts.origin_yaw_rad)
@@ -75,7 +75,7 @@ def _ground(facts: MapFacts, metres_per_pixel: float, robot: Place | None) -> Gr
 
 
 def _seen_from(corner: Place, place: Place) -> Place:
-    """A place of the frame in the coordinates that begin at `corner` and are turned as it is."""
+    """Transform a place from the frame to the coordinates with origin and orientation of `corner`."""
     dx, dy = place.x_m - corner.x_m, place.y_m - corner.y_m
     cos, sin = math.cos(corner.yaw_rad), math.sin(corner.yaw_rad)
     return Place(cos * dx + sin * dy, cos * dy - sin * dx, place.yaw_rad - corner.yaw_rad)

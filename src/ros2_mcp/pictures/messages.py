@@ -1,8 +1,8 @@
-"""Messages that are pictures → PNG or JPEG: which maker draws which type, and in which kinds it can be drawn.
+"""Convert messages that are pictures to PNG or JPEG: which function draws which type, and as which kinds.
 
-A new kind of picture is a function in a file of its own, which takes the message and the bounds and gives a `Raster`,
-and one line in `MAKERS`. What has facts of its own beside the picture (`bird_eye`, `plot`) has its operation in `ops`;
-all of them share the finishing step in `raster`.
+A new kind of picture is a function in a file of its own, which takes the message and the bounds and returns a `Raster`,
+and one line in `MAKERS`. Pictures with further results (`bird_eye`, `plot`) have their operation in `ops`; all of them
+share the final step in `raster`.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ MAKERS: Mapping[tuple[str, str], Callable[[Any, Bounds], Raster | Picture]] = {
     (COMPRESSED_IMAGE, "image"): compressed_raster,
     (OCCUPANCY_GRID, "map"): map_raster,
 }
-"""What draws a message, by its type and the kind of picture; a type's first kind is what it is drawn as by default."""
+"""Functions that draw a message, by its type and the kind of picture; a type's first kind is the default."""
 
 
 def picture_of(type_name: str, message: Any, kind: str = "", bounds: Bounds = BOUNDS) -> Picture:
-    """The picture that a message carries, within the bounds.
+    """Draw the picture in a message, within the bounds.
 
     Raises:
-        BadData: if the message is not a proper picture, naming what does not fit.
-        BadValue: for a type that is no picture, or has no such kind of picture.
+        BadData: if the message is not a valid picture, with what is wrong.
+        BadValue: for a type that is not a picture, or cannot be drawn as that kind.
     """
     kinds = [known for name, known in MAKERS if name == type_name]
     if not kinds:

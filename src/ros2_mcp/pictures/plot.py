@@ -1,4 +1,4 @@
-"""Curves as a picture: panels one below the other over one x axis, with ticks, grid and legend."""
+"""Draw curves: panels one below the other over one x axis, with ticks, grid and legend."""
 
 from __future__ import annotations
 
@@ -21,43 +21,44 @@ COLOURS = (
     *("#1f6fc4", "#d95f02", "#1b9e4b", "#c2185b", "#7a4fc9", "#8c5a2b"),
     *("#00949e", "#b8860b", "#e377c2", "#5c6b7a", "#6b8e00", "#20304f"),
 )
-"""One for each curve, in this order; there are no more curves than colours."""
+"""One colour for each curve, in this order; there are at most as many curves as colours."""
 NOT_FINITE = "#e00000"
 _TEXT, _GREY, _GRID, _FRAME, _PAPER = "#222222", "#666666", "#e4e4e4", "#888888", "#ffffff"
 _SIZE, _SMALL, _ROW = 15, 14, 21
-"""Pixels: the title's letters, all other letters, and a line of text."""
+"""Pixels: size of the title, size of all other letters, and height of a line of text."""
 _EDGE, _GAP = 14, 12
-"""Pixels: what is left free at the picture's edges, and between panels."""
+"""Pixels: the margin at the edges of the picture, and the gap between panels."""
 _FINE = 2
 """Lines are drawn this many times larger and scaled down, so that they are smooth."""
 _DOTS = 60
-"""Curves of up to this many points show each as a dot, so that the rate can be seen; more would be a thick line."""
+"""Curves of up to this many points show each point as a dot, which reveals the rate; more dots would be a thick
+line."""
 _MARK = 4
-"""Pixels from the middle of a mark of a value that is not finite to its edge."""
+"""Pixels from the centre of the mark of a non-finite value to its edge."""
 _PADDING = 0.05
-"""Share of a span that is left free on both sides, so that extremes do not lie on the frame."""
+"""Share of a span that stays free on both sides, so that extremes do not lie on the frame."""
 _LARGEST = 8e307
-"""Beyond it the span of an axis would not be finite."""
+"""Larger values are clipped, because the span of the axis would not be finite."""
 _LONGEST_LABEL = 9
-"""Characters. Longer labels of ticks are written with an exponent, as they would take the curves' room."""
+"""Characters. Longer tick labels use an exponent, because they would take up the curves' room."""
 
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """The part of an axis that is shown, `low` less than `high`."""
+    """The range of an axis that is shown, `low` less than `high`."""
 
     low: float
     high: float
 
     @property
     def length(self) -> float:
-        """How much it shows."""
+        """Length of the range."""
         return self.high - self.low
 
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """Points in their order. `apart[i]` is true where point i is not joined to the one before it.
+    """Points in order; `apart[i]` is true if point i is not joined to the previous point.
 
     A point whose y (or x) is not finite is not drawn but marked at the panel's edge.
     """
@@ -78,9 +79,9 @@ class Panel:
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """What to draw.
+    """The panels to draw, with title and x axis.
 
-    With `equal`, a unit of x is as long as one of y; with `ends`, a ring marks where a curve begins, a disc its end.
+    With `equal`, x and y have the same scale; with `ends`, a ring marks the start of a curve and a disc its end.
     """
 
     panels: Sequence[Panel]
@@ -93,7 +94,7 @@ class Figure:
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """Where a panel lies in the picture, in pixels, and what it shows."""
+    """The area of a panel in the picture, in pixels, and the ranges that it shows."""
 
     left: float
     top: float
@@ -103,7 +104,7 @@ class Frame:
     y: Span
 
     def pixels(self, x: Numbers, y: Numbers) -> tuple[Numbers, Numbers]:
-        """The places of points in the picture, y downwards."""
+        """Return the pixels of points, y downwards."""
         across = self.left + (x - self.x.low) / self.x.length * (self.right - self.left)
         return across, self.bottom - (y - self.y.low) / self.y.length * (self.bottom - self.top)
 
@@ -117,7 +118,7 @@ class Drawn:
 
 
 def draw(figure: Figure, width: int, height: int) -> Drawn:
-    """The figure as a picture of that size in pixels."""
+    """Draw a figure at that size in pixels."""
     frames = _frames(figure, width, height)
     fine = Image.new("RGB", (width * _FINE, height * _FINE), _PAPER)
     colours = iter(COLOURS)
@@ -134,7 +135,7 @@ def draw(figure: Figure, width: int, height: int) -> Drawn:
 
 
 def plotted(figure: Figure, width: int, height: int, note: str) -> Picture:
-    """The figure as a finished picture; with fewer colours, then smaller, where it would have too many bytes."""
+    """Draw a figure as an encoded picture; with fewer colours, then smaller, if it would have too many bytes."""
     return finished(Raster(np.asarray(draw(figure, width, height).image), note, "drawing"), BOUNDS)
 
 
@@ -159,7 +160,7 @@ def _frames(figure: Figure, width: int, height: int) -> list[Frame]:
 
 
 def _equal(frame: Frame) -> Frame:
-    """The frame with one of its spans widened, so that both axes have the same scale."""
+    """Return the frame with one of its ranges widened, so that both axes have the same scale."""
     width, height = frame.right - frame.left, frame.bottom - frame.top
     scale = max(frame.x.length / width, frame.y.length / height)
     more_x, more_y = (scale * width - frame.x.length) / 2, (scale * height - frame.y.length) / 2
@@ -168,7 +169,7 @@ def _equal(frame: Frame) -> Frame:
 
 
 def _most(pixels: float) -> int:
-    """How many ticks the height of a panel has room for."""
+    """Return the number of ticks for the height of a panel."""
     return max(3, int(pixels / 36))
 
 
@@ -180,7 +181,7 @@ def _x_ticks(frame: Frame) -> list[float]:
 
 
 def span_of(values: Sequence[NDArray[np.float64]]) -> Span:
-    """A span in which all finite values lie, with a little room around them; 0 to 1 if there are none."""
+    """Return a range that contains all finite values, with a margin; 0 to 1 if there are none."""
     lows, highs = zip(*(_bounds(numbers) for numbers in values), strict=True) if values else ((), ())
     low, high = min(lows, default=math.inf), max(highs, default=-math.inf)
     if low > high:
@@ -199,7 +200,7 @@ def _bounds(values: NDArray[np.float64]) -> tuple[float, float]:
 
 
 def ticks(span: Span, most: int) -> list[float]:
-    """Round numbers inside the span, evenly spaced (1, 2 or 5 times a power of ten): about `most`, at least two."""
+    """Return evenly spaced round numbers (1, 2 or 5 times a power of ten) in the span: about `most`, at least two."""
     step = round_step(span.length / max(most, 3))
     if len(_multiples(span, step)) < 2:
         step = round_step(span.length / max(2 * most, 6))
@@ -211,13 +212,13 @@ def _multiples(span: Span, step: float) -> range:
 
 
 def round_step(least: float) -> float:
-    """The least 1, 2 or 5 times a power of ten that is not below `least`: between ticks, and between lines."""
+    """Return the least 1, 2 or 5 times a power of ten that is not below `least`: the step of ticks and grid lines."""
     power = 10.0 ** math.floor(math.log10(least))
     return next(factor * power for factor in (1, 2, 5, 10) if factor * power >= least * (1 - 1e-9))
 
 
 def labels(values: Sequence[float]) -> list[str]:
-    """Two or more ticks as text, each with the decimals that the step between them needs."""
+    """Return the labels of two or more ticks, with as many decimals as the step requires."""
     step = values[1] - values[0]
     largest = max(map(abs, values))
     decimals = max(0, -math.floor(math.log10(step) + 1e-9))
@@ -247,7 +248,7 @@ def _draw_lines(pen: ImageDraw.ImageDraw, frame: Frame, curves: Sequence[tuple[C
 
 
 def _places(frame: Frame, values: Sequence[float], *, vertical: bool) -> list[tuple[float, str]]:
-    """Where each tick of an axis is, and its label."""
+    """Return the pixel coordinate and the label of each tick of an axis."""
     at = np.asarray(values, np.float64)
     across, down = frame.pixels(at, at)
     return list(zip((down if vertical else across).tolist(), labels(values), strict=True))
@@ -269,7 +270,7 @@ def _finite(curve: Curve) -> NDArray[np.bool_]:
 
 
 def _strokes(curve: Curve) -> Iterator[tuple[Numbers, Numbers]]:
-    """The parts of a curve that are drawn without lifting the pen."""
+    """Yield the connected parts of a curve."""
     drawn = _finite(curve)
     begins = curve.apart | ~drawn | np.concatenate(([False], ~drawn[:-1]))
     edges = [0, *np.flatnonzero(begins).tolist(), len(drawn)]
@@ -280,7 +281,7 @@ def _strokes(curve: Curve) -> Iterator[tuple[Numbers, Numbers]]:
 
 
 def _thinned(across: Numbers, down: Numbers) -> list[tuple[float, float]]:
-    """Of each run of points in one column of pixels: the first, the highest, the lowest and the last."""
+    """Keep for each column of pixels the first, the highest, the lowest and the last point."""
     starts = np.flatnonzero(np.concatenate(([True], np.diff(across) != 0)))
     lasts = np.append(starts[1:], len(across)) - 1
     rows = (down[starts], np.minimum.reduceat(down, starts), np.maximum.reduceat(down, starts), down[lasts])
@@ -289,7 +290,7 @@ def _thinned(across: Numbers, down: Numbers) -> list[tuple[float, float]]:
 
 
 def _draw_ends(pen: ImageDraw.ImageDraw, frame: Frame, curve: Curve, colour: str) -> None:
-    """A ring where the curve begins, a disc where it ends."""
+    """Draw a ring at the start of the curve, and a disc at its end."""
     drawn = np.flatnonzero(_finite(curve))
     if len(drawn):
         ends = drawn[[0, -1]]
@@ -304,7 +305,7 @@ def _dot(pen: ImageDraw.ImageDraw, at: tuple[float, float], radius: float, colou
 
 
 def _draw_marks(pen: ImageDraw.ImageDraw, frame: Frame, curve: Curve, colour: str) -> None:
-    """NaN as a cross at the bottom, infinities as a wedge at the top or bottom that they lie beyond."""
+    """Mark NaN by a cross at the bottom, infinities by a wedge at the top or bottom."""
     unshown = np.isfinite(curve.x) & ~np.isfinite(curve.y)
     across, _ = frame.pixels(curve.x[unshown], np.zeros(int(unshown.sum())))
     for column, value in dict.fromkeys(zip(np.rint(across).tolist(), map(str, curve.y[unshown]), strict=True)):
@@ -349,7 +350,7 @@ def _write_x_axis(pen: ImageDraw.ImageDraw, frame: Frame, label: str) -> None:
 
 
 def _legend_rows(panel: Panel, width: int) -> list[list[tuple[float, str]]]:
-    """The names of the curves in rows, each with its distance from the left."""
+    """Return the legend's rows, each name with its distance from the left."""
     left = _EDGE + (width_of(f"[{panel.y_label}]") + 16 if panel.y_label else 0)
     rows: list[list[tuple[float, str]]] = [[]]
     at = left
@@ -364,7 +365,7 @@ def _legend_rows(panel: Panel, width: int) -> list[list[tuple[float, str]]]:
 
 
 def _fitted(text: str, width: float) -> str:
-    """The text, cut where there is no room for it."""
+    """Return the text, truncated to the width."""
     if width_of(text) <= width:
         return text
     while text and width_of(text + "…") > width:
@@ -373,12 +374,12 @@ def _fitted(text: str, width: float) -> str:
 
 
 def width_of(text: str) -> float:
-    """How wide a text is in the letters of labels, in pixels."""
+    """Return the width of a text in the font of labels, in pixels."""
     return letters().getlength(text)
 
 
 def letters(size: int = _SMALL) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    """The letters of labels, or larger and smaller ones."""
+    """Return the font of labels, at its usual or another size."""
     return _font(size)
 
 

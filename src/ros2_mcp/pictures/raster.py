@@ -1,4 +1,4 @@
-"""The one finishing step of every picture: pixels become a PNG or JPEG within bounds, with a note what they show."""
+"""The final step of every picture: encode pixels as PNG or JPEG within bounds, with a note."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from ros2_mcp.model.pictures import Bounds, Picture
 Pixels = NDArray[np.uint8]
 
 _SMALLEST_SIDE = 16
-"""Pixels. Nothing can be made out on a smaller picture."""
+"""Pixels. Nothing is recognisable in a smaller picture."""
 _SMALL_PIXELS = 160 * 120
-"""Photographs up to this size become PNG if it fits: JPEG blurs what is only a few pixels large."""
+"""Photographs up to this size become PNG if it fits: JPEG would blur details of a few pixels."""
 _QUALITIES = (85, 70, 50)
-"""Of JPEG; below 50 a smaller picture shows more than a worse one."""
+"""JPEG qualities; below 50 a smaller picture shows more than a worse one."""
 _COLOURS = (128, 16)
-"""Of a drawing that is too large as it is; 16 still tell the twelve curves of a plot apart."""
+"""Numbers of colours for a drawing that is too large; 16 still distinguish the twelve curves of a plot."""
 _MAGNIFIED_SIDE = 400
-"""Pixels. Cells of small grids are drawn larger, up to this side: vision models see little in tiny pictures."""
+"""Pixels. Cells of small grids are magnified up to this side: vision models see little in tiny pictures."""
 
 
 @dataclass(frozen=True, slots=True)
 class Raster:
-    """Pixels, height × width or height × width × 3 (RGB), and in words what they show and what was done to them.
+    """Pixels, height × width or height × width × 3 (RGB), and a note on what they show and how they were processed.
 
-    A `photo` may become JPEG; of what is `exact` each pixel stays what it is or is left out; a `drawing` may lose
-    colours.
+    A `photo` may become JPEG; the pixels of an `exact` raster are kept or dropped, but never blended; a `drawing` may
+    lose colours.
     """
 
     pixels: Pixels
@@ -42,7 +42,7 @@ class Raster:
 
 
 def finished(raster: Raster, bounds: Bounds) -> Picture:
-    """The picture: at its own size if it keeps to the bounds so, else smaller.
+    """Encode a raster at its own size if that is within the bounds, otherwise smaller.
 
     Raises:
         BadData: if it does not fit at any size.
@@ -56,7 +56,7 @@ def finished(raster: Raster, bounds: Bounds) -> Picture:
 
 
 def encoded(image: Image.Image, kind: str, max_bytes: int) -> tuple[bytes, str]:
-    """File and MIME type: the first of the encodings for that kind that fits, else the last of them."""
+    """Return file and MIME type of the first encoding for that kind that fits, otherwise of the last one."""
     files = _encodings(image, kind)
     file = next(files)
     while len(file[0]) > max_bytes and (smaller := next(files, None)):
@@ -65,7 +65,7 @@ def encoded(image: Image.Image, kind: str, max_bytes: int) -> tuple[bytes, str]:
 
 
 def magnified(pixels: Pixels, max_side: int) -> tuple[Pixels, int]:
-    """Small pixels drawn as larger squares, and how many times larger; 1 where they are large enough."""
+    """Magnify small pixels; return them and the factor, 1 if they are large enough."""
     times = max(1, min(_MAGNIFIED_SIDE, max_side) // max(pixels.shape[:2]))
     return pixels.repeat(times, axis=0).repeat(times, axis=1), times
 
@@ -77,7 +77,7 @@ def _shrunk(image: Image.Image, whole: Image.Image) -> str:
 
 
 def _sizes(whole: Image.Image, max_side: int, kind: str) -> Iterator[Image.Image]:
-    """The picture at its size if that is allowed, then ever smaller."""
+    """Yield the picture at its own size, if allowed, then ever smaller."""
     side = max(whole.size)
     if side <= max_side:
         yield whole

@@ -1,4 +1,4 @@
-"""The scene: one picture in metres, seen from above, off which coordinates can be read."""
+"""Draw the scene: one picture from above, in metres, from which coordinates can be read."""
 
 from __future__ import annotations
 
@@ -21,43 +21,47 @@ from ros2_mcp.world.limbs import LimbSeen
 from ros2_mcp.world.occupancy import OccupancyGrid, largest_of
 
 _MOST_PIXELS = 1_050_000
-"""Vision models scale down larger pictures, and the letters with them."""
+"""Vision models scale down larger pictures, which makes the letters too small."""
 _LONGEST_SIDE = 1400
-"""Pixels of the ground; the axes take what is left of what models take."""
+"""Pixels of the ground; the axes take the rest of the largest side that models accept."""
 _FINEST_M = 0.002
-"""Metres for each pixel at least: of a few centimetres nothing more is known."""
+"""Least metres per pixel: measurements are not more accurate than a few centimetres."""
 _BETWEEN_PX = 36
-"""Pixels between two lines at least: closer ones would hide what is below them, and of these a fifth can be told."""
+"""Least pixels between two grid lines: closer lines would hide what is below, and a fifth of a spacing can be
+estimated."""
 _LABEL_PX = 58
-"""Pixels between two labels at least; else only every second line has one."""
+"""Least pixels between two labels; if lines are closer, only every second line has a label."""
 _FARTHEST_M = 1e6
-"""Numbers beyond it are broken: no robot is a thousand kilometres away."""
+"""Larger coordinates are invalid: no robot is a thousand kilometres away."""
 _BEYOND_PX = 20_000
-"""Lines to places further away are drawn as far as that: they are out of the picture, and longer ones take seconds."""
+"""Lines to points farther out are clipped here: they are outside of the picture, and drawing longer ones takes
+seconds."""
 _TOP, _RIGHT, _GAP, _TICK, _ROW = 30, 64, 8, 5, 22
 """Pixels: room above and right of the ground for labels, beside a label, of a tick, and of a line of the legend."""
 _LARGE, _SMALL = 17, 15
 """Pixels: the letters of labels on the axes, and of names in the picture."""
 _MOST_OUTSIDE = 3
-"""Goals outside of the picture that its legend tells: the result has them all."""
+"""Goals outside of the picture that the legend lists; the result lists all of them."""
 _LONGEST_NAME = 28
-"""Characters of a name in the picture: longer ones are in the result."""
+"""Characters of a name in the picture; the result has the full name."""
 
 _PAPER, _INK = "#ffffff", "#1a1a1a"
 _LINE, _STRONG_LINE = (40, 90, 200, 120), (30, 80, 200, 190)
-"""Grid lines: blue, which no map is, so that they are seen on black, grey and white."""
+"""Grid lines are blue, which maps are not, so that they are visible on black, grey and white."""
 ROBOT, SCAN, PATH, GOAL, PLACE = "#ff8c00", "#e6003c", "#00a03c", "#c800c8", "#0050d2"
 _HEADING = "#8a3c00"
 LIMB, _LIMB_FILL = "#5a3296", (150, 110, 220)
 _PATHS = (PATH, "#00949e", "#7a9a00", "#3c6e50")
 _MIDDLE_COST = 50
-"""What the legend shows of the costs between free and inscribed."""
+"""The cost between free and inscribed whose colour the legend shows."""
 
 
 @dataclass(frozen=True, slots=True)
 class GridLayer:
-    """An occupancy grid, and where its corner (of cell 0, 0) is in the frame of the scene; `costs` says that it is a
-    costmap."""
+    """An occupancy grid, with the pose of the corner of cell (0, 0) in the frame of the scene.
+
+    `costs` is whether it is a costmap.
+    """
 
     grid: OccupancyGrid
     corner: Place
@@ -76,10 +80,10 @@ class Mark:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scene:
-    """What is drawn, all in the frame `frame`, in metres: points and lines are n × 2.
+    """The content of a scene, all in the frame `frame`, in metres: points and lines are n × 2.
 
-    `x` and `y` are the part that is shown. `footprint` is the outline of the robot, `limbs` what joints move on it, the
-    lowest first; `path_names` are those of `paths`.
+    `x` and `y` are the ranges shown. `footprint` is the outline of the robot, `limbs` are its links moved by joints,
+    the lowest first; `path_names` are the names of `paths`.
     """
 
     frame: str
@@ -98,7 +102,10 @@ class Scene:
 
 @dataclass(frozen=True, slots=True)
 class SceneDrawing:
-    """The scene as pixels; the upper left one of the ground is at `left_px`, `top_px`. `line_m` is between lines."""
+    """The scene as pixels; the ground's upper left pixel is at `left_px`, `top_px`.
+
+    `line_m` is the spacing of grid lines.
+    """
 
     raster: Raster
     metres_per_pixel: float
@@ -110,10 +117,10 @@ class SceneDrawing:
 def extent(
     grid: GridLayer | None, points: Iterable[NDArray[np.float64]], about: Place | None, radius_m: float | None
 ) -> tuple[Span, Span]:
-    """The part to show: around a place, else the known part of the grid and all points, with some room around them.
+    """Return the ranges to show: around a place, or the known part of the grid and all points, with a margin.
 
     Raises:
-        BadData: if there is nothing at all to show.
+        BadData: if there is nothing to show.
     """
     if radius_m is not None and about is not None:
         return Span(about.x_m - radius_m, about.x_m + radius_m), Span(about.y_m - radius_m, about.y_m + radius_m)
@@ -122,7 +129,7 @@ def extent(
         found.append(np.array([[about.x_m, about.y_m]]))
     every = np.concatenate(found)
     every = every[(np.abs(every) < _FARTHEST_M).all(axis=1)]
-    if grid is not None:  # what is far away from it must not make it a few pixels large
+    if grid is not None:  # far points must not shrink the grid to a few pixels
         corners = _known_corners(grid)
         low, high = corners.min(axis=0), corners.max(axis=0)
         far = (high - low).max()
@@ -131,14 +138,14 @@ def extent(
         raise BadData("There is nothing to show: no grid, no scan and no robot.")
     low, high = every.min(axis=0), every.max(axis=0)
     room = max(0.5 if grid is None else 0.1, 0.02 * float((high - low).max()))  # so that nothing lies on the edge
-    least = max(1.0, 0.15 * float((high - low).max()))  # a robot alone; and a corridor has room for lines
+    least = max(1.0, 0.15 * float((high - low).max()))  # for a robot alone, and so that a corridor has room for lines
     spans = [Span(float(a) - room, float(b) + room) for a, b in zip(low, high, strict=True)]
     x, y = (Span(min(s.low, mid - least), max(s.high, mid + least)) for s in spans for mid in ((s.low + s.high) / 2,))
     return x, y
 
 
 def scene_drawing(scene: Scene, bounds: Bounds) -> SceneDrawing:
-    """The scene with labelled lines, x to the right and y up."""
+    """Draw the scene with labelled grid lines, x to the right and y up."""
     side = min(_LONGEST_SIDE, bounds.max_side - 160)
     metres = max(
         math.sqrt(scene.x.length * scene.y.length / _MOST_PIXELS),
@@ -167,7 +174,7 @@ def scene_drawing(scene: Scene, bounds: Bounds) -> SceneDrawing:
 
 
 def _ground(scene: Scene, metres: float, width: int, height: int) -> Pixels:
-    """The grid as colours, each pixel looked up in it; white where there is none."""
+    """Draw the grid by looking up each pixel in it; white outside of the grid."""
     if scene.grid is None:
         return np.full((height, width, 3), 255, np.uint8)
     cells, resolution = _pooled(scene.grid, metres)
@@ -184,7 +191,7 @@ def _ground(scene: Scene, metres: float, width: int, height: int) -> Pixels:
 
 
 def _pooled(layer: GridLayer, metres: float) -> tuple[NDArray[np.int8], float]:
-    """The cells, of which several are taken together where they are smaller than pixels: what is in the way wins."""
+    """Return the cells and their size; cells smaller than pixels are pooled, and the most occupied one wins."""
     together = max(1, math.floor(metres / layer.grid.resolution_m))
     return largest_of(layer.grid.percentages(), together), layer.grid.resolution_m * together
 
@@ -200,7 +207,7 @@ class PackedGrid:
 
 
 def packed(layer: GridLayer, most_cells: int) -> PackedGrid:
-    """The grid for who draws it elsewhere; with more cells than that, several are taken together as in `_pooled`."""
+    """Pack a grid for drawing on the page; a grid with more cells than `most_cells` is pooled as in `_pooled`."""
     more = layer.grid.cells.size / most_cells
     side_m = layer.grid.resolution_m * (math.ceil(math.sqrt(more)) * (1 + 1e-9) if more > 1 else 1)
     cells, resolution_m = _pooled(layer, side_m)
@@ -209,7 +216,7 @@ def packed(layer: GridLayer, most_cells: int) -> PackedGrid:
 
 
 def _known_corners(layer: GridLayer) -> NDArray[np.float64]:
-    """The corners of the part of the grid that is known, in the frame of the scene."""
+    """Return the corners of the known part of the grid, in the frame of the scene."""
     cells, resolution, corner = layer.grid.percentages(), layer.grid.resolution_m, layer.corner
     known = np.argwhere(cells >= 0)
     low, high = (known.min(axis=0), known.max(axis=0) + 1) if len(known) else (np.zeros(2), np.array(cells.shape))
@@ -223,7 +230,7 @@ def _known_corners(layer: GridLayer) -> NDArray[np.float64]:
 
 
 class _Sheet:
-    """The ground while it is drawn on."""
+    """The ground with the layers drawn on it."""
 
     def __init__(self, scene: Scene, metres: float, ground: Image.Image) -> None:
         self._scene, self._metres = scene, metres
@@ -299,7 +306,7 @@ class _Sheet:
         self._pen.ellipse([at[0] - 3, at[1] - 3, at[0] + 3, at[1] + 3], fill=_INK)
 
     def _draw_limb(self, limb: LimbSeen) -> None:
-        """Its shapes, the line from the link that holds it, and a dot where a joint moves it."""
+        """Draw a limb's shapes, the line from the link that holds it, and a dot at its joint."""
         if limb.outline and len(outline := self._pixels(np.array(limb.outline))) > 2:
             self._pen.polygon(outline, fill=(*_LIMB_FILL, 120), outline=LIMB, width=2)
         bone = self._pixels(np.array(limb.bone)) if limb.bone else []
@@ -321,7 +328,7 @@ class _Sheet:
         self._pen.polygon([tip, off(spread, far), off(-spread, far)], fill=colour, outline="white")
 
     def _write(self, name: str, at: tuple[float, float], colour: str) -> None:
-        """A name beside its mark, to the left where there is no room to the right."""
+        """Write a name beside its mark, on the left if there is no room on the right."""
         text, font = _short(name), letters(_SMALL)
         wide = font.getlength(text)
         x = at[0] + 10 if at[0] + 14 + wide < self.image.width else at[0] - 12 - wide
@@ -330,7 +337,7 @@ class _Sheet:
         self._pen.text((x, y), text, colour, font)
 
     def legend(self) -> list[tuple[str, str]]:
-        """The colour and the meaning of what is drawn."""
+        """Return colour and meaning of what is drawn."""
         scene = self._scene
         found: list[tuple[str, str]] = []
         if scene.robot:
@@ -369,7 +376,7 @@ def _lines(span: Span, line_m: float) -> list[float]:
 
 
 def _labelled(lines: Sequence[float], line_m: float, metres: float) -> list[tuple[float, str]]:
-    """The lines that have a label, and what it says: each line, or every second one, with 0 among them."""
+    """Return the lines that have a label, and the label: each line or every second one, including 0."""
     every = 1 if line_m / metres >= _LABEL_PX else 2
     chosen = [value for value in lines if round(value / line_m) % every == 0]
     if len(chosen) < 2:
@@ -378,7 +385,7 @@ def _labelled(lines: Sequence[float], line_m: float, metres: float) -> list[tupl
 
 
 def _line_style(at: float, line_m: float) -> tuple[tuple[int, int, int, int], int]:
-    """Colour and width: zero and every second line are stronger, so that lines can be counted."""
+    """Return colour and width: zero and every second line are stronger, so that lines can be counted."""
     number = round(at / line_m)
     if number == 0:
         return (200, 30, 30, 170), 2
@@ -392,7 +399,7 @@ def _write_axes(
     said: tuple[Sequence[tuple[float, str]], Sequence[tuple[float, str]]],
     ground: tuple[int, int, int],
 ) -> None:
-    """Labels on all four sides: what is looked at is near one of them."""
+    """Write labels on all four sides, so that every object is near one of them."""
     left, width, height = ground
     pen, font = ImageDraw.Draw(whole), letters(_LARGE)
     right, bottom = left + width, _TOP + height
@@ -412,7 +419,7 @@ def _write_axes(
 
 
 def _rows(legend: Sequence[tuple[str, str]], width: int) -> list[list[tuple[str, str]]]:
-    """The legend in as many lines as it takes."""
+    """Break the legend into rows."""
     rows: list[list[tuple[str, str]]] = [[]]
     used = 0.0
     for colour, text in legend:

@@ -1,4 +1,4 @@
-"""The tree of frames as a picture: a row for each frame, set in by its depth, with a line from its parent."""
+"""Draw the tree of frames: a row for each frame, indented by its depth, with a line from its parent."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from ros2_mcp.pictures.plot import letters
 from ros2_mcp.pictures.raster import Raster
 
 MOST_ROWS = 100
-"""More become too small to be read on 1568 pixels."""
+"""More rows would be too small to read on 1568 pixels."""
 _ROW, _STEP, _EDGE, _GAP = 15, 22, 8, 14
-"""Pixels: the height of a row, how far a child is set in, the margin, and between a name and what is said of it."""
+"""Pixels: the height of a row, the indentation of a child, the margin, and the gap between a name and its text."""
 _LEAST_WIDTH = 320
 _MOST_SAID = 80
-"""Characters of a line of what is said of a frame: longer ones make the picture too wide to be read."""
+"""Characters of a line of a frame's text: longer lines make the picture too wide to read."""
 _WHITE, _INK, _GREY, _LINE = "#ffffff", "#202020", "#707070", "#a0a0a0"
 COLOURS = {"moving": "#1a7f37", "static": "#3b5bdb", "problem": "#c92a2a", "root": "#202020"}
-"""What the colours of names mean."""
+"""The colours of names."""
 
 
 @dataclass(frozen=True, slots=True)
 class TreeRow:
-    """One frame: its name, how deep it is, what is said of its edge, and one of the keys of `COLOURS`."""
+    """One frame: its name, its depth, a text about its edge, and a key of `COLOURS`."""
 
     name: str
     depth: int
@@ -35,13 +35,13 @@ class TreeRow:
 
 
 def tree_raster(rows: Sequence[TreeRow]) -> Raster:
-    """The rows as a drawing, the first `MOST_ROWS` of them; what is said of a frame is wrapped, and not cut off."""
+    """Draw the first `MOST_ROWS` rows; long texts of frames are wrapped."""
     shown = rows[:MOST_ROWS]
     font = letters()
     said = [wrap(row.said, _MOST_SAID) or [""] for row in shown]
 
     def left_of(row: TreeRow) -> float:
-        """Where what is said of it begins."""
+        """Return where the text of a row begins, in pixels."""
         return _EDGE + row.depth * _STEP + font.getlength(row.name) + _GAP
 
     rights = [left_of(row) + max(map(font.getlength, lines)) for row, lines in zip(shown, said, strict=True)]

@@ -1,1 +1,1 @@
-"""Bytes of messages, their values, and JSON."""
+"""Conversion between bytes of messages, their values, and JSON."""

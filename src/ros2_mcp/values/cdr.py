@@ -1,4 +1,4 @@
-"""Bytes ↔ message objects: the one place where a message is decoded or encoded."""
+"""Decode bytes to message objects and encode them: the only module that does."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ Message: TypeAlias = object
 _PADDING = 3
 """Bytes. DDS pads a message to a multiple of four."""
 _REMEMBERED = 24
-"""Messages: each layer of a map, and some more."""
+"""Messages kept decoded: one for each layer of a map, and some more."""
 
 
 class Codec:
-    """Decodes and encodes messages of the types that its definitions know. May be used from any thread."""
+    """Decodes and encodes messages of the types in its definitions. May be used from any thread."""
 
     def __init__(self, definitions: Definitions) -> None:
         self.definitions = definitions
 
     def decode(self, type_name: str, data: bytes) -> Message:
-        """The message in CDR bytes of either byte order, header included.
+        """Decode CDR bytes, of either byte order, with their header.
 
         Raises:
             BadData: if the bytes do not fit the definition.
@@ -48,19 +48,21 @@ class Codec:
             ValueError,
             StructError,
             SerdeError,
-        ) as error:  # in its library's words: bytes are missing
+        ) as error:  # the library's own errors: bytes are missing
             raise _misfit(data, type_name, "it ends before its last field does") from error
 
     def encode(self, type_name: str, message: Message) -> bytes:
-        """The message as little-endian CDR with its header; the same values always give the same bytes.
+        """Encode a message as little-endian CDR with its header; equal values always give equal bytes.
 
-        `message` comes from `decode` or `check`; anything else is a mistake in the program.
+        `message` must come from `decode` or `check`.
         """
         return self.definitions.compiled(type_name).write(type_name, message)
 
     def _estimates(self, type_name: str, message: Message) -> int:
-        """How many sequences and wide strings it has: rclpy's `serialize_message` only estimates their
-        size, and appends up to four bytes of garbage for each."""
+        """Return the number of sequences and wide strings in the message.
+
+        rclpy's `serialize_message` only estimates their size, and appends up to four bytes of garbage for each.
+        """
         fields = self.definitions.structure(type_name).fields
         return sum(self._estimates_in(field.type, getattr(message, attribute(field.name))) for field in fields)
 
@@ -75,7 +77,10 @@ class Codec:
 
 
 class RememberingCodec(Codec):
-    """A codec for who looks at the same bytes again and again: it decodes them once. Its messages are not changed."""
+    """A codec that caches the last decoded messages, for repeated reads of the same bytes.
+
+    Do not modify its messages.
+    """
 
     def __init__(self, definitions: Definitions) -> None:
         super().__init__(definitions)
@@ -83,9 +88,9 @@ class RememberingCodec(Codec):
         self._turn = Lock()
 
     def decode(self, type_name: str, data: bytes) -> Message:
-        """As `Codec.decode`."""
+        """Decode as `Codec.decode`, from the cache if possible."""
         with self._turn:
-            if id(data) in self._last:  # the bytes are kept, so that no others have their place in memory
+            if id(data) in self._last:  # the bytes are kept, so that no other object gets their address
                 self._last.move_to_end(id(data))
                 return self._last[id(data)][1]
         message = super().decode(type_name, data)

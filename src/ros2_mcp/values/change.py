@@ -1,4 +1,4 @@
-"""Has a message changed? Compared by value: exactly, or within a tolerance where one is given for a field."""
+"""Detect changes of a message by value: exact, or beyond a tolerance given for a field."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ _Blank = Callable[[Any], None]
 
 
 class ChangeDetector:
-    """Compares each message with the last one that counted as a change.
+    """Compares each message with the last one that was a change.
 
-    The stamps of headers never count. A field with a tolerance has changed when it differs by more than that, NaN from
-    a number included; every other field when it differs at all. The tolerance of `*` holds for every number that is
-    not in an array and has none of its own.
+    The stamps of headers are ignored. A field with a tolerance has changed if it differs by more than the tolerance, or
+    if just one of the two values is NaN; any other field has changed if it differs at all. The tolerance of `*` applies
+    to every number outside of arrays that has none of its own.
 
     Raises:
-        BadValue: for a tolerance that is negative, or whose field is not there, not a number or inside an array.
+        BadValue: for a tolerance that is negative, or for a field that does not exist, is no number, or is in an array.
     """
 
     def __init__(self, codec: Codec, type_name: str, tolerances: Mapping[str, float]) -> None:
@@ -37,12 +37,13 @@ class ChangeDetector:
         self._last: tuple[bytes, list[Any]] | None = None
 
     def is_change(self, data: bytes) -> bool:
-        """Whether this message (CDR) is the first, or differs from the last that was a change.
+        """Return whether this message (CDR) is the first, or differs from the last that was a change.
 
         Raises:
             BadData: if it is not a message of the type.
         """
-        # The fields with a tolerance are compared one by one, all others as bytes; of arrays the length stays there.
+        # Fields with a tolerance are compared one by one and set to zero; all else, with the lengths of arrays, as
+        # bytes.
         message: Any = self._codec.decode(self._type, data)
         values = [value_at(message, path) for path in self._tolerances]
         for path, value in zip(self._tolerances, values, strict=True):
@@ -71,7 +72,7 @@ def _differ(value: Any, other: Any, tolerance: float) -> bool:
 
 
 def _checked(codec: Codec, type_name: str, tolerances: Mapping[str, float]) -> dict[str, float]:
-    """The tolerance of each field, that of `*` given to every number that has none of its own."""
+    """Return the tolerance of each field; that of `*` goes to every number without a tolerance of its own."""
     chosen = {path: tolerance for path, tolerance in tolerances.items() if path != EVERY}
     for path, tolerance in tolerances.items():
         if not tolerance >= 0:
@@ -89,7 +90,7 @@ def _checked(codec: Codec, type_name: str, tolerances: Mapping[str, float]) -> d
 
 
 def _stamp_paths(codec: Codec, type_name: str, path: str) -> list[str]:
-    """The stamps of headers that are not in lists."""
+    """Return the paths of the stamps of headers that are not in lists."""
     found: list[str] = []
     for field in codec.definitions.structure(type_name).fields:
         here = f"{path}.{field.name}".removeprefix(".")
@@ -100,7 +101,7 @@ def _stamp_paths(codec: Codec, type_name: str, path: str) -> list[str]:
 
 
 def _stamps_blank(codec: Codec, type_name: str) -> list[_Blank]:
-    """What sets every header's stamp in a message to zero, those in lists of messages included."""
+    """Return functions that set every header's stamp in a message to zero, also in lists of messages."""
 
     def blank_stamp(header: Any) -> None:
         header.stamp.sec = header.stamp.nanosec = 0

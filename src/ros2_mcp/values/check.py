@@ -1,4 +1,4 @@
-"""JSON → message objects, strictly: what does not fit its definition is refused, naming the path."""
+"""Convert JSON to message objects strictly: a value that does not fit its definition is rejected, with its path."""
 
 from __future__ import annotations
 
@@ -31,22 +31,22 @@ _DTYPES: Mapping[str, type[np.generic]] = {
 
 
 def check(definitions: Definitions, type_name: str, value: object, *, partial: bool = True) -> object:
-    """The message that a JSON value describes.
+    """Convert a JSON value to a message of a type.
 
-    Fields that are missing take the default of the definition, else zero; with `partial=False` none may be missing.
-    Accepted beside the plain JSON kinds: `"nan"`, `"inf"`, `"-inf"` (in any case, `"-Infinity"` too) for floating-point
-    numbers; decimal strings for 64-bit integers; base64 or a list for bytes; `{"$diagonal": [...]}` for a square
-    matrix; integers for floats and integral floats for integers where exact.
+    Missing fields take the default of the definition, else zero; with `partial=False` they are an error. Also accepted:
+    `"nan"`, `"inf"`, `"-inf"` (in any case, and `"-Infinity"`) for floating-point numbers; decimal strings for 64-bit
+    integers; base64 or a list for bytes; `{"$diagonal": [...]}` for a square matrix; integers for floats, and integral
+    floats for integers, where exact.
 
     Raises:
-        BadValue: for anything else.
+        BadValue: for any other value.
         UnknownInterface: if there is no definition of the type.
     """
     return _Check(definitions, partial).message(type_name, value, "")
 
 
 def missing_fields(definitions: Definitions, type_name: str, value: object) -> list[str]:
-    """The top-level fields that the value does not give; there is nothing to give for one without fields (Empty)."""
+    """Return the top-level fields that the value omits; fields whose type has no fields itself (Empty) do not count."""
     fields = _object(definitions.structure(type_name), value, "")
 
     def has_something(kind: FieldType) -> bool:
@@ -155,15 +155,15 @@ def _below(path: str, name: str) -> str:
 
 
 def _zeros(base: str, length: int) -> NDArray[Any]:
-    """An array of zeros of a numeric type."""
+    """Return an array of zeros of a numeric type."""
     return np.zeros(length, _DTYPES[base])
 
 
 def _scalar(field_type: FieldType, value: object, path: str) -> bool | int | float | str:
-    """The value as exactly what the primitive type holds.
+    """Return the value as the primitive type stores it.
 
     Raises:
-        BadValue: naming `path`, if it does not fit without loss.
+        BadValue: naming `path`, if the value cannot be stored without loss.
     """
     _refuse_summary(value, path)
     if field_type.base == "bool":
@@ -178,9 +178,9 @@ def _scalar(field_type: FieldType, value: object, path: str) -> bool | int | flo
 
 
 def _numbers(field_type: FieldType, values: Sequence[Any], path: str) -> NDArray[Any]:
-    """A list as an array of the numeric type, or of booleans; raises `BadValue` as `_scalar` does.
+    """Convert a list to an array of the numeric type, or of booleans; raises `BadValue` as `_scalar` does.
 
-    Lists of one kind are converted at once: images and clouds have millions of values.
+    A list whose values have the same Python type is converted at once: images and clouds have millions of values.
     """
     kinds, base = set(map(type, values)), field_type.base
     if base in FLOATS and kinds <= {float, int} and (int not in kinds or _are_exact(values)):
@@ -196,12 +196,12 @@ def _numbers(field_type: FieldType, values: Sequence[Any], path: str) -> NDArray
 
 
 def _are_exact(values: Sequence[int | float]) -> bool:
-    """Whether no number is beyond the integers that a float64 has: those are looked at one by one."""
+    """Return whether all numbers are within the integers that a float64 stores exactly."""
     return max(map(abs, values)) <= EXACT_INTEGER
 
 
 def _diagonal_in(value: object) -> object:
-    """What an object with nothing but a diagonal holds; None for all else."""
+    """Return the diagonal from an object with only the key `$diagonal`; None for any other value."""
     if not isinstance(value, Mapping):
         return None
     fields = cast("Mapping[str, object]", value)
@@ -209,7 +209,10 @@ def _diagonal_in(value: object) -> object:
 
 
 def _matrix(field_type: FieldType, diagonal: object, path: str) -> NDArray[Any]:
-    """The square matrix, row by row, with this diagonal and 0 elsewhere; raises `BadValue` as `_numbers` does."""
+    """Return the square matrix, row by row, with this diagonal and 0 elsewhere.
+
+    Raises `BadValue` as `_numbers` does.
+    """
     is_matrix = is_covariance(path) and field_type.arity == "array" and field_type.is_number
     rows = math.isqrt(field_type.size) if is_matrix else 0
     if rows < 2 or rows * rows != field_type.size:
@@ -225,7 +228,7 @@ def _matrix(field_type: FieldType, diagonal: object, path: str) -> NDArray[Any]:
 
 
 def _refuse_summary(value: object, path: str) -> None:
-    """Raises `BadValue` for a summary that `render` made in the place of a value."""
+    """Raise `BadValue` for a summary by which `render` replaced a value."""
     if isinstance(value, Mapping) and SUMMARY in value:
         raise BadValue(
             path,
@@ -286,7 +289,7 @@ def _text(field_type: FieldType, value: object, path: str) -> str:
         raise _wrong(path, value, str(field_type), "Write it in quotes." if isinstance(value, (int, float)) else "")
     if not is_unicode(value):
         raise BadValue(path, f"{excerpt(value)} has half a character (a lone surrogate), which cannot be encoded.")
-    if field_type.base == "string" and "\0" in value:  # of a wstring the length counts
+    if field_type.base == "string" and "\0" in value:  # a wstring may contain NUL: its length is stored
         raise BadValue(
             path, f"{excerpt(value)} contains a NUL character, where ROS would cut the text.", "Leave it out."
         )

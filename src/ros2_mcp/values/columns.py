@@ -1,8 +1,8 @@
-"""Numbers of many messages at once, straight from their bytes: without an object for each message and each field.
+"""Read the numbers of many messages at once from their bytes, without an object for each message and field.
 
-Where a field lies depends only on the lengths of the texts and sequences of its message. So one message is walked
-through to find the places of the fields (a layout), and all others of the same size whose lengths are the same have
-them there, too. Import it inside functions only: it needs NumPy.
+The offset of a field depends only on the lengths of the strings and sequences before it. So one message is parsed to
+find the offsets of its fields (its layout), which hold for all other messages of the same size with the same lengths.
+Import this module inside functions only: it needs NumPy.
 """
 
 from __future__ import annotations
@@ -22,15 +22,17 @@ from ros2_mcp.values.store import MessageStore
 from ros2_mcp_common.language.paths import attribute
 
 Values: TypeAlias = "NDArray[Any] | list[NDArray[Any]]"
-"""Of one field: a number of each message, a row of each message, or where these differ in length an array of each."""
+"""Values of one field: a number per message, a row per message, or, if the rows differ in length, an array per
+message."""
 _BODY = 4
-"""Where it begins, and where alignment counts from: behind the header that says the byte order."""
+"""Offset of the body, from which alignment counts: after the header with the byte order."""
 _PADDING = 3
-"""Bytes that DDS appends. Where there are more, decoding the message decides whether they are right."""
+"""Bytes that DDS appends. A message with more is decoded instead, which decides whether it is valid."""
 _MOST_PARTS = 1000
-"""Texts and messages of one message that are walked through."""
+"""Strings and nested messages of one message that are parsed."""
 _MOST_LAYOUTS = 8
-"""Sizes in one batch, and layouts of one size. Each is tried in turn, so where there are more, decoding is faster."""
+"""Most sizes in one batch, and most layouts of one size. Layouts are tried one after the other; beyond this many,
+decoding is faster."""
 _MOST_KNOWN = 64
 _DTYPES = {
     "bool": "?",
@@ -42,21 +44,21 @@ _DTYPES = {
 
 
 class _Unsuited(Exception):
-    """A message, or a type, that has to be decoded."""
+    """Raised for a message or a type that has to be decoded."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Layout:
-    """Where fields are in messages in which these bytes are `expected` at these `places`."""
+    """Offsets of fields in messages that have the `expected` bytes at these `places`."""
 
     places: NDArray[np.intp]
     expected: NDArray[np.uint8]
     fields: Sequence[tuple[int, int, np.dtype[Any]]]
-    """Of each field its offset, the number of its elements (-1: a single one), and the type of one."""
+    """For each field its offset, its number of elements (-1: a single value), and the type of an element."""
 
 
 class ColumnReader:
-    """Reads some fields of messages of one type."""
+    """Reads chosen fields of messages of one type."""
 
     def __init__(self, definitions: Definitions, type_name: str, paths: Sequence[FieldPath]) -> None:
         self._definitions = definitions
@@ -68,7 +70,7 @@ class ColumnReader:
         self._store: MessageStore | None = None
 
     def read(self, messages: Sequence[bytes]) -> list[Values] | None:
-        """The values of each field in all messages; None where (some of) the messages have to be decoded."""
+        """Return the values of each field in all messages; None if any message has to be decoded."""
         if not self._suits:
             return None
         store = self._definitions.compiled(self._type)
@@ -91,7 +93,7 @@ class ColumnReader:
     def _read_group(
         self, rows: NDArray[np.intp], whole: NDArray[np.uint8]
     ) -> list[tuple[NDArray[np.intp], list[NDArray[Any]]]]:
-        """The values in messages of the same size, and which messages they are of; raises `_Unsuited`."""
+        """Return values of messages of equal size, and their row numbers, for each layout; raises `_Unsuited`."""
         known = self._known.setdefault((whole[0, :2].tobytes(), whole.shape[1]), [])
         found: list[tuple[NDArray[np.intp], list[NDArray[Any]]]] = []
         for number in range(_MOST_LAYOUTS):
@@ -126,7 +128,7 @@ class ColumnReader:
         return values[:, pick] if isinstance(pick, slice) else values
 
     def _walk(self, data: bytes) -> _Layout:
-        """The layout of a message; raises `_Unsuited`."""
+        """Return the layout of a message; raises `_Unsuited`."""
         if len(data) < _BODY or data[0] or data[1] > 1:
             raise _Unsuited
         walk = _Walk(data, self._definitions)
@@ -138,9 +140,9 @@ class ColumnReader:
 
 
 class ExcerptReader:
-    """Makes of each message an object with some of its fields alone, single numbers, without decoding the rest.
+    """Turns each message into an object with only some of its fields, single numbers, without decoding the rest.
 
-    `suits` tells whether all the fields are such.
+    `suits` is whether all the fields are single numbers.
     """
 
     def __init__(self, definitions: Definitions, type_name: str, paths: Sequence[FieldPath]) -> None:
@@ -159,7 +161,7 @@ class ExcerptReader:
             branch[last] = number
 
     def read(self, messages: Sequence[bytes]) -> Sequence[object] | None:
-        """The objects; None where (some of) the messages have to be decoded."""
+        """Return the objects; None if any message has to be decoded."""
         if not self.suits or (columns := self._reader.read(messages)) is None:
             return None
         return self._made(self._places, [np.asarray(column).tolist() for column in columns])
@@ -170,12 +172,12 @@ class ExcerptReader:
 
 
 _Tree: TypeAlias = "dict[str, _Tree | int]"
-"""Of each field the fields below it, or the number of its column."""
+"""For each field the fields below it, or the number of its column."""
 
 
 @dataclass
 class _Walk:
-    """A way through one message: what was `found` by path, and the places of bytes on which all that depends."""
+    """A pass through one message: the fields `found`, by path, and the offsets of bytes that determine the layout."""
 
     data: bytes
     definitions: Definitions
@@ -187,7 +189,7 @@ class _Walk:
     )
 
     def message(self, type_name: str, prefix: str) -> None:
-        """Goes through a message; without a `prefix` for an element of a list, whose fields have no path."""
+        """Parse a nested message; its fields have paths that begin with `prefix`."""
         for part in self.definitions.structure(type_name).fields:
             self._field(part.type, prefix + part.name)
 
@@ -218,7 +220,7 @@ class _Walk:
         self.place += -(self.place - _BODY) % size
 
     def _length(self) -> int:
-        """The length of a text or sequence."""
+        """Read the length of a string or sequence."""
         self._align(4)
         end = self.place + 4
         if end > len(self.data):
@@ -231,7 +233,7 @@ class _Walk:
         return length
 
     def _text(self) -> None:
-        """A text, which ends with a zero byte, unless it has no byte at all."""
+        """Skip a string, which ends with a zero byte unless it is empty."""
         length = self._length()
         self.place += length
         if self.place > len(self.data) or (length and self.data[self.place - 1]):
@@ -240,7 +242,7 @@ class _Walk:
 
 
 def _suits(path: FieldPath) -> bool:
-    """Whether it leads through single messages to a number or to numbers, of which some may be picked."""
+    """Return whether the path leads through single messages to a number, or to an array or a slice of numbers."""
     *before, last = path.steps
     is_direct = all(step.pick is None and step.type.arity == "single" for step in before)
     is_number = last.field.type.is_number or last.field.type.base == "bool"
@@ -248,7 +250,7 @@ def _suits(path: FieldPath) -> bool:
 
 
 def _joined(parts: Sequence[tuple[NDArray[np.intp], NDArray[Any]]]) -> Values:
-    """The values of groups of messages in the order of the messages."""
+    """Put the values of groups of messages in the order of the messages."""
     if len(parts) == 1:
         return parts[0][1]
     if len({values.shape[1:] for _, values in parts}) == 1:

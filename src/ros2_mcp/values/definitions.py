@@ -1,4 +1,4 @@
-"""The definitions that the robot itself has, read when they are needed."""
+"""Interface definitions as the robot has them, parsed when they are needed."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _SIDES: Mapping[str, Mapping[str, str]] = {
     "srv": {"request": "_Request", "response": "_Response"},
     "action": {"goal": "_Goal", "result": "_Result", "feedback": "_Feedback"},
 }
-"""The sides of each kind of interface, with the ending of the side's own type."""
+"""The sides of each kind of interface, with the ending of the name of each side's type."""
 
 _ALWAYS_KNOWN: Mapping[str, DefinitionText] = {
     TIME: DefinitionText("msg", "int32 sec\nuint32 nanosec\n"),
@@ -47,7 +47,7 @@ _ALWAYS_KNOWN: Mapping[str, DefinitionText] = {
         "uint8 event_type\nbuiltin_interfaces/Time stamp\nchar[16] client_gid\nint64 sequence_number\n",
     ),
 }
-"""What services and actions imply without a word in their definitions: their events, and the services of an action."""
+"""Definitions of types that every service (for its events) and action (for its services) uses without naming them."""
 
 _IMPLIED: Mapping[str, Mapping[str, str]] = {
     "msg": {},
@@ -68,7 +68,7 @@ _IMPLIED: Mapping[str, Mapping[str, str]] = {
         "_FeedbackMessage": "unique_identifier_msgs/msg/UUID goal_id\n{name}_Feedback feedback\n",
     },
 }
-"""The types that rosidl makes of each service and action, by the ending of their names."""
+"""The types that rosidl generates for each service and action, by the ending of their names."""
 _IDENTIFIER = r"[A-Za-z]\w*"
 _TYPE_NAME = re.compile(rf"{_IDENTIFIER}/(msg|srv|action)/{_IDENTIFIER}", re.ASCII)
 _INCLUDE = re.compile(r"^\s*#.*$", re.MULTILINE)
@@ -76,9 +76,9 @@ _PLACEHOLDER = "structure_needs_at_least_one_member"
 
 
 class Definitions:
-    """Definitions by full type name (`geometry_msgs/msg/Twist`), and all that services and actions imply.
+    """Definitions by full type name (`geometry_msgs/msg/Twist`), including the types implied by services and actions.
 
-    `add` may be called while other threads decode: they finish with the definitions they began with.
+    `add` may be called while other threads decode: they continue with the definitions with which they began.
     """
 
     def __init__(self) -> None:
@@ -86,7 +86,7 @@ class Definitions:
         self._set = _DefinitionSet(_ALWAYS_KNOWN)
 
     def add(self, texts: Mapping[str, DefinitionText]) -> None:
-        """Takes definitions as the robot has them. One that differs from what was known replaces it everywhere.
+        """Add definitions as the robot has them. A definition that differs from the known one replaces it everywhere.
 
         Nothing is parsed yet. Raises `UnknownInterface` for a name that no interface can have.
         """
@@ -96,27 +96,30 @@ class Definitions:
                 self._set = self._set.with_texts(new)
 
     def add_plain(self, structures: Sequence[Structure]) -> None:
-        """Takes structures of messages that are no CDR, under names that no text may have; they replace others."""
+        """Add structures of messages that are not CDR, under names that no definition may have.
+
+        They replace earlier ones.
+        """
         with self._lock:
             plain = {**self._set.plain, **{structure.type: structure for structure in structures}}
             self._set = self._set.with_plain(plain)
 
     def refuse(self, type_name: str, error: UnknownInterface) -> None:
-        """Notes why nothing is known of a type: who asks for its structure is told that."""
+        """Note why a type has no definition: `structure` then raises this error for the type."""
         with self._lock:
             self._set.refused[type_name] = error
 
     def knows(self, type_name: str) -> bool:
-        """Whether there is a definition, also of derived types such as `std_srvs/srv/SetBool_Request`."""
+        """Return whether there is a definition, also of derived types such as `std_srvs/srv/SetBool_Request`."""
         current = self._set
         return type_name in current.texts or type_name in current.owners or type_name in current.plain
 
     def is_cdr(self, type_name: str) -> bool:
-        """Whether its messages are CDR, whose bytes can be read without decoding them."""
+        """Return whether its messages are CDR, whose bytes can be read without decoding them."""
         return type_name not in self._set.plain and type_name not in self._set.refused
 
     def unknown_in(self, type_name: str) -> list[str]:
-        """The names of interfaces that a known type refers to, and of which there is no definition.
+        """Return the names of interfaces without a definition to which a known type refers.
 
         Raises:
             UnknownInterface: if a definition cannot be read.
@@ -139,7 +142,7 @@ class Definitions:
         return list(found)
 
     def structure(self, type_name: str) -> Structure:
-        """The fields and constants of a message, or of one side of a service or an action.
+        """Return the fields and constants of a message, or of one side of a service or an action.
 
         Raises:
             UnknownInterface: if there is no definition, or it cannot be read.
@@ -152,7 +155,7 @@ class Definitions:
             return current.load(type_name)
 
     def interface(self, type_name: str) -> Interface:
-        """The whole definition for showing: all sides and everything nested."""
+        """Return the whole definition, for display: all sides and all nested types."""
         kind = _kind_of(type_name) if type_name in self._set.texts else "msg"
         sides = {side: self.structure(type_name + ending) for side, ending in _SIDES[kind].items()}
         nested: dict[str, Structure] = {}
@@ -163,7 +166,7 @@ class Definitions:
         return Interface(type_name, kind, sides, nested)
 
     def hash(self, type_name: str) -> str:
-        """The type's hash as it travels on the wire (`RIHS01_…`); empty where it cannot be computed."""
+        """Return the type's hash as sent by ROS 2 (`RIHS01_…`); empty if it cannot be computed."""
         with self._lock:
             every = self._set.reachable(type_name)
         if any(field.type.base == "wstring" for structure in every.values() for field in structure.fields):
@@ -171,14 +174,14 @@ class Definitions:
         return type_hash(type_name, every)
 
     def starts_with_header(self, type_name: str) -> bool:
-        """Whether the first field is a std_msgs/msg/Header, so that the message begins with a stamp."""
+        """Return whether the first field is a std_msgs/msg/Header, so that the message begins with a stamp."""
         if not self.is_cdr(type_name):
             return False
         fields = self.structure(type_name).fields
         return bool(fields) and fields[0].type == FieldType(HEADER)
 
     def compiled(self, type_name: str) -> MessageStore:
-        """A store that can read and write the type."""
+        """Return a store that can read and write the type."""
         current = self._set
         if type_name not in current.compiled:
             with self._lock:
@@ -186,12 +189,12 @@ class Definitions:
         return current.store
 
     def message_class(self, type_name: str) -> type:
-        """The class of the type's objects; made from one value for each field, in order."""
+        """Return the class of the type's objects; its constructor takes one value for each field, in order."""
         return cast("type", self.compiled(type_name).types[type_name])
 
 
 class _DefinitionSet:
-    """One consistent set of texts with what has been made from them so far."""
+    """A consistent set of definition texts, with the structures parsed and the types compiled from them so far."""
 
     def __init__(
         self, texts: Mapping[str, DefinitionText], plain: Mapping[str, Structure] = MappingProxyType({})
@@ -205,14 +208,14 @@ class _DefinitionSet:
         self.store = MessageStore()
 
     def with_plain(self, plain: Mapping[str, Structure]) -> _DefinitionSet:
-        """A set with these structures of messages that are no CDR; what has been made of texts is kept."""
+        """Return a set with these structures of messages that are not CDR; structures from texts are kept."""
         result = _DefinitionSet(self.texts, plain)
         result.structures = {**self.structures, **plain}
         result.compiled, result.store, result.refused = self.compiled, self.store, self.refused
         return result
 
     def with_texts(self, new: Mapping[str, DefinitionText]) -> _DefinitionSet:
-        """A set with these texts too. What has been made is kept unless a text that was there changes."""
+        """Return a set with these texts added. Parsed structures are kept unless a known text changes."""
         result = _DefinitionSet({**self.texts, **new}, self.plain)
         result.refused = {name: error for name, error in self.refused.items() if name not in result.owners}
         if not any(name in self.texts for name in new):
@@ -243,7 +246,7 @@ class _DefinitionSet:
         self.compiled.add(type_name)
 
     def reachable(self, type_name: str) -> dict[str, Structure]:
-        """The structure of the type and of all that it contains, by name, in the order of their first use."""
+        """Return the structures of the type and of all types that it contains, by name, in order of first use."""
         found: dict[str, Structure] = {}
 
         def collect(name: str, inside: tuple[str, ...]) -> None:
@@ -264,7 +267,7 @@ class _DefinitionSet:
 
 
 def _kind_of(type_name: str) -> str:
-    """`msg`, `srv` or `action`.
+    """Return the kind of an interface: `msg`, `srv` or `action`.
 
     Raises:
         UnknownInterface: if it is not the full name of an interface.
@@ -276,13 +279,13 @@ def _kind_of(type_name: str) -> str:
 
 
 def _types_of(name: str) -> list[str]:
-    """The names of all the types with fields that the interface `name` defines."""
+    """Return the names of all types with fields that the interface `name` defines."""
     kind = _kind_of(name)
     return [name + ending for ending in (*_SIDES[kind].values(), *_IMPLIED[kind])]
 
 
 def _structures_of(name: str, source: DefinitionText) -> dict[str, Structure]:
-    """Every structure that the interface `name` defines, by its full type name.
+    """Parse every structure that the interface `name` defines; return them by full type name.
 
     Raises:
         UnknownInterface: if the text cannot be read.
@@ -319,7 +322,7 @@ def _read_idl(name: str, text: str) -> dict[str, Structure]:
 
 
 def _idl_type(field: str, node: Any) -> FieldType:
-    """The type that a node of rosbags' parse tree stands for: (kind, (name, bound)), or (kind, (element, size))."""
+    """Convert a node of rosbags' parse tree, (kind, (name, bound)) or (kind, (element, size)), to a type."""
     kind, rest = node
     if kind == Nodetype.NAME:
         return FieldType(rest)

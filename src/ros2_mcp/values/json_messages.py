@@ -1,7 +1,7 @@
-"""JSON messages of recordings as the objects that messages are here: with fields, whose types their values tell.
+"""Decode JSON messages of recordings to message objects; the types of their fields are inferred from the values.
 
-JSON has no types of its own. So a *shape* is made of many messages of a topic, and of its JSON schema where there is
-one: which fields there are, and what each of them is in all messages.
+JSON messages have no declared types. So a *shape* is inferred from many messages of a topic, and from its JSON schema
+if there is one: the fields, and the type of each over all messages.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from ros2_mcp.values.definitions import Definitions
 from ros2_mcp.values.store import attribute
 
 _VALUE = "value"
-"""The one field of a message that is no object."""
+"""The field that contains a message that is not a JSON object."""
 _INT64 = 1 << 63
 _DTYPES = {"bool": np.bool_, "int64": np.int64, "float64": np.float64}
 _SCHEMA_KINDS = {"boolean": "bool", "integer": "int64", "number": "float64", "string": "string"}
 _DEEPEST = 40
-"""Levels of a schema that are followed; one may refer to itself."""
+"""Levels of a schema that are followed; a schema may refer to itself."""
 
 
 @dataclass
 class Shape:
-    """What a value is in all messages: of a `kind` (`null` until a value came, `any` where they differ).
+    """The type of a value over all messages: `kind` is `null` until there is a value, and `any` if the types differ.
 
     The kinds are `bool`, `int64`, `float64`, `string`, `list` (of `element`), `object` (with `fields`), `null`, `any`.
     """
@@ -41,7 +41,7 @@ class Shape:
     element: Shape | None = None
 
     def add(self, value: Any) -> None:
-        """Takes in a value."""
+        """Widen the shape by a value."""
         if value is None:
             return
         kind = _kind_of(value)
@@ -55,7 +55,7 @@ class Shape:
                 self.element.add(below)
 
     def add_schema(self, schema: Any, depth: int = 0) -> None:
-        """Takes in what a JSON schema says; what it leaves open is left open."""
+        """Widen the shape by a JSON schema; what the schema does not declare stays open."""
         if not isinstance(schema, Mapping) or depth > _DEEPEST:
             return
         told = cast("Mapping[str, Any]", schema)
@@ -80,7 +80,7 @@ class Shape:
 
     @property
     def field_type(self) -> FieldType:
-        """The type of a field of this shape, whose `base` is empty where it is a message."""
+        """The type of a field of this shape; `base` is empty for a message."""
         if self.kind == "list":
             element = self.element or Shape()
             if element.kind in ("list", "null", "any"):
@@ -92,22 +92,22 @@ class Shape:
 
 
 class JsonMessage:
-    """A message, or one of its parts; a field that it does not have has no attribute."""
+    """A message or a nested message; a field that is absent in the JSON has no attribute."""
 
 
 _Part: TypeAlias = "tuple[str, str, FieldType, _Plan | None]"
-"""A field: its name, its attribute, its type, and how its own fields are read where it is a message."""
+"""A field: its name, attribute and type, and for a message the plan of its own fields."""
 
 
 @dataclass
 class _Plan:
-    """How the objects of one shape are read."""
+    """The conversion of JSON objects of one shape."""
 
     structure: Structure
     parts: list[_Part] = field(default_factory=list[_Part])
 
     def made(self, value: Mapping[str, Any]) -> JsonMessage:
-        """The object; raises `ValueError` for a value of another kind than its field."""
+        """Convert a JSON object; raises `ValueError` if a value does not have its field's type."""
         message = JsonMessage()
         for name, as_attribute, kind, below in self.parts:
             if name in value:
@@ -116,14 +116,14 @@ class _Plan:
 
 
 class RecordedCodec(Codec):
-    """Decodes the messages of a recording: CDR, and JSON of the types whose shape it has been given."""
+    """Decodes the messages of a recording: CDR, and JSON of types whose shape is known."""
 
     def __init__(self, definitions: Definitions) -> None:
         super().__init__(definitions)
         self._plans: dict[str, _Plan] = {}
 
     def learn_json(self, type_name: str, shape: Shape) -> None:
-        """Takes in what messages of a JSON type are like; it replaces what was known of the type."""
+        """Set the shape of a JSON type; it replaces an earlier one."""
         if shape.kind != "object":
             shape = Shape("object", {_VALUE: shape})
         plans: list[_Plan] = []
@@ -132,11 +132,11 @@ class RecordedCodec(Codec):
         self._plans[type_name] = plan
 
     def knows_json(self, type_name: str) -> bool:
-        """Whether it has been given the shape of such messages."""
+        """Return whether the shape of this JSON type is known."""
         return type_name in self._plans
 
     def decode(self, type_name: str, data: bytes) -> Message:
-        """The message in its bytes; raises as `Codec.decode`."""
+        """Decode a message; raises the errors of `Codec.decode`."""
         plan = self._plans.get(type_name)
         if plan is None:
             return super().decode(type_name, data)
@@ -149,16 +149,16 @@ class RecordedCodec(Codec):
 
 
 def parsed(data: bytes) -> Any:
-    """A JSON value; raises `BadData` for bytes that are none."""
+    """Parse JSON; raises `BadData` for invalid JSON."""
     try:
         return json.loads(data)
-    except (ValueError, RecursionError) as error:  # also for bytes that are no text
+    except (ValueError, RecursionError) as error:  # also for bytes that are not UTF-8
         place = f" from character {error.pos + 1} on" if isinstance(error, json.JSONDecodeError) else ""
         raise BadData(f"A message of {len(data)} bytes is not JSON{place}.") from error
 
 
 def shape_of(schema: str, messages: Iterable[bytes]) -> Shape:
-    """The shape of a topic's messages; what is not JSON is left out."""
+    """Return the shape of a topic's messages; messages that are not JSON are skipped."""
     shape = Shape()
     for data in messages:
         try:
@@ -175,7 +175,7 @@ def shape_of(schema: str, messages: Iterable[bytes]) -> Shape:
 
 
 def is_usable_schema(schema: str) -> bool:
-    """Whether a JSON schema says which fields there are."""
+    """Return whether a JSON schema declares any fields or a type."""
     shape = shape_of(schema, ())
     return shape.kind != "null" and not (shape.kind == "object" and not shape.fields)
 
@@ -191,7 +191,7 @@ def _kind_of(value: Any) -> str:
 
 
 def _planned(title: str, shape: Shape, plans: list[_Plan]) -> _Plan:
-    """The plan of an object; it and those of what it contains are appended."""
+    """Return the plan of an object; append it and the plans of its nested objects to `plans`."""
     parts = list(_parts_of(title, shape, plans))
     plan = _Plan(Structure(title, tuple(Field(name, kind) for name, _, kind, _ in parts)), parts)
     plans.append(plan)
@@ -210,7 +210,7 @@ def _parts_of(title: str, shape: Shape, plans: list[_Plan]) -> Iterator[_Part]:
 
 
 def _value(name: str, kind: FieldType, below: _Plan | None, value: Any) -> Any:
-    """A value as messages have it; None for null. Raises `ValueError` where it is of another kind."""
+    """Convert a value to its field's type; None for null. Raises `ValueError` if it has another type."""
     if value is None:
         return None
     if kind.arity == "single":
@@ -230,7 +230,7 @@ def _single(name: str, kind: FieldType, below: _Plan | None, value: Any) -> Any:
         if not isinstance(value, dict):
             raise ValueError(f"{quoted(name)} is no object")
         return below.made(cast("Mapping[str, Any]", value))
-    if kind.base == "string":  # what differs from message to message, or has no type here, is shown as it is written
+    if kind.base == "string":  # a value whose type differs between messages, or is not known here, becomes JSON text
         return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False, separators=(",", ":"))
     if kind.base == "float64" and isinstance(value, (int, float)) and not isinstance(value, bool):
         return float(value)

@@ -1,4 +1,4 @@
-"""One type's message out of another's: fields that go to other fields."""
+"""Make a message of one type from a message of another, by a mapping of fields."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from ros2_mcp.values.select import parse_fields, value_at
 
 
 class FieldMapping:
-    """Makes messages of one type out of messages of another; `mapping` is destination field → source field.
+    """Makes messages of one type from messages of another; `mapping` is destination field → source field.
 
-    Fields that it does not name get their default. Whole nested messages and arrays can be mapped as well as numbers.
+    Fields that are not mapped get their default. Nested messages and arrays can be mapped as a whole.
 
     Raises:
-        BadInput: if there is nothing to map, or one destination lies inside another.
-        BadValue: for a path that is not there, or that goes into an array.
+        BadInput: if the mapping is empty, or one destination lies inside another.
+        BadValue: for a path that does not exist, or that goes into an array.
     """
 
     def __init__(self, codec: Codec, source_type: str, destination_type: str, mapping: Mapping[str, str]) -> None:
@@ -36,13 +36,13 @@ class FieldMapping:
                 raise BadInput(
                     f"The mapping gives {path} as a whole and a part of it.", "Map either the whole field or its parts."
                 )
-        self._map(check(codec.definitions, source_type, {}))  # with a message of defaults, wrong kinds show at once
+        self._map(check(codec.definitions, source_type, {}))  # mapping a default message reveals wrong types at once
 
     def apply(self, data: bytes) -> bytes:
-        """The destination's message (CDR) for one of the source's.
+        """Return the destination's message (CDR) for a message of the source.
 
         Raises:
-            BadValue: for a value that the destination's field cannot hold.
+            BadValue: for a value that does not fit the destination's field.
             BadData: if the bytes are not a message of the source's type.
         """
         return self._map(self._codec.decode(self._source_type, data))
@@ -66,7 +66,7 @@ def _check_paths(codec: Codec, type_name: str, paths: list[str]) -> None:
 
 
 def _plain(value: Any) -> Any:
-    """A decoded value as `check` takes it: messages become objects."""
+    """Convert a decoded value for `check`: messages become dicts."""
     if isinstance(value, list):
         return [_plain(item) for item in cast("list[Any]", value)]
     if is_dataclass(value):

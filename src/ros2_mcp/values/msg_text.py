@@ -1,4 +1,4 @@
-"""Reads the text of .msg, .srv and .action files."""
+"""Parse the text of .msg, .srv and .action files."""
 
 from __future__ import annotations
 
@@ -34,15 +34,15 @@ _BOOLEANS = {"true": True, "1": True, "false": False, "0": False}
 
 
 def split_sections(text: str) -> list[str]:
-    """The parts of a .srv or .action text: what stands between the lines `---`."""
+    """Split a .srv or .action text at its `---` lines."""
     return re.split(r"^---[ \t]*$", text, flags=re.MULTILINE)
 
 
 def read_structure(type_name: str, text: str) -> Structure:
-    """Reads one message, or one side of a service or action.
+    """Parse one message, or one side of a service or action.
 
     Raises:
-        UnknownInterface: naming the line that cannot be read.
+        UnknownInterface: naming the line that cannot be parsed.
     """
     package, _, _ = type_name.partition("/")
     about, rest = _about(text)
@@ -53,7 +53,7 @@ def read_structure(type_name: str, text: str) -> Structure:
 
 
 def _about(text: str) -> tuple[str, str]:
-    """The comment at the top, where an empty line parts it from what follows, and the rest."""
+    """Return the leading comment, if an empty line separates it from the rest, and the rest of the text."""
     match = re.match(r"\s*((?:[ \t]*#[^\n]*\n)+)[ \t]*\n", text)
     if match is None:
         return "", text
@@ -61,7 +61,7 @@ def _about(text: str) -> tuple[str, str]:
 
 
 def _code_lines(text: str) -> Iterator[tuple[str, str]]:
-    """Each line of code with its comment: the lines just above it and what follows on the line."""
+    """Yield each line of code with its comment: the comment lines just above, and the comment on the line itself."""
     above: list[str] = []
     for line in text.splitlines():
         code, _, comment = line.partition("#")
@@ -96,10 +96,10 @@ def _read_line(type_name: str, package: str, code: str, comment: str) -> Field |
 
 
 def read_type(package: str, text: str) -> FieldType:
-    """Reads a type such as `float64[36]`, `string<=10[<=3]` or `Point`, which is one of the same package.
+    """Parse a type such as `float64[36]`, `string<=10[<=3]` or `Point` (of the same package).
 
     Raises:
-        ValueError: if it is not written like a type.
+        ValueError: if the text is not a type.
     """
     match = _TYPE.fullmatch(text)
     if match is None:

@@ -1,8 +1,7 @@
-"""Message objects → JSON, bounded: what is too long is summarised, never cut in the middle.
+"""Convert message objects to JSON of bounded size: long values are replaced by a summary, never cut in the middle.
 
-Numbers are shown exactly, and short: `0` for 0.0, a diagonal matrix as its diagonal (`$diagonal`). NaN and the
-infinities are the strings `"nan"`, `"inf"`, `"-inf"` (see `_json_number`; the texts stand in `NOT_FINITE` of
-`model/values.py`).
+Numbers are exact and short: `0` for 0.0, a diagonal matrix as its diagonal (`$diagonal`). NaN and the infinities are
+the strings `"nan"`, `"inf"`, `"-inf"` (see `_json_number`, and `NOT_FINITE` in `model/values.py`).
 """
 
 from __future__ import annotations
@@ -26,22 +25,22 @@ from ros2_mcp.values.select import FieldPath, Step, element_at, parse_fields, se
 from ros2_mcp.values.store import attribute
 
 _BYTES_AS_LIST = 64
-"""Bytes up to this many are shown as a list, which can be read (a UUID); more as base64, a third as long."""
+"""Up to this many bytes are a readable list (a UUID); more are base64, a third as long."""
 _MOST_FIRST = 16
-"""Values that a summary begins with: what kind of numbers they are. What is more is asked for by fields, a slice."""
+"""First values in a summary, which show what the numbers are like. A slice in `fields` gives more."""
 _SQUARES = {9: 3, 36: 6}
 """Length of an array → rows of the square matrix that it is: the covariances of ROS."""
 
 _SCAN = "sensor_msgs/msg/LaserScan"
-"""Its reader asks where the nearest thing is: the summary of its ranges says at which angle, in radians."""
+"""In a scan the nearest point matters: the summary of its ranges includes the angle of the smallest one, in radians."""
 _ANGLE_DIGITS = 4
-"""0.006°: no scanner is as exact."""
+"""Decimals of an angle in rad (0.006°): no scanner is as exact."""
 
 _FLOAT32 = Struct("<f")
 _ABSENT = object()
-"""Of a field that a message does not have, as JSON may."""
-# What is tried, one after the other, where a message is longer than it may be: first shorter arrays and texts, each
-# step about a quarter of the one before, then fewer levels.
+"""Marks a field that a message lacks, as JSON messages may."""
+# Limits to try one after the other if a message is too long: first shorter arrays and strings, each about a quarter of
+# the one before, then fewer levels.
 _ARRAY_STEPS = (16, 4, 0)
 _STRING_STEPS = (256, 64)
 _DEPTH_STEPS = (4, 3, 2, 1, 0)
@@ -50,15 +49,14 @@ _UNLIMITED = 2**31
 
 @dataclass(frozen=True, slots=True)
 class RenderOptions:
-    """How much to show.
+    """Limits and form of the JSON.
 
-    Longer arrays than `max_array` and longer texts than `max_string` (characters) become summaries. If the JSON text
-    is longer than `max_bytes` all the same, both are lowered step by step, then deep messages are left out.
-    `fields` selects paths; a slice or a text that it names is given in full as long as it fits. `exact` shows
-    everything whole, whatever the size, and in its plainest form: floating-point numbers as such, arrays as lists.
-    `native` gives a program the numbers themselves, and not what JSON makes of them: infinities and large integers as
-    numbers, many bytes as `bytes`. With it, `hold` may keep a large array, of which it gives what stands for it; None
-    where it does not.
+    Arrays longer than `max_array` and strings longer than `max_string` (characters) become summaries. If the JSON text
+    is still longer than `max_bytes`, both are lowered step by step, then deeply nested messages are omitted. `fields`
+    selects paths; a selected slice or string is shown in full if it fits. `exact` shows every value in full, whatever
+    the size, and in its plainest form: floating-point numbers as such, arrays as lists. `native` returns Python values
+    for a program instead of their JSON form: infinities and large integers as numbers, many bytes as `bytes`. With
+    `native`, `hold` may keep a large array and return a placeholder for it, or None to decline.
     """
 
     max_array: int = 64
@@ -72,11 +70,11 @@ class RenderOptions:
 
 @dataclass(frozen=True, slots=True)
 class Rendered:
-    """A message as JSON: its fields, or path → value where fields were selected.
+    """A message as JSON: its fields, or path → value if fields were selected.
 
-    `truncated` are the paths of what is summarised (`poses[*].name` stands for every index), each with the field that
-    shows more of it: a text or message by its name, of a list a slice. `bytes` is the length of the compact JSON text,
-    with hidden characters as they are shown.
+    `truncated` has the paths of summarised values (`poses[*].name` is any index), each with the field to select for
+    more: a string or message by its name, a list by a slice. `bytes` is the length of the compact JSON text, with
+    hidden characters escaped.
     """
 
     value: dict[str, Any]
@@ -92,11 +90,11 @@ class _Limits(NamedTuple):
 
 
 def render(definitions: Definitions, type_name: str, message: object, *, options: RenderOptions) -> Rendered:
-    """The message as JSON within the bounds.
+    """Convert a message to JSON within the bounds.
 
     NaN and the infinities are the strings `"nan"`, `"inf"`, `"-inf"`; integers beyond 2^53 are decimal strings; bytes
-    are a list up to 64, else base64; diagonal matrices are objects with `$diagonal`. All of that, `check` takes back
-    and gives the same message.
+    are a list up to 64, else base64; diagonal matrices are objects with `$diagonal`. `check` converts all of these back
+    to an equal message.
 
     Raises:
         BadValue: for a path in `fields` that does not exist, or an index beyond the list.
@@ -111,16 +109,16 @@ def render(definitions: Definitions, type_name: str, message: object, *, options
 
 
 def example_of(definitions: Definitions, type_name: str) -> dict[str, Any]:
-    """A value with every field at its default, else zero, ready to fill in; `check` accepts it unchanged."""
+    """Return a message as JSON with every field at its default, else zero, to fill in; `check` accepts it unchanged."""
     return render(definitions, type_name, check(definitions, type_name, {}), options=RenderOptions(exact=True)).value
 
 
 def _attempts(options: RenderOptions) -> Iterator[_Limits]:
-    """Limits to try, each tighter than the one before."""
+    """Yield limits to try, each tighter than the one before."""
     if options.exact or options.native:
         yield _Limits(_UNLIMITED, _UNLIMITED, _UNLIMITED, _UNLIMITED)
         return
-    most = max(options.max_bytes // 2, 1)  # an element takes two characters at least
+    most = max(options.max_bytes // 2, 1)  # an element takes at least two characters
     array, string = min(max(options.max_array, 0), most), min(max(options.max_string, 0), most)
     yield _Limits(array, string, _UNLIMITED, most)
     for lower, shorter in zip(_ARRAY_STEPS, (*_STRING_STEPS, _STRING_STEPS[-1]), strict=True):
@@ -144,7 +142,7 @@ class _Render:
             value = self._message(type_name, message, "", self._limits.depth)
         else:
             value = {chosen.path: self._follow(chosen.path, chosen.steps, message) for chosen in selections}
-        if self._native:  # it does not become JSON
+        if self._native:  # the value does not become JSON
             return Rendered(value, {}, 0)
         _, text = visible_json(value)
         return Rendered(value, self._truncated, len(text.encode()))
@@ -164,7 +162,7 @@ class _Render:
         return result
 
     def _value(self, field_type: FieldType, value: Any, path: str, depth: int) -> Any:
-        if value is None:  # in JSON
+        if value is None:  # null in a JSON message
             return None
         if field_type.arity != "single":
             return self._several(field_type, value, path, depth, self._limits.array)
@@ -204,14 +202,14 @@ class _Render:
         self._cut(path)
         if len(text) > most:
             return {SUMMARY: "string", "length": len(text), "first": escaped_bytes(text[:most])}
-        # JSON cannot carry it exactly: it is not UTF-8, or has half a character.
+        # JSON cannot represent it exactly: it is not UTF-8, or has a lone surrogate.
         return {SUMMARY: "string", "not_utf8": escaped_bytes(text)}
 
     def _follow(self, path: str, steps: tuple[Step, ...], value: Any) -> Any:
-        """What a selected path leads to; beyond a slice, a list with what the rest of the path leads to in each."""
+        """Return the value at a selected path; beyond a slice, a list with the rest of the path in each element."""
         step, rest = steps[0], steps[1:]
         field_type, value = step.field.type, getattr(value, attribute(step.field.name), None)
-        if value is None:  # in JSON: null, or there is no such field in this message
+        if value is None:  # in a JSON message: null, or the field is absent
             return None
         if isinstance(step.pick, int):
             field_type, value = field_type.element, element_at(value, step.pick, path)
@@ -239,9 +237,10 @@ class _Render:
 
 
 def _json_number(base: str, value: Any, *, exact: bool = False) -> Any:
-    """One boolean or number: not finite as text, a float32 with as few digits as tell it from all others.
+    """Convert one boolean or number to JSON: non-finite as a string, a float32 with the fewest digits that identify it.
 
-    Unless `exact`, a floating-point number without a fraction is an integer, 0 for 0.0: JSON knows one kind of number.
+    Unless `exact`, a floating-point number without a fraction becomes an integer, 0 for 0.0: JSON has one kind of
+    number.
     """
     if base in FLOATS:
         if not math.isfinite(value):
@@ -253,7 +252,7 @@ def _json_number(base: str, value: Any, *, exact: bool = False) -> Any:
 
 
 def _json_numbers(field_type: FieldType, values: NDArray[Any], *, exact: bool = False) -> list[Any] | str:
-    """A whole array, exactly."""
+    """Convert a whole array exactly."""
     if field_type.base in OCTETS and len(values) > _BYTES_AS_LIST:
         return base64.b64encode(values.tobytes()).decode()
     plain: list[Any] = values.tolist()
@@ -263,7 +262,10 @@ def _json_numbers(field_type: FieldType, values: NDArray[Any], *, exact: bool = 
 
 
 def _native_numbers(field_type: FieldType, values: NDArray[Any]) -> list[Any] | bytes:
-    """A whole array of numbers of Python; seven digits tell what a float32 was made of, and cost a third of all."""
+    """Convert an array to Python numbers.
+
+    Seven digits identify a float32 well enough, at a third of the cost of exactness.
+    """
     if field_type.base in OCTETS and len(values) > _BYTES_AS_LIST:
         return values.tobytes()
     plain: list[Any] = values.tolist()
@@ -271,7 +273,7 @@ def _native_numbers(field_type: FieldType, values: NDArray[Any]) -> list[Any] | 
 
 
 def _diagonal(field_type: FieldType, values: NDArray[Any]) -> NDArray[Any] | None:
-    """The diagonal of a fixed array that is a square matrix with nothing but 0.0 beside it; None for any other."""
+    """Return the diagonal of a fixed-size square matrix that is 0.0 off the diagonal; None for any other array."""
     rows = _SQUARES.get(len(values)) if field_type.arity == "array" and field_type.base in FLOATS else None
     if not rows:
         return None
@@ -280,7 +282,7 @@ def _diagonal(field_type: FieldType, values: NDArray[Any]) -> NDArray[Any] | Non
 
 
 def _numbers_summary(field_type: FieldType, values: NDArray[Any], first: int) -> dict[str, Any]:
-    """An array as its length, first values and statistics over its finite values; bytes as their number only."""
+    """Summarise an array: its length, first values and statistics of its finite values; for bytes only the length."""
     summary: dict[str, Any] = {SUMMARY: str(field_type), "length": len(values)}
     if field_type.base in OCTETS:
         return summary
@@ -292,12 +294,12 @@ def _numbers_summary(field_type: FieldType, values: NDArray[Any], first: int) ->
 
 
 def _list_summary(field_type: FieldType, length: int, first: Sequence[Any]) -> dict[str, Any]:
-    """A list of messages or texts as its length and its first elements."""
+    """Summarise a list of messages or strings: its length and first elements."""
     return {SUMMARY: str(field_type), "length": length, "first": first, "omitted": length - len(first)}
 
 
 def _add_angle(scan: dict[str, Any]) -> None:
-    """Writes the angle of the smallest range into the summary of a scan's ranges; a strange definition may lack all."""
+    """Add the angle of the smallest range to a scan's summary of ranges, if the definition has the usual fields."""
     ranges: Any = scan.get("ranges") or ()
     start, step = scan.get("angle_min"), scan.get("angle_increment")
     if isinstance(start, (int, float)) and isinstance(step, (int, float)) and step and "min_at" in ranges:
@@ -305,7 +307,7 @@ def _add_angle(scan: dict[str, Any]) -> None:
 
 
 def _statistics(base: str, values: NDArray[Any]) -> dict[str, Any]:
-    """Of the finite values; `min_at` is the index of the smallest one in the whole array."""
+    """Return statistics of the finite values; `min_at` is the index of the smallest one in the whole array."""
     indices = np.flatnonzero(np.isfinite(values)) if base in FLOATS else np.arange(len(values))
     finite = values[indices]
     result: dict[str, Any] = {"min": None, "max": None, "mean": None}
@@ -323,7 +325,7 @@ def _statistics(base: str, values: NDArray[Any]) -> dict[str, Any]:
 
 
 def _short(value: float) -> float:
-    """The shortest decimal that is read back as the same float32; `value` is one."""
+    """Return the shortest decimal that rounds to the same float32 as `value`, which is a float32."""
     for digits in ("%.7g", "%.8g", "%.9g"):
         short = float(digits % value)
         try:

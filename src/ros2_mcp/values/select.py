@@ -1,6 +1,6 @@
 """Paths to fields: `pose.pose.position`, `ranges[0:10]`, `name[-1]`, `transforms[*].header.frame_id`.
 
-`transforms[child_frame_id == "base_link"]` are the elements of which that is so.
+`transforms[child_frame_id == "base_link"]` selects the elements for which the comparison is true.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ __all__ = [
 
 @dataclass(frozen=True)
 class FieldPath(paths.FieldPath):
-    """A path that fits the definition; made with `parse_field`."""
+    """A path that is valid for its type; made with `parse_field`."""
 
     def value_in(self, message: object) -> Any:
-        """The value in a message; beyond a slice, a flat list of all that the path leads to.
+        """Return the value in a message; beyond a slice, a flat list of all values to which the path leads.
 
         Raises:
-            BadValue: where a list has no such element.
+            BadValue: if a list has no such element.
         """
         try:
             return super().value_in(message)
@@ -39,7 +39,7 @@ class FieldPath(paths.FieldPath):
 
 
 class _Known:
-    """What definitions say of types."""
+    """Fields and constants of types, from definitions."""
 
     def __init__(self, definitions: Definitions) -> None:
         self._definitions = definitions
@@ -52,7 +52,7 @@ class _Known:
 
 
 def known_to(definitions: Definitions) -> Types:
-    """The types of these definitions, for what server and bridge share; raises `UnknownInterface` for others."""
+    """Return the types of these definitions for code shared with the bridge; raises `UnknownInterface` for others."""
     return _Known(definitions)
 
 
@@ -61,10 +61,10 @@ def _bad(error: PathError) -> BadValue:
 
 
 def parse_field(definitions: Definitions, type_name: str, path: str) -> FieldPath:
-    """Reads a path and checks it against the definition.
+    """Parse a path and check it against the definition.
 
     Raises:
-        BadValue: for a path that does not exist, with the nearest that does.
+        BadValue: for a path that does not exist; names the nearest one that does.
     """
     try:
         found = paths.parse(known_to(definitions), type_name, path)
@@ -74,7 +74,7 @@ def parse_field(definitions: Definitions, type_name: str, path: str) -> FieldPat
 
 
 def element_at(values: Any, index: int, path: str) -> Any:
-    """One element of a list or array; raises `BadValue` where it is shorter."""
+    """Return one element of a list or array; raises `BadValue` if the index is out of range."""
     try:
         return paths.element_at(values, index, path)
     except PathError as error:
@@ -82,12 +82,15 @@ def element_at(values: Any, index: int, path: str) -> Any:
 
 
 def parse_fields(definitions: Definitions, type_name: str, paths: Sequence[str]) -> list[FieldPath]:
-    """Several paths, as `parse_field` reads them."""
+    """Parse several paths with `parse_field`."""
     return [parse_field(definitions, type_name, path) for path in paths]
 
 
 def numeric_fields(definitions: Definitions, type_name: str) -> list[str]:
-    """The paths of all single numbers, nested ones included: `twist.linear.x`; none inside arrays, no booleans."""
+    """Return the paths of all single numbers, also in nested messages: `twist.linear.x`.
+
+    Numbers in arrays, and booleans, are excluded.
+    """
     return list(_numbers(definitions, type_name, only_single=True))
 
 
@@ -95,12 +98,12 @@ def numeric_fields(definitions: Definitions, type_name: str) -> list[str]:
 
 
 def measurable(definitions: Definitions, type_name: str, chosen: Sequence[str] = ()) -> list[FieldPath]:
-    """The chosen fields, or all: single numbers, and arrays of numbers as one each; without stamps and bytes.
+    """Return the chosen numeric fields, or all: single numbers, and arrays as one each, but no stamps or bytes.
 
-    A chosen message stands for all its fields; booleans count as 0 and 1 where they are chosen.
+    A chosen message is replaced by all its numeric fields; chosen booleans count as 0 and 1.
 
     Raises:
-        BadValue: for a chosen path that does not exist or has no number in it.
+        BadValue: for a chosen path that does not exist or contains no number.
     """
     if not chosen:
         return parse_fields(definitions, type_name, list(_numbers(definitions, type_name)))
@@ -119,7 +122,7 @@ def _measurable_at(definitions: Definitions, type_name: str, chosen: FieldPath) 
 
 
 def _numbers(definitions: Definitions, type_name: str, *, only_single: bool = False) -> Iterator[str]:
-    """The paths of single numbers, stamps included; or of numbers and arrays of them, without stamps and bytes."""
+    """Yield the paths of single numbers, with stamps; or of numbers and arrays of numbers, without stamps and bytes."""
     for field in definitions.structure(type_name).fields:
         is_single = field.type.arity == "single"
         if field.type.is_number and (is_single or not (only_single or field.type.base in OCTETS)):

@@ -1,8 +1,8 @@
-"""The rosbags type system as our codec: message classes, and the functions between their objects and bytes.
+"""The rosbags type system as our codec: message classes, and functions that convert their objects from and to bytes.
 
-rosbags generates Python code for each type. Two things are ours. Texts: rosbags has no wide strings, and gives up
-a whole message for one string that is not UTF-8; so both kinds of string are registered as types of their own,
-with the functions below. And `byte`, which ROS 2 takes for unsigned and rosbags for signed, is stored as `uint8`.
+rosbags generates Python code for each type. Two things differ here. Strings: rosbags has no wide strings, and rejects a
+whole message for one string that is not UTF-8; so both kinds of string are registered as types of their own, with the
+functions below. And `byte`, unsigned in ROS 2 and signed in rosbags, is stored as `uint8`.
 """
 
 from __future__ import annotations
@@ -26,22 +26,22 @@ _WIDE = {"le": "utf-32-le", "be": "utf-32-be"}
 
 
 class Misfit(ValueError):
-    """Why bytes are not a message of their type, in our words."""
+    """Raised for bytes that are not a message of their type; says why."""
 
 
 class MessageStore(Typestore):
-    """Types that have been compiled; one store for one consistent set of definitions."""
+    """Compiled types; one store for each consistent set of definitions."""
 
     def __init__(self) -> None:
         super().__init__()
         self.cache.update({"string": _string_type(), "wstring": _wide_string_type()})
 
     def add(self, structures: Iterable[Structure]) -> None:
-        """Makes the message classes; what these structures refer to must be among them or known."""
+        """Make the message classes; types to which the structures refer must be among them or known."""
         self.register({s.type: ([], [(f.name, _node(f.type)) for f in s.fields]) for s in structures})
 
     def get_msgdef(self, typename: str) -> Msgdef[object]:
-        """Compiles the CDR functions of a type at its first use (and not the ROS 1 functions that rosbags adds)."""
+        """Compile the CDR functions of a type at its first use (without the ROS 1 functions that rosbags adds)."""
         if typename not in self.cache:
             fields = [(attribute(name), node) for name, node in self.fielddefs[typename][1]]
             getsize, size = cdr.generate_getsize_cdr(fields, self)
@@ -58,10 +58,10 @@ class MessageStore(Typestore):
         return self.cache[typename]
 
     def read(self, type_name: str, data: bytes) -> tuple[object, memoryview]:
-        """The message in CDR bytes, and what is left over behind it.
+        """Decode the message in CDR bytes; return it and the bytes after it.
 
         Raises:
-            ValueError, struct.error, SerdeError: if they do not fit.
+            ValueError, struct.error, SerdeError: if the bytes do not fit.
         """
         if len(data) < _HEADER_SIZE or data[0] or data[1] > 1:
             raise Misfit(f"it starts with {data[:4].hex(' ') or 'nothing'}, which is not a plain CDR header")
@@ -74,12 +74,12 @@ class MessageStore(Typestore):
         return message, body[end:]
 
     def write(self, type_name: str, message: object) -> bytes:
-        """Little-endian CDR with its header; padding is zero."""
+        """Encode as little-endian CDR with its header; padding is zero."""
         return bytes(self.serialize_cdr(message, type_name, little_endian=True))
 
 
 def type_hash(type_name: str, structures: Mapping[str, Structure]) -> str:
-    """The RIHS01 hash of a type; a `char` counts as the `uint8` that it is. Wide strings have no place in it."""
+    """Return the RIHS01 hash of a type, with `char` as its equivalent `uint8`. Wide strings are not supported."""
     bare = Typestore()
     for name, structure in structures.items():
         bare.fielddefs[name] = ([], [(f.name, _node(f.type, hashed=True)) for f in structure.fields])
@@ -87,7 +87,7 @@ def type_hash(type_name: str, structures: Mapping[str, Structure]) -> str:
 
 
 def _node(field_type: FieldType, *, hashed: bool = False) -> Any:
-    """The node of rosbags' parse tree for a type: as it is stored, or as the definition has it, for the hash."""
+    """Return the node of rosbags' parse tree for a type: as stored, or, with `hashed`, as defined."""
     base = field_type.base
     if field_type.is_message or (base in TEXTS and not hashed):
         element: Any = (Nodetype.NAME, base)
@@ -102,7 +102,7 @@ def _node(field_type: FieldType, *, hashed: bool = False) -> Any:
 def _definition(
     name: str, fields: Any, cls: type, size: int, getsize: Any, write_le: Any, read_le: Any, read_be: Any
 ) -> Msgdef[object]:
-    none: Any = None  # what we never do: writing big-endian, and ROS 1
+    none: Any = None  # never used: writing big-endian, and ROS 1
     return Msgdef(
         name,
         fields,
@@ -125,7 +125,10 @@ def _definition(
 
 
 def _string_type() -> Msgdef[object]:
-    """`u32` length with the closing zero, then UTF-8 and a zero; what is not UTF-8 becomes lone surrogates."""
+    """The codec of `string`: `u32` length with the final zero, then UTF-8 and a zero.
+
+    Bytes that are not UTF-8 become lone surrogates.
+    """
 
     def getsize(pos: int, text: str, _store: object) -> int:
         return pos + 5 + len(text.encode("utf-8", "surrogateescape"))
@@ -155,7 +158,10 @@ def _string_type() -> Msgdef[object]:
 
 
 def _wide_string_type() -> Msgdef[object]:
-    """`u32` number of UTF-16 units, then each unit in four bytes, as Fast DDS and Cyclone DDS write them for ROS 2."""
+    """The codec of `wstring`: `u32` number of UTF-16 units, then four bytes per unit.
+
+    This is how Fast DDS and Cyclone DDS write them for ROS 2.
+    """
 
     def getsize(pos: int, text: str, _store: object) -> int:
         return pos + 4 + 2 * len(text.encode("utf-16-le", "surrogatepass"))

@@ -7,9 +7,9 @@ from ros2_mcp.values.select import parse_field
 
 
 def unit_of(definitions: Definitions, type_name: str, path: str) -> str:
-    """The unit of a field, such as `m/s`; empty where it has none or it is not known.
+    """Return the unit of a field, such as `m/s`; empty if it has none or it is not known.
 
-    Looked up from the field upwards: the `x` of a `Vector3` says nothing, the `linear` of a `Twist` does.
+    The innermost field with a known unit decides: the `x` of a `Vector3` has none, the `linear` of a `Twist` has.
 
     Raises:
         BadValue: for a path that does not exist.
@@ -23,7 +23,7 @@ def unit_of(definitions: Definitions, type_name: str, path: str) -> str:
 
 
 _SUFFIXES = {"_m": "m", "_mps": "m/s", "_s": "s", "_ms": "ms", "_rad": "rad", "_deg": "°", "_hz": "Hz", "voltage": "V"}
-"""Endings of names by which robots' own interfaces usually say the unit."""
+"""Suffixes by which robots' own interfaces usually name the unit."""
 _BY_INTERFACE = {
     "ackermann_msgs/AckermannDrive": {
         "m/s": "speed",
@@ -62,7 +62,7 @@ _BY_INTERFACE = {
     "sensor_msgs/Range": {"m": "range min_range max_range", "rad": "field_of_view"},
     "sensor_msgs/Temperature": {"°C": "temperature"},
 }
-"""Unit → fields, as the comments of the interfaces say it."""
+"""Unit → fields, from the comments of the interfaces."""
 _UNITS = {
     f"{type_name.replace('/', '/msg/')}.{name}": unit
     for type_name, fields in _BY_INTERFACE.items()

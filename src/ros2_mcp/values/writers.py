@@ -1,7 +1,7 @@
-"""Which messages of a topic are of one publisher: told by the numbers that each publisher gives its messages.
+"""Assign the messages of a topic to their publishers, by the sequence numbers of the messages.
 
-rclpy tells the number of a message and not its publisher. Each publisher counts its own messages by ones, so those
-whose numbers follow each other are of one.
+rclpy gives the sequence number of a message but not its publisher. Each publisher numbers its messages consecutively,
+so messages with consecutive numbers have the same publisher.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 _MOST_LOST = 200
 """Messages that may be missing between two of one publisher: seconds of a fast topic."""
 _MOST = 64
-"""Publishers that are told apart; the one that was heard of longest ago is forgotten."""
+"""Publishers that are distinguished; the one whose last message is the oldest is forgotten."""
 
 
 @dataclass(slots=True)
@@ -27,10 +27,10 @@ class _Track:
 
 
 class Writers:
-    """The publishers of one topic, by numbers from 1 on.
+    """The publishers of one topic, numbered from 1.
 
-    With `by_frames` a message about frames of which nobody has told is of a further publisher, whatever its number: of
-    what is latched each publisher sends one or two, so that a number that follows another tells nothing.
+    With `by_frames` a message about new frames is assigned to a new publisher, whatever its number: each publisher of a
+    latched topic sends only one or two messages, so consecutive numbers mean nothing.
     """
 
     def __init__(self, *, by_frames: bool = False) -> None:
@@ -42,23 +42,25 @@ class Writers:
 
     @property
     def frames(self) -> Mapping[int, frozenset[str]]:
-        """The frames that each publisher has told."""
+        """The frames in the messages of each publisher."""
         return {track.number: track.about for track in self._tracks}
 
     @property
     def heard_ns(self) -> Mapping[int, tuple[int, int]]:
-        """When the first and the last message of each publisher came."""
+        """Receive times (ns) of the first and the last message of each publisher."""
         return {track.number: (track.first_ns, track.last_ns) for track in self._tracks}
 
     @property
     def count(self) -> int:
-        """How many there are: one that takes frames of another over may be told apart as two, and where messages are
-        lost more numbers follow none, so that the lesser of both counts.
+        """The number of publishers.
+
+        A publisher that takes over another's frames may be counted twice, and lost messages break sequences of numbers,
+        so the smaller of both counts is returned.
         """
         return len(self._tracks) if self._by_frames else min(len(self._tracks), len(self._lasts))
 
     def of(self, sequence: int | None, about: Iterable[str], received_ns: int = 0) -> int:
-        """The publisher of the message with that number, which is about these frames; 0 where there is no number."""
+        """Return the publisher of a message by its sequence number and frames; 0 without a sequence number."""
         if sequence is None:
             return 0
         self._heard += 1
@@ -67,11 +69,11 @@ class Writers:
         self._lasts.append(sequence)
         frames = frozenset(about)
         fitting = [track for track in self._tracks if 0 < sequence - track.last <= _MOST_LOST]
-        # The next number, and the same frames, tell more than a number that is only near.
+        # A consecutive number and equal frames are stronger evidence than a number that is only near.
         best = max(fitting, key=lambda one: _rank(one, sequence, frames), default=None)
         if best is None or _likeness(best, sequence, frames) < (2 if self._by_frames else 1):
             for track in self._tracks:
-                # Its number is in use: what this message is about was only taken for that publisher's.
+                # This number is in use, so the message is from another publisher: its frames were wrongly assigned.
                 if 0 <= track.last - sequence <= _MOST_LOST and track.about - frames:
                     track.about -= frames
             self._made += 1
@@ -85,11 +87,11 @@ class Writers:
 
 
 def _rank(track: _Track, sequence: int, frames: frozenset[str]) -> tuple[int, int, float]:
-    """How much speaks for a publisher: the likeness, then how near the number is, then how many frames both have."""
+    """Rank a publisher: by likeness, then by how near the number is, then by the share of common frames."""
     shared = len(track.about & frames) / len(track.about | frames) if frames else 0.0
     return _likeness(track, sequence, frames), track.last - sequence, shared
 
 
 def _likeness(track: _Track, sequence: int, frames: frozenset[str]) -> int:
-    """3: the next number and about the same frames; 2: the same frames; 1: the next number; 0: neither."""
+    """Return 3 for the next number and common frames, 2 for common frames, 1 for the next number, 0 for neither."""
     return 2 * bool(track.about & frames) + (sequence == track.last + 1)

@@ -1,1 +1,1 @@
-"""The page for the human beside the agent: its views, the file that it is, and the local server that shows it."""
+"""The web page for the human: its views, the page file, and the local server that serves it."""

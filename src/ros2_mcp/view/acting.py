@@ -1,4 +1,4 @@
-"""Who acts on the robot from this machine, what they do now, and the button that stops them all."""
+"""The servers that act on the robot from this machine, their current activity, and the button that stops them all."""
 
 from __future__ import annotations
 
@@ -18,21 +18,23 @@ from ros2_mcp.view.acts import MOST_ACTS, acts_in, presses_as_one
 from ros2_mcp_common.policy.velocity import VELOCITY_TYPES
 
 _ALIVE_S = 1.0
-"""For the answer of a server that is alive: it looks nothing up. One that hangs has lost its link lease in a second."""
+"""Seconds for the answer of a live server, which looks nothing up. A server that hangs has lost its link lease in a
+second."""
 _STOPPED_S = 15.0
-"""For the whole answer of a stop, which waits some seconds for goals to end and to see that the robot stands."""
+"""Seconds for the whole answer of a stop, which waits until goals have ended and the robot is observed at rest."""
 _LATE_S = 2.0
-"""For that of a server that was found silent, and may only have been slow: all is done in its place meanwhile."""
+"""Seconds for the stop's answer of a server that did not answer `list` and may only be slow: its zeros are sent from
+here meanwhile."""
 _TAIL_BYTES = 96_000
-"""Of the audit: some hundred lines."""
+"""Bytes of the audit that are read: some hundred lines."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoppedServer:
-    """One server that was told to stop: whether it has answered, and what it says was observed.
+    """A server that was asked to stop: whether it answered, and its report.
 
-    `is_doubted`: it has answered that it is not confirmed that the robot stands; `is_observed_still`: but odometry or
-    joint states told that it does.
+    `is_doubted`: it answered without confirming that the robot is at rest, or its version cannot report this.
+    `is_observed_still`: odometry or joint states nevertheless showed the robot at rest.
     """
 
     name: str
@@ -44,10 +46,10 @@ class StoppedServer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoppedAll:
-    """What became of a press of the button.
+    """The outcome of a press of the stop button.
 
-    `zeros` are the topics on which zeros were sent from here, as a server did not answer; `problems` what could not be
-    done. `latched`: nothing acts any more until an operator resets it.
+    `zeros` are the topics on which this process sent zeros, because a server did not answer; `problems` are steps that
+    failed. `latched`: nothing can act until an operator resets the latch.
     """
 
     servers: Sequence[StoppedServer]
@@ -57,7 +59,7 @@ class StoppedAll:
     is_all_well: bool = field(default=False)
 
     def summary(self) -> str:
-        """One line: how many answered, what was done for those that did not, and whether it is latched."""
+        """Say how many servers answered, what was done for the others, and whether the latch is set."""
         answered, doubted = (
             [one for one in self.servers if one.answered],
             [one for one in self.servers if one.is_doubted],
@@ -75,7 +77,7 @@ class StoppedAll:
 
 
 class Acting:
-    """The acting servers of one robot, as its state folder has them. `at` is that folder."""
+    """The acting servers of one robot, found through its state folder `at`."""
 
     def __init__(self, at: StateFolder) -> None:
         self.at = at
@@ -83,7 +85,7 @@ class Acting:
         self._audit: tuple[tuple[object, ...], list[Mapping[str, Any]]] = ((), [])
 
     async def servers(self) -> list[Mapping[str, Any]]:
-        """What each server says of itself now; one that hangs is told as such."""
+        """Return what each server reports of itself; a server that hangs has a row that says so."""
         found = await self._all(lambda server: server.do("list"), _ALIVE_S)
         rows: list[Mapping[str, Any]] = []
         for name, answer in found:
@@ -107,12 +109,12 @@ class Acting:
         return rows
 
     def latch(self) -> Mapping[str, Any] | None:
-        """By whom and why the latch is set; None while it is not."""
+        """Return when, by whom and why the latch was set; None if it is not set."""
         state = self.at.latch().look()
         return {"by": state.by, "reason": state.reason, "since_s": state.since} if state.is_set else None
 
     def acts(self) -> list[Mapping[str, Any]]:
-        """The newest acts of all servers, the oldest first, each with what became of it."""
+        """Return the newest audit entries of all servers, the oldest first, each with its outcome."""
         folder = self.at.path / AUDIT
         files = files_of(folder)[-1:] if folder.is_dir() else []
         seen = tuple((path.name, path.stat().st_size) for path in files)
@@ -121,7 +123,7 @@ class Acting:
         return self._audit[1]
 
     async def stop(self, robot: Robot) -> StoppedAll:
-        """Stops every server, sends the zeros for those that do not answer, and sees to it that the latch is set."""
+        """Stop every server, send zeros for those that do not answer, and make sure that the latch is set."""
         answers, (zeros, problems) = await asyncio.gather(
             self._all(_stop_of, _STOPPED_S, of_one=False), self._instead(robot)
         )
@@ -132,7 +134,7 @@ class Acting:
                 name=name,
                 answered=not isinstance(answer, RobotError),
                 said=str(answer) if isinstance(answer, RobotError) else str(answer.get("done", "")),
-                # Of a server that does not say, as of an earlier version, it is not known.
+                # Earlier versions of the server do not report this; then it is not known.
                 is_doubted=not isinstance(answer, RobotError) and answer.get("is_doubted") is not False,
                 is_observed_still=not isinstance(answer, RobotError) and answer.get("is_observed_still") is True,
             )
@@ -143,24 +145,27 @@ class Acting:
         return StoppedAll(servers=servers, zeros=zeros, latched=is_latched, problems=problems, is_all_well=is_all_well)
 
     async def _instead(self, robot: Robot) -> tuple[Sequence[str], list[str]]:
-        """Does for servers that do not answer what they were told: the topics that got zeros, and what failed."""
+        """Latch and send zeros in place of servers that do not answer.
+
+        Return the topics with zeros, and the failures.
+        """
         alive = await self._all(lambda server: server.do("list"), _ALIVE_S, of_one=False)
         silent = [name for name, answer in alive if isinstance(answer, RobotError)]
         if not silent:
             return (), []
-        problems = await self._latch()  # first: their bridges look at it, and end what they repeat
+        problems = await self._latch()  # first: the bridges of these servers see the latch and end their repeats
         zeros, failed = await self._zeros(robot, silent)
         return zeros, [*problems, *failed]
 
     async def _all(
         self, ask: Callable[[Server], Row], patience_s: float, *, of_one: bool = True
     ) -> list[tuple[str, Row | RobotError]]:
-        """The answer of each server, or why it has given none, all asked at the same time, each in a thread."""
+        """Return for each server its answer or the error; all are asked at the same time, each in a thread."""
         try:
             servers = await asyncio.to_thread(servers_in, self.at.path, patience_s, of_one=of_one)
         except NotFound:
             return []
-        self.at = StateFolder(servers[0].folder)  # a robot that its policy names has a folder of its own
+        self.at = StateFolder(servers[0].folder)  # a robot named in the policy has a folder of its own
 
         def answer(server: Server) -> Row | RobotError:
             try:
@@ -187,7 +192,10 @@ class Acting:
         return [f"The latch could not be written: {unwritten}."] if unwritten else []
 
     async def _zeros(self, robot: Robot, silent: Sequence[str]) -> tuple[Sequence[str], list[str]]:
-        """Sends zeros on what those servers moved when they last said; of one that never did, on all velocities."""
+        """Send zeros on the topics that these servers last reported as moving.
+
+        For a server that never reported, zeros are sent on all velocity topics. Return the topics, and the failures.
+        """
         try:
             topics = {
                 row.name: kind for row in await robot.graph.topics(1.0) for kind in row.types if kind in VELOCITY_TYPES
@@ -201,13 +209,13 @@ class Acting:
 
 
 def _waiting(request: Row) -> Row:
-    """What a person sees of a request; it is answered by who has its nonce, which stays here."""
+    """Return what a person sees of a request. Whoever has its nonce can answer it, so the nonce stays here."""
     times = {name: round(request[name]) for name in ("age_s", "left_s")}
     return {"id": request["id"], **times, "summary": request["summary"]}
 
 
 def _stop_of(server: Server) -> Row:
-    """Stops one, and waits for its answer as long as it is alive. Raises `RobotError`."""
+    """Stop one server, and wait for its answer as long as it is alive. Raises `RobotError`."""
     server.tell("stop")
     try:
         check = Server(server.path, _ALIVE_S)

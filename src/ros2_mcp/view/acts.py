@@ -1,4 +1,4 @@
-"""What a person wants to see of the audit: the acts, each with what became of it, and what was asked and answered."""
+"""Prepare audit entries for display: commands with their outcomes, requests with their answers."""
 
 from __future__ import annotations
 
@@ -9,32 +9,32 @@ from typing import Any
 from ros2_mcp.model.times import iso_time
 
 MOST_ACTS = 60
-"""The newest, which a page shows."""
+"""Entries, the newest ones, that a page shows."""
 _MOST_TEXT = 300
-"""Of a field: the audit writes no longer ones."""
+"""Characters of a field: the audit writes no longer ones."""
 _ANSWERS = ("approved", "denied", "granted", "withdrawn")
-"""To a request that waits."""
+"""Answers to a request for approval."""
 _KINDS = (
     *("act", "waits", "refused", "goal ended", "stop", "stopped", "latched", "reset", "mode"),
     *(*_ANSWERS, "revoked"),
 )
-"""Lines that are shown; outcomes stand with their acts."""
+"""Kinds of lines that are shown; outcomes are shown with their commands."""
 _TEXTS = ("tool", "verb", "name", "type", "by", "reason", "rule", "program", "outcome", "now", "approval")
 _NUMBERS = ("rate_hz", "duration_s", "for_s")
 _OF_A_STOP = ("stop", "latched", "stopped")
-"""What one press of the button writes, each server its own."""
+"""Lines that each server writes for one press of the stop button."""
 _PRESS_S = 20.0
-"""From the first of these lines to the last: a server that hangs is waited for."""
+"""Seconds from the first of these lines to the last: the stop waits for servers that hang."""
 
 Line = Mapping[str, Any]
 
 
 def acts_in(lines: Sequence[Line]) -> Iterator[Mapping[str, Any]]:
-    """What is shown of lines of the audit, the oldest first. `outcome` of an act is what became of it by then, that of
-    a call that waits for a person how it was answered.
+    """Yield the entries to show, the oldest first, from lines of the audit.
 
-    What is written again and again is told once: that a server found the latch set, and that the same call still waits.
-    Lines may be from a recording, which is anybody's: a field of another type than ours is told as text, or not at all.
+    `outcome` is the outcome of a command so far, or the answer to a call that waits for approval. Repeated lines are
+    shown once: that a server found the latch set, and that the same call still waits. Lines from a recording are
+    untrusted: a field of an unexpected type is shown as text or omitted.
     """
     outcomes = {str(line.get("of")): str(line.get("outcome", "")) for line in lines if line.get("kind") == "outcome"}
     answers = {_request(line): str(line["kind"]) for line in lines if line.get("kind") in _ANSWERS}
@@ -61,9 +61,9 @@ def acts_in(lines: Sequence[Line]) -> Iterator[Mapping[str, Any]]:
 
 
 def presses_as_one(acts: Sequence[Line]) -> list[Line]:
-    """The same acts; what one stop has written (that it was asked for, that the latch is set, that all stands) is one.
+    """Merge the entries of one stop (asked for, latch set, robot at rest) into one.
 
-    Its outcome says how far it has come. A latch that nobody's stop has set, and what comes after a reset, stand alone.
+    Its outcome is the stage that was reached. A latch without a stop, and entries after a reset, stay separate.
     """
     found: list[Line] = []
     begun: dict[object, tuple[int, float, set[str]]] = {}
@@ -91,12 +91,12 @@ def presses_as_one(acts: Sequence[Line]) -> list[Line]:
 def _seconds(time: str) -> float | None:
     try:
         return datetime.fromisoformat(time.replace("Z", "+00:00")).timestamp()
-    except (ValueError, OverflowError):  # of a recording, which is anybody's
+    except (ValueError, OverflowError):  # a recording may contain anything
         return None
 
 
 def told_as_lapsed(acts: Sequence[Line], waits_no_longer: Callable[[Line], bool]) -> list[Line]:
-    """The same acts; a call that nobody has answered, and that waits no longer, with that as its outcome."""
+    """Mark calls that were never answered and no longer wait for approval with the outcome `not answered`."""
     return [
         {**act, "outcome": "not answered"}
         if act["kind"] == "waits" and not act.get("outcome") and waits_no_longer(act)
@@ -109,7 +109,7 @@ def _told(line: Line) -> dict[str, Any]:
     kind, number = line["kind"], line.get("seq")
     fields: dict[str, Any] = {name: str(line[name])[:_MOST_TEXT] for name in _TEXTS if line.get(name)}
     fields |= {name: line[name] for name in _NUMBERS if type(line.get(name)) in (int, float)}
-    if kind in (*_ANSWERS, "revoked"):  # of which request or grant it is
+    if kind in (*_ANSWERS, "revoked"):  # the request or grant to which the line refers
         fields |= {"name": fields.pop("approval", "")}
     if kind == "stopped" and line.get("confirmed") is False:
         fields |= {"outcome": "not confirmed"}
@@ -126,5 +126,5 @@ def _told(line: Line) -> dict[str, Any]:
 
 
 def _request(line: Line) -> str:
-    """The request that a line is about: a grant has an id of its own, too."""
+    """Return the id of the request to which a line refers; a grant has an id of its own, too."""
     return str((line.get("kind") == "granted" and line.get("of")) or line.get("approval") or "")

@@ -1,8 +1,8 @@
-"""The page on this machine: a small HTTP application for one browser, which answers nobody without its token.
+"""Serve the page on this machine: a small HTTP application for one browser, which requires a token.
 
-The token comes to the browser in the fragment of the address, which is never sent, and back in a header of each POST.
-There is no cookie (cookies ignore ports) and no header for other origins. The page itself is the same for everybody
-and says nothing, so it needs no token. See docs/decisions/0051-the-page.md.
+The browser receives the token in the fragment of the address, which is never sent, and returns it in a header of each
+POST. There is no cookie (cookies ignore ports) and no header for other origins. The page itself contains no data and is
+the same for every client, so it needs no token. See docs/decisions/0051-the-page.md.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 TOKEN_HEADER = b"x-ros2-mcp-token"
 _MOST_BYTES = 20_000
-"""Of a request: a page asks in some hundred."""
+"""Bytes of a request; requests of the page have some hundred."""
 _HEADERS: Mapping[bytes, bytes] = {
     b"cache-control": b"no-store",
     b"referrer-policy": b"no-referrer",
@@ -36,7 +36,7 @@ Answer = tuple[int, bytes, Mapping[bytes, bytes]]
 
 
 class LocalPage:
-    """The ASGI application. `port` is that of the socket it listens at, on 127.0.0.1."""
+    """The ASGI application. `port` is that of its listening socket on 127.0.0.1."""
 
     def __init__(self, views: Views, token: str, port: int) -> None:
         self._views = views
@@ -48,7 +48,7 @@ class LocalPage:
         }
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """One request."""
+        """Answer one request."""
         if scope["type"] != "http":
             return
         status, body, headers = await self._answer(scope, receive)
@@ -60,7 +60,7 @@ class LocalPage:
         headers: list[tuple[bytes, bytes]] = scope["headers"]
         given = {name: [value for key, value in headers if key == name] for name, _ in headers}
         host = given.get(b"host", [])
-        if len(host) != 1 or host[0] not in self._hosts:  # a name that was made to lead here (DNS rebinding)
+        if len(host) != 1 or host[0] not in self._hosts:  # a foreign name that resolves to this address (DNS rebinding)
             return _text(421, "This address is not served here.")
         origin = given.get(b"origin", [])
         if origin and origin != [b"http://" + host[0]]:
@@ -76,7 +76,7 @@ class LocalPage:
         shown = given.get(TOKEN_HEADER, [])
         if len(shown) != 1 or not hmac.compare_digest(shown[0], self._token):
             return _text(401, "Use the address with its token, as ros2-mcp view printed it.")
-        if not origin or given.get(b"content-type") != [b"application/json"]:  # a form cannot send either
+        if not origin or given.get(b"content-type") != [b"application/json"]:  # an HTML form can send neither
             return _text(403, "Only the page asks.")
         return await self._asked(path, receive)
 
@@ -84,7 +84,7 @@ class LocalPage:
         body = await _body(receive)
         if body is None:
             return _text(413, "The request is too large.")
-        if path == "/stop":  # whatever the body is
+        if path == "/stop":  # the body does not matter
             return _json(200, await self._views.stop())
         try:
             asked: Any = json.loads(body)
@@ -105,7 +105,7 @@ class LocalPage:
 
 
 async def _body(receive: Receive) -> bytes | None:
-    """The body; None where it is too large."""
+    """Return the body; None if it is too large."""
     body = bytearray()
     while True:
         message = await receive()
@@ -123,6 +123,6 @@ def _text(status: int, text: str) -> Answer:
 def _json(status: int, value: Mapping[str, Any]) -> Answer:
     try:
         text = json.dumps(value, allow_nan=False)
-    except ValueError:  # a number of the robot's that is not finite, which is no JSON
+    except ValueError:  # a non-finite number, which JSON does not have
         text = json.dumps(finite(value))
     return status, text.encode(), {b"content-type": b"application/json"}

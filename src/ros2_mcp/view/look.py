@@ -1,4 +1,4 @@
-"""What one view looks at, and what a panel of it shows."""
+"""The input of a view (robot, source, selection), and the interface of its panels."""
 
 from __future__ import annotations
 
@@ -17,18 +17,19 @@ from ros2_mcp.robot.listening import Listening
 from ros2_mcp.view.acting import Acting
 
 WAIT_S = 0.5
-"""For the next message, before it is looked whether there is still a publisher."""
+"""Seconds to wait for the next message, before checking whether there is still a publisher."""
 
 MOST_NAMED = 5
 """Names in one line for the model."""
 
 Content = Mapping[str, Any]
-"""What a panel shows, as JSON. `why` says in words why there is nothing; `bulk` is base64, which hides no text."""
+"""The content of a panel, as JSON. `why` is the reason for an empty panel; `bulk` is base64 and contains no text to
+escape."""
 
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """The robot, the source, and what the human has chosen of it: a topic, or nothing.
+    """The robot, the source, and the human's selection: a topic, or empty.
 
     The source is `NewestOfRobot`, or the part of a recording up to the time that is shown.
     """
@@ -45,13 +46,16 @@ class Look:
 
 @dataclass
 class Chunks:
-    """Large parts of what is shown that hardly change, such as maps, by the hash of their bytes: sent once each."""
+    """Large parts of the content that rarely change, such as maps, by the hash of their bytes: each is sent once."""
 
     most: int = 4
     _kept: dict[str, tuple[str, bytes]] = field(default_factory=dict[str, tuple[str, bytes]])
 
     def keep(self, key: str, data: bytes, kind: str = "", *, most: int = 0) -> None:
-        """Keeps one; the oldest of its kind give way, where there are more than so many (0: as of all kinds)."""
+        """Keep a part.
+
+        The oldest of its kind are dropped if there are more than `most` (0: the default of all kinds).
+        """
         self._kept.pop(key, None)
         self._kept[key] = kind, data
         same = [other for other, (of, _) in self._kept.items() if of == kind]
@@ -59,14 +63,16 @@ class Chunks:
             del self._kept[old]
 
     def find(self, key: str) -> bytes | None:
-        """One of those that were shown of late."""
+        """Return a part that was shown recently, or None."""
         return self._kept[key][1] if key in self._kept else None
 
 
 @dataclass(frozen=True, slots=True)
 class PageContext:
-    """What the panels of one page share. `source` is the robot now, or the whole recording; below `prefixes` are
-    packages with meshes, besides those that this process sees anyway.
+    """The context shared by the panels of one page.
+
+    `source` is the live robot, or the whole recording; packages with meshes are searched below `prefixes`, besides the
+    ones that this process finds anyway.
     """
 
     title: str
@@ -77,10 +83,10 @@ class PageContext:
 
 
 class Panel(ABC):
-    """One panel of one view: a module of `panels/` has its class, and `viewer/src/panels` a file of the same name that
-    draws it. `period_s` is the least time between two looks, live.
+    """One panel of one view; `period_s` is the least time between two updates of a live view.
 
-    Topics of the types in `shows_types`, or of any type where a client asks for the kind `shows_kind`, open in it.
+    A module of `panels/` has its class, and a file of the same name in `viewer/src/panels` draws it. Topics of the
+    types in `shows_types`, and topics that a client asks for as kind `shows_kind`, open in this panel.
     """
 
     name: ClassVar[str]
@@ -89,17 +95,18 @@ class Panel(ABC):
     shows_kind: ClassVar[str] = ""
 
     def __init__(self, page: PageContext) -> None:
-        """For a page that has just been opened."""
+        """Prepare the panel of a page that has just been opened."""
         self._page = page
 
     @abstractmethod
     async def show(self, look: Look) -> Content | None:
-        """What there is to be shown; None if that is what was shown before. Raises `RobotError` with the reason why
-        there is nothing.
+        """Return the content; None if it is unchanged.
+
+        Raises `RobotError` with the reason if there is nothing to show.
         """
 
     def words(self, content: Content) -> str:
-        """What it shows, in one line for the model; empty where that is nothing."""
+        """Return the content in one line for the model; empty if there is nothing."""
         if not content.get("topic"):
             return ""
         size = f", {content['width']} × {content['height']}" if content.get("width") else ""
@@ -107,21 +114,21 @@ class Panel(ABC):
         return f"{named(str(content['topic']))}{size}{rate}"
 
     async def beside(self, robot: Robot) -> None:  # noqa: B027 - most panels have nothing to do
-        """What it does as long as its view is open, beside being looked at; it is cancelled then."""
+        """Run in the background while the view is open; cancelled when it closes."""
 
 
 @dataclass
 class Shown:
-    """The message of a live topic that a panel has shown last."""
+    """The last message of a live topic that a panel has shown."""
 
     topic: str = ""
     sample: Sample | None = None
 
     async def newer(self, robot: Robot, topic: str) -> tuple[Sample, Newest, Listening] | None:
-        """The newest message of a topic, as soon as it is another one; None if none comes for a moment.
+        """Return the newest message of a topic once it differs from the last one; None if none arrives in `WAIT_S`.
 
         Raises:
-            RobotError: why it is not listened to.
+            RobotError: if the topic cannot be subscribed to.
         """
         if topic != self.topic:
             self.topic, self.sample = topic, None
@@ -129,7 +136,7 @@ class Shown:
         sample = await newest.newer(self.sample, WAIT_S)
         if sample is None and newest.error:
             raise newest.error.again()
-        if sample is None or newest.listening is None:  # which is so for a moment, while it is listened to anew
+        if sample is None or newest.listening is None:  # so for a moment while the subscription is renewed
             return None
         self.sample = sample
         return sample, newest, newest.listening

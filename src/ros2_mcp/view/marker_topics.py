@@ -1,4 +1,4 @@
-"""The markers of all topics, each where it belongs: live what came since somebody looks, else since the beginning."""
+"""The markers of all topics with their poses: live those received since the page shows them, else since the start."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ from ros2_mcp.world.transforms import FrameTree
 _MOST_TOPICS = 8
 _MOST_SHOWN = 2000
 _MOST_BYTES = 1_500_000
-"""Of the points of all markers, in base64: some 90,000 points."""
+"""Bytes of the points of all markers, in base64: some 90,000 points."""
 _IDLE_S = 5.0
-"""Without a look: then nothing is listened to any more, and with the next look all begins anew."""
+"""Seconds without a look, after which the subscription ends; the next look begins anew."""
 _TURN_S = 1.0
 _AGAIN_S = 2.0
 _MOST_READ = 5000
-"""Messages of a recording that are read with one look."""
+"""Messages of a recording that are read in one look."""
 _DIGITS = 4
 
 
 @dataclass(eq=False)
 class _Followed:
-    """One topic. `read_ns` is how far a recording has been read."""
+    """One topic. `read_ns` is the part of a recording that has been read."""
 
     kind: str
     markers: MarkersOfTopic
@@ -49,23 +49,24 @@ class _Followed:
     placed: dict[int, tuple[Marker, str, Pose]] = field(default_factory=dict[int, tuple[Marker, str, Pose]])
 
     def forget(self) -> None:
-        """Begins anew."""
+        """Forget all markers."""
         self.markers, self.read_ns = MarkersOfTopic(self.markers.topic), (0, 0)
         self.placed.clear()
 
 
 class MarkerTopics:
-    """Follows each topic of markers, while `shown` is asked for."""
+    """Subscribes to each topic of markers as long as `shown` is called."""
 
     def __init__(self, chunks: Chunks) -> None:
         self._chunks = chunks
         self._topics: dict[str, _Followed] = {}
         self._wanted = asyncio.Event()
         self._packed: tuple[object, str, Sequence[object]] = (None, "", ())
-        """What it is of, its key, and the bodies, so that no others have their place in memory."""
+        """Identity of the packed markers, the key, and the bodies; the bodies are kept so that their ids stay
+        unique."""
 
     async def run(self, robot: Robot) -> None:
-        """Listens to what is looked at, until it is cancelled."""
+        """Subscribe to the topics that a page shows, until cancelled."""
         async with anyio.create_task_group() as tasks:
             while True:
                 await self._wanted.wait()
@@ -100,7 +101,7 @@ class MarkerTopics:
     async def shown(
         self, look: Look, tree: FrameTree, frame: str, meshes: Mapping[str, Any], missing: list[str]
     ) -> Mapping[str, Any] | None:
-        """What a page needs: `key` of the bodies of `count` markers, and where each of them is in `frame`."""
+        """Return the `key` of the bodies of `count` markers, and the pose of each in `frame`; None without markers."""
         topics = await self._looked_at(look, missing)
         now_ns, rows = look.now_ns, list[tuple[Marker, Pose]]()
         for topic in topics:
@@ -171,7 +172,7 @@ class MarkerTopics:
 
 
 def _facts(meshes: Mapping[str, Any], name: str) -> Mapping[str, Any] | None:
-    """What the page needs of a mesh that it may have."""
+    """Return what the page needs to draw a mesh, if the mesh may be drawn."""
     found = meshes.get(name)
     return cast("Mapping[str, Any]", found) if isinstance(found, Mapping) else None
 
@@ -181,7 +182,10 @@ def _compressed(bodies: Sequence[Mapping[str, Any]]) -> bytes:
 
 
 def _pose(topic: _Followed, marker: Marker, tree: FrameTree, frame: str) -> Pose | None:
-    """Where it is in `frame`: one that is locked to its own goes with that, another one stays where it was put."""
+    """Return the marker's pose in `frame`.
+
+    A marker with `frame_locked` follows its own frame; any other one stays where it was put.
+    """
     known = topic.placed.get(id(marker))
     if known and known[0] is marker and known[1] == frame:
         return known[2]
@@ -201,14 +205,14 @@ def _pose(topic: _Followed, marker: Marker, tree: FrameTree, frame: str) -> Pose
 
 
 async def _read(look: Look, topic: _Followed) -> None:
-    """Reads a recording up to the time that is shown: on from where it is, or after a step back anew."""
+    """Read a recording up to the time that is shown: from where reading stopped, or anew after a step back."""
     begin_ns, end_ns = look.source.covers_ns or (0, 0)
     if topic.read_ns[0] != begin_ns or topic.read_ns[1] > end_ns:
         topic.forget()
         topic.read_ns = begin_ns, begin_ns
     if topic.read_ns[1] == end_ns:
         return
-    read_from, topic.read_ns = topic.read_ns[1], (0, 0)  # where this is cancelled on its way, it begins anew
+    read_from, topic.read_ns = topic.read_ns[1], (0, 0)  # after a cancellation, reading begins anew
     name = topic.markers.topic
     topic.error = ""
     async with look.source.part(read_from, end_ns).follow(

@@ -1,4 +1,4 @@
-"""Markers (visualization_msgs) as a page draws them: what each topic has added and not deleted, within bounds."""
+"""Convert markers (visualization_msgs) for the page: those added and not deleted on each topic, within bounds."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from ros2_mcp.model.text import counted, named, quoted
 
 MARKER, MARKER_ARRAY = "visualization_msgs/msg/Marker", "visualization_msgs/msg/MarkerArray"
 MOST_MARKERS = 1000
-"""Of one topic; RViz itself becomes slow with some thousand."""
+"""Markers of one topic; RViz itself becomes slow with some thousand."""
 _MOST_OF_MESSAGE = 5000
 _MOST_POINTS = 20_000
-"""Of one marker."""
+"""Points of one marker."""
 _MOST_TEXT = 200
 _FARTHEST = 1e6
 KINDS = (
@@ -35,15 +35,16 @@ KINDS = (
     "triangles",
     "arrow strip",
 )
-"""By the number of the type."""
+"""Names of the marker types, by their number."""
 _LEAST_POINTS = {4: 2, 5: 2, 6: 1, 7: 1, 8: 1, 11: 3, 12: 2}
 _ADD, _DELETE, _DELETE_ALL = 0, 2, 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Marker:
-    """One marker: its `pose` in `frame` at `stamp_ns` (0: always the newest), how long it is shown, and its `body`,
-    which changes less often than its pose.
+    """One marker: its `pose` in `frame` at `stamp_ns` (0: always the newest transform).
+
+    `until_ns` is when it expires (None: never), and `body` the part that changes less often than the pose.
     """
 
     frame: str
@@ -55,7 +56,7 @@ class Marker:
 
 @dataclass
 class MarkersOfTopic:
-    """The markers of one topic by namespace and number; `refused` says of the last ones why they are not drawn."""
+    """The markers of one topic by namespace and id; `refused` has the reason for each marker that cannot be drawn."""
 
     topic: str
     markers: dict[tuple[str, int], Marker] = field(default_factory=dict[tuple[str, int], Marker])
@@ -64,20 +65,20 @@ class MarkersOfTopic:
     left_out: int = 0
 
     def take(self, message: Any, received_ns: int) -> None:
-        """Does what a Marker or MarkerArray says, received at that time."""
+        """Apply a Marker or MarkerArray, received at that time."""
         self.received_ns = received_ns
         for one in message.markers[:_MOST_OF_MESSAGE] if hasattr(message, "markers") else [message]:
             self._one(one, received_ns)
 
     def shown(self, at_ns: int) -> Sequence[Marker]:
-        """Those that are to be seen at a time."""
+        """Return the markers that are visible at a time; drop expired ones."""
         over = [key for key, one in self.markers.items() if one.until_ns is not None and one.until_ns < at_ns]
         for key in over:
             del self.markers[key]
         return list(self.markers.values())
 
     def problems(self) -> list[str]:
-        """What is not drawn, in words."""
+        """Describe the markers that are not drawn."""
         found = [
             f"{named(self.topic)}: the marker {_called(key)} {why}." for key, why in list(self.refused.items())[:2]
         ]
@@ -117,7 +118,7 @@ def _called(key: tuple[str, int]) -> str:
 
 
 def _why_not(one: Any) -> str:
-    """Why a marker cannot be drawn; empty where it can."""
+    """Return why a marker cannot be drawn; empty if it can."""
     if not 0 <= one.type < len(KINDS):
         return f"has the type {one.type}, which does not exist"
     place, turn = one.pose.position, one.pose.orientation
@@ -154,7 +155,7 @@ def _marker(one: Any, received_ns: int) -> Marker:
         body |= _points(one)
     return Marker(
         frame=str(one.header.frame_id).lstrip("/")[:_MOST_TEXT],
-        # A marker that is locked to its frame goes with it; another one stays where it was put.
+        # A marker with `frame_locked` follows its frame; any other one stays where it was put.
         stamp_ns=0 if one.frame_locked else stamp_ns,
         pose=Pose((place.x, place.y, place.z), turned or (0.0, 0.0, 0.0, 1.0)),
         until_ns=received_ns + lifetime_ns if lifetime_ns > 0 else None,
@@ -163,12 +164,13 @@ def _marker(one: Any, received_ns: int) -> Marker:
 
 
 def _points(one: Any) -> Mapping[str, Any]:
-    """`points`: x, y, z of each as 32-bit floats; `colours`: red, green, blue of each, a byte each; both in base64.
+    """Return `points` (x, y, z as 32-bit floats) and `colours` (red, green, blue, a byte each), both in base64.
 
-    Of what is no place nothing is drawn; colours that are not as many as the points mean nothing.
+    Points that are not finite are omitted with their line or triangle; colours are ignored unless there are as many as
+    points.
     """
     colours = one.colors if len(one.colors) == len(one.points) else ()
-    if one.type == 11 and len(one.colors) * 3 == len(one.points):  # one for each triangle
+    if one.type == 11 and len(one.colors) * 3 == len(one.points):  # one colour for each triangle
         colours = [colour for colour in one.colors[: _MOST_POINTS // 3 + 1] for _ in range(3)]
     step = {5: 2, 11: 3}.get(one.type, 1)
     count = min(len(one.points), _MOST_POINTS) // step * step
@@ -194,5 +196,5 @@ def _packed(kind: str, rows: Sequence[Sequence[float]]) -> str:
 
 
 def _share(part: float) -> float:
-    """A colour between 0 and 1."""
+    """Limit a colour component to 0 to 1."""
     return round(min(max(float(part), 0.0), 1.0), 3) if math.isfinite(part) else 0.0

@@ -1,4 +1,4 @@
-"""Files of meshes that the robot's own description names, read on this machine: once each, and few enough triangles."""
+"""Read mesh files named in the robot's description on this machine: each once, with limited triangles."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from ros2_mcp.world.meshes import PackedMesh
 
 MOST_MESHES = 200
-"""Of one description; a humanoid has 60."""
+"""Meshes of one description; a humanoid has 60."""
 _MOST_TRIANGLES = 120_000
-"""Of all meshes together: what a computer without a graphics card turns smoothly."""
+"""Triangles of all meshes together, which a computer without a graphics card rotates smoothly."""
 _MOST_OF_ONE = 20_000
 _MOST_NAME = 500
 _MOST_PACKAGES = 2000
@@ -32,7 +32,7 @@ _SUFFIXES = (".stl", ".dae", ".obj")
 
 
 class MeshFiles:
-    """What became of each file: it is asked for by its key, or cannot be shown, for a reason."""
+    """Mesh files that were read: each has a key for fetching it, or a reason why it cannot be shown."""
 
     def __init__(self, chunks: Chunks, prefixes: Sequence[Path] = ()) -> None:
         self._chunks = chunks
@@ -40,7 +40,7 @@ class MeshFiles:
         self._read: dict[str, Mapping[str, Any] | str] = {}
 
     async def read(self, names: Sequence[str]) -> Mapping[str, Mapping[str, Any] | str]:
-        """What a page needs to know of each of these, which the description names; or why it is not drawn."""
+        """Return what a page needs of each mesh in the description, or why the mesh is not drawn."""
         wanted = list(dict.fromkeys(names))
         most = min(_MOST_OF_ONE, _MOST_TRIANGLES // max(len(wanted), 1))
         found: dict[str, Mapping[str, Any] | str] = {}
@@ -75,7 +75,7 @@ def _packed(name: str, most: int, prefixes: Sequence[Path]) -> PackedMesh:
     from ros2_mcp.world.meshes import MOST_BYTES, packed_mesh, parts_of
 
     path = file_of(name, _prefixes(prefixes))
-    # No device and no pipe is waited for, whatever a description calls a mesh.
+    # Do not wait for a device or a pipe that a description names as a mesh.
     descriptor = os.open(path, os.O_RDONLY | PLAIN | getattr(os, "O_NONBLOCK", 0))
     with os.fdopen(descriptor, "rb") as opened:
         if not stat.S_ISREG(os.fstat(descriptor).st_mode):
@@ -85,10 +85,10 @@ def _packed(name: str, most: int, prefixes: Sequence[Path]) -> PackedMesh:
 
 
 def file_of(name: str, prefixes: Sequence[Path]) -> Path:
-    """The file that `package://PACKAGE/PATH` or `file:///PATH` means on this machine.
+    """Return the file on this machine of `package://PACKAGE/PATH` or `file:///PATH`.
 
     Raises:
-        BadData: if it is no such name, leads out of its package, or is not here.
+        BadData: if the name is not such a path, leads out of its package, or the file does not exist.
     """
     kind, _, rest = name.partition("://")
     if len(name) > _MOST_NAME or kind not in ("package", "file") or "\0" in name:
@@ -117,19 +117,22 @@ def file_of(name: str, prefixes: Sequence[Path]) -> Path:
 
 
 def prefixes_of(settings: Settings) -> Sequence[Path]:
-    """Where the settings say that packages are installed."""
+    """Return the installation prefixes from the settings."""
     return [*settings.workspaces, *settings.interface_prefixes, settings.ros_root]
 
 
 def _prefixes(given: Sequence[Path]) -> list[Path]:
-    """Where packages are installed: below what was given, and as this process sees it."""
+    """Return the installation prefixes of packages: below the given ones, and in this process's environment."""
     listed = [os.environ.get(name, "") for name in ("AMENT_PREFIX_PATH", "COLCON_PREFIX_PATH")]
     seen = [Path(one) for text in listed for one in text.split(os.pathsep) if one]
     return [*(prefix for one in (*given, *seen) for prefix in _below(one.expanduser())), Path(sys.prefix)]
 
 
 def _below(folder: Path) -> list[Path]:
-    """A prefix itself; or each package of a workspace that installs them apart, each installation of a folder."""
+    """Return the prefixes at or directly below a folder.
+
+    The folder may be a prefix, an isolated workspace with one prefix per package, or contain several installations.
+    """
     if folder.is_file():  # a setup file
         folder = folder.parent
     if (folder / "install").is_dir():

@@ -1,4 +1,4 @@
-"""Showing somebody the scene: in a page beside the chat, or where that cannot be as a picture, with words."""
+"""Show the scene to the user: on a page in the chat, or, if the client shows no pages, as a picture with text."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _OTHERS = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OpeningRequest:
-    """What is to be looked at: topics, `kind` where their types do not say it, and `fields` of the first for a plot.
+    """The selection to show: topics, a `kind` if their types do not determine it, and `fields` of the first for a plot.
 
     `bag` is the name of the recording, and `at_s` a time in it (Unix time, s).
     """
@@ -48,7 +48,7 @@ class OpenedView(WithPictures):
     note: str = ""
 
     def summary(self) -> list[str]:
-        """Where it is shown, and what is seen."""
+        """Say where the scene is shown, and what it shows."""
         return [*self.lines, *([self.note] if self.note else [])]
 
 
@@ -61,11 +61,12 @@ async def opened(
     others: int = 0,
     report: Report = silent,
 ) -> OpenedView:
-    """What the page is to show; for a client that shows none, what there is to see instead. Clients show a page of its
-    own for each call: `others` are open already.
+    """Open the page; for a client that shows no pages, return a picture of the scene instead.
+
+    A client shows a page of its own for each call: `others` are open already.
 
     Raises:
-        NotFound: for a topic that there is not.
+        NotFound: for a topic that does not exist.
     """
     panels: dict[str, str] = {}
     by_kind = {kind.shows_kind: kind.name for kind in panel_types()}

@@ -1,4 +1,4 @@
-"""The page: one committed file, script and style inside, built by `viewer/build.mjs`; the same for everybody."""
+"""The page: one committed file with script and style inside, built by `viewer/build.mjs`; without any data."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _PARTS = re.compile(rb"<(script|style)>(.*?)</\1>", re.DOTALL)
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """The bytes, and the policy under which a browser runs that script and style and nothing else."""
+    """The bytes of the page, and the content security policy that allows only its own script and style."""
 
     html: bytes
     policy: str
@@ -22,7 +22,7 @@ class Page:
 
 @cache
 def page() -> Page:
-    """The page, read when it is first asked for."""
+    """Return the page, read at the first call."""
     html = (Path(__file__).parent / "page.html").read_bytes()
     sources: dict[str, list[str]] = {"script": [], "style": []}
     for kind, body in _PARTS.findall(html):

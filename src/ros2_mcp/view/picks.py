@@ -1,4 +1,4 @@
-"""What the person has picked on a page: a place on the map, a point in 3D, a box in a picture, a time in a plot."""
+"""A person's picks on a page: a place on the map, a point in 3D, a box in a picture, a time in a plot."""
 
 from __future__ import annotations
 
@@ -18,28 +18,28 @@ from ros2_mcp.model.times import iso_time
 from ros2_mcp_common.files import PLAIN, replace
 
 FILE = "picked.json"
-"""In the robot's state folder: what was picked in a browser, for the servers of the same user."""
+"""File in the robot's state folder with what was picked in a browser, for the servers of the same user."""
 MOST_PICKS = 8
-"""Of one page: as many as a person keeps apart; the oldest give way."""
+"""Picks of one page: as many as a person can distinguish; the oldest are dropped."""
 MOST_VALUES = 12
-"""Of one time: a plot draws six curves."""
+"""Values of one time: a plot draws six curves."""
 _MOST_NAME = 200
 _MOST_UNIT = 20
 _MOST_BYTES = 40_000
 _KEPT_S = 86_400.0
-"""What was picked in a browser yesterday is not meant today."""
+"""Seconds after which picks made in a browser are ignored: a day later they are no longer meant."""
 _MOST_M = 1e6
 _MOST_S = 1e11
 _MOST_PIXELS = 100_000
 _OCCUPIED = 65
-"""Percent: from here on a map's cell is taken for occupied, as ROS's map server does."""
+"""Percent from which a cell of a map is occupied, as in ROS's map server."""
 
 Kind = Literal["place", "point", "box", "time"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PickedValue:
-    """One curve of a plot at a time."""
+    """The value of one curve of a plot at a time."""
 
     name: str
     value: float
@@ -48,12 +48,12 @@ class PickedValue:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pick:
-    """What a person has picked. `time` is that of the data that was picked, `age_s` how old it was then.
+    """One pick of a person. `time` is that of the picked data, `age_s` how old the data was when picked.
 
-    A `place` on the map and a `point` of a cloud or scan have metres in `frame`, a point also `in_m` of `in_frame`,
-    the frame in which the view shows it; a `box` has `pixels` (left, top, right, bottom, these within) `of_pixels`
-    (width, height), and of a depth image the median `depth_m` there; a `time` of a plot has `values`. `about` says
-    more.
+    A `place` on the map and a `point` of a cloud or scan have metres in `frame`; a point also has `in_m`, its position
+    in `in_frame`, the frame of the view. A `box` has `pixels` (left, top, right, bottom, inclusive) of an image of size
+    `of_pixels` (width, height), and in a depth image the median `depth_m`. A `time` of a plot has `values`. `about` is
+    a further description.
     """
 
     kind: Kind
@@ -73,21 +73,21 @@ class Pick:
     about: str = ""
 
     def summary(self) -> str:
-        """One line."""
+        """Describe the pick in one line."""
         return _SUMMARIES[self.kind](self)
 
     def is_same_box(self, other: Pick) -> bool:
-        """Whether both are the same part of the same picture."""
+        """Return whether both are the same part of the same picture."""
         return self.kind == "box" and (self.topic, self.time, self.pixels) == (other.topic, other.time, other.pixels)
 
     def with_depth(self, depth_m: float | None, about: str) -> Pick:
-        """The same box, with what a depth image has there."""
+        """Return the same box with the depth there."""
         return changed(self, depth_m=depth_m, about=about)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PickedInBrowser:
-    """What was picked on a page of `ros2-mcp view`, of `subject`, and when (Unix time, s)."""
+    """The picks on a page of `ros2-mcp view` that shows `subject`, and their time (Unix time, s)."""
 
     subject: str
     at_s: float
@@ -145,7 +145,7 @@ def _old(pick: Pick) -> str:
 
 
 def keep(folder: StateFolder, subject: str, picks: Sequence[Pick]) -> None:
-    """Keeps what was picked, in place of what was before. Raises `RobotError` where the folder cannot be written."""
+    """Store the picks, in place of earlier ones. Raises `RobotError` if the folder cannot be written."""
     kept = {"subject": subject, "at_s": time(), "picks": [asdict(pick) for pick in picks]}
     try:
         at = folder.make()
@@ -157,7 +157,7 @@ def keep(folder: StateFolder, subject: str, picks: Sequence[Pick]) -> None:
 
 
 def kept(folder: StateFolder) -> PickedInBrowser | None:
-    """What was picked in a browser of late; None if nothing was, or what stands there is none of ours."""
+    """Return what was recently picked in a browser; None if nothing was, or the file is not valid."""
     try:
         descriptor = os.open(folder.path / FILE, os.O_RDONLY | PLAIN)
         with os.fdopen(descriptor, "rb") as opened:
@@ -200,7 +200,7 @@ def _kept_pick(given: Mapping[str, Any]) -> Pick:
 
 
 def picks_of(given: Any) -> Sequence[Pick]:
-    """The picks that a page's JSON is. Raises `BadInput` for what is none."""
+    """Parse a page's JSON into picks. Raises `BadInput` if it is not valid."""
     if not isinstance(given, list):
         raise BadInput("These are no picks.")
     return [_pick(one) for one in cast("list[Any]", given)[-MOST_PICKS:]]
@@ -278,7 +278,7 @@ _KINDS: Mapping[str, Callable[[Mapping[str, Any]], Pick]] = {
 
 
 def _when(fields: Mapping[str, Any]) -> tuple[str, float]:
-    """The time of what was picked, and how old it was."""
+    """Return the time of the picked data, and how old it was when picked."""
     at_s, now_s = _number(fields["at_s"], _MOST_S), _number(fields["now_s"], _MOST_S)
     return iso_time(round(at_s * 1e9)), round(max(now_s - at_s, 0.0), 1)
 

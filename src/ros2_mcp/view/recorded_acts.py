@@ -1,4 +1,4 @@
-"""What an agent did at the time of a recording: the lines of the audit that it has itself, or those of this machine."""
+"""An agent's activity during a recording: the audit lines in the recording, or else the audit of this machine."""
 
 from __future__ import annotations
 
@@ -19,23 +19,24 @@ from ros2_mcp.ops.results.results import silent
 from ros2_mcp.ops.sources.source import Missing, Source, Stream
 
 _MOST_LINES = 100_000
-"""Of the audit, that are searched: they are read in a second."""
+"""Lines of the audit that are searched: they are read in a second."""
 _BEFORE_NS = 60_000_000_000
-"""What began in the minute before the recording may still have been under way."""
+"""Commands from the minute before the recording may still have been active."""
 
 Entry = Mapping[str, Any]
 
 
 class RecordedActs:
-    """The lines of the audit of a recording's time, read once."""
+    """The audit lines of a recording's time, read once."""
 
     def __init__(self, source: Source) -> None:
         self._source = source
         self._read: tuple[Sequence[tuple[str, Entry]], str] | None = None
 
     async def until(self, until_ns: int, folder: Path) -> tuple[Sequence[Entry], str]:
-        """The lines up to that time, the oldest first, and in words where they are from; `folder` is that of the
-        audit of this machine.
+        """Return the lines up to a time, the oldest first, and a sentence about their origin.
+
+        `folder` is that of this machine's audit.
         """
         if self._read is None:
             self._read = await self._lines(folder)
@@ -55,14 +56,14 @@ class RecordedActs:
 
 
 class _Calls:
-    """The lines in a recording, each with the time of its message: the clock of what is recorded beside it."""
+    """The audit lines in a recording, each with the time of its message, which is the clock of the other topics."""
 
     def __init__(self, stream: Stream) -> None:
         self.lines: list[tuple[str, Entry]] = []
         self._codec, self._type = stream.codec, stream.type
 
     def add(self, samples: Sequence[Sample]) -> None:
-        """Takes in messages; what is no line of an audit is left out."""
+        """Add messages; those that are not audit lines are skipped."""
         for sample in samples:
             try:
                 message: Any = self._codec.decode(self._type, sample.data)

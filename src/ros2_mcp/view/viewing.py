@@ -1,4 +1,4 @@
-"""The pages of one robot in chats: live ones and those of recordings. The page asks through tools of its own."""
+"""The pages of one robot in chats, live and of recordings. The pages communicate through tools of their own."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from ros2_mcp.view.picks import PickedInBrowser, kept
 from ros2_mcp.view.views import PageState, Views, press, update_request
 
 _MOST_RECORDINGS = 4
-"""Looked at in chats at the same time."""
+"""Recordings shown in chats at the same time."""
 _logger = logging.getLogger(__name__)
 
 
 class Tasks:
-    """Work that goes on beside the calls, until it ends or the server does."""
+    """Background work that runs until it ends or the server does."""
 
     def __init__(self) -> None:
         self._running: set[asyncio.Task[None]] = set()
 
     def start_soon(self, work: Callable[..., Coroutine[Any, Any, None]], *arguments: object) -> None:
-        """Begins it; what it raises is logged, and ends nothing else."""
+        """Start a task; an exception in it is logged, and ends nothing else."""
 
         async def run() -> None:
             try:
                 await work(*arguments)
-            except Exception:  # a view that fails must not end the server, nor the other views
+            except Exception:  # a failing view must not end the server or other views
                 _logger.exception("a page's view failed")
 
         task = asyncio.ensure_future(run())
@@ -39,7 +39,7 @@ class Tasks:
         task.add_done_callback(self._running.discard)
 
     async def close(self) -> None:
-        """Ends all of it."""
+        """Cancel all tasks."""
         running = [*self._running]
         for task in running:
             task.cancel()
@@ -47,8 +47,9 @@ class Tasks:
 
 
 class Viewing:
-    """The pages of one robot, by the recording that they show; without a name it is the robot itself, or the recording
-    that stands for it. Nothing is opened before a page asks.
+    """The pages of one robot, by the recording that they show.
+
+    The empty name is the robot itself, or the recording that stands for it. Sources are opened only when a page asks.
     """
 
     def __init__(self, sources: Sources, title: str, acting: Acting, prefixes: Sequence[Path] = ()) -> None:
@@ -58,29 +59,32 @@ class Viewing:
         self._tasks = Tasks()
 
     async def update(self, asked: Mapping[str, Any], bag: str, who: str) -> Mapping[str, Any]:
-        """What is new for a page; `who` has opened it. Raises `RobotError`, also for a recording that there is not."""
+        """Return what is new for a page opened by `who`.
+
+        Raises `RobotError`, also for a recording that does not exist.
+        """
         request = update_request(asked)
         return await (await self._of(bag)).update(request, who)
 
     async def answer(self, asked: Mapping[str, Any], bag: str) -> Mapping[str, Any]:
-        """A large part that was offered to a page, or what was picked there. Raises `RobotError`."""
+        """Return a large part that was offered to a page, or note what was picked there. Raises `RobotError`."""
         return await (await self._of(bag)).answer(asked)
 
     async def stop(self) -> Mapping[str, Any]:
-        """Presses the button."""
+        """Press the stop button."""
         return await press(self._acting, self._sources.robot)
 
     def states(self, who: str) -> Sequence[PageState]:
-        """What the pages of this client show, the newest first."""
+        """Return what the pages of this client show, the newest first."""
         found = [state for views in self._views.values() for state in views.states() if state.who == who]
         return sorted(found, key=lambda state: -state.asked_at)
 
     def picked_in_browser(self) -> PickedInBrowser | None:
-        """What was picked on a page of `ros2-mcp view` on this machine."""
+        """Return what was picked on a page of `ros2-mcp view` on this machine."""
         return kept(self._acting.at)
 
     async def close(self) -> None:
-        """Gives all pages up."""
+        """Close all pages."""
         for views in self._views.values():
             views.close()
         await self._tasks.close()
@@ -90,7 +94,7 @@ class Viewing:
             self._make_room()
             source = await self._sources.open(bag)
             title = bag or self._title or self._acting.at.path.name
-            # Two pages may have asked at the same time: they share what came first.
+            # Two pages may have asked at the same time: both use the first one's views.
             views = Views(self._sources.robot, source, title, self._acting, self._tasks, prefixes=self._prefixes)
             self._views.setdefault(bag, views)
         return self._views[bag]

@@ -1,4 +1,4 @@
-"""Views: what each open page looks at, kept up to date while it asks, and given up when it does not."""
+"""Views: the state of each open page, updated while the page asks, and closed when it no longer does."""
 
 from __future__ import annotations
 
@@ -28,29 +28,32 @@ from ros2_mcp.view.panels.image import ImagePanel
 from ros2_mcp.view.picks import Pick, keep, picks_of
 
 MOST_VIEWS = 4
-"""Pages at once: somebody has it open on a screen and a phone, and forgets to close one."""
+"""Open pages: a user has it open on a screen and a phone, and forgets to close one."""
 MOST_WAIT_MS = 1500
-"""Of one update: hosts of chats pass calls on through one or two processes that have time limits of their own."""
+"""Longest wait of one update: chat hosts pass calls on through one or two processes with time-outs of their own."""
 IDLE_S = 10.0
-"""A view that nobody has asked for so long is given up: a page that is hidden or gone costs nothing."""
+"""Seconds without a request, after which a view is closed: a hidden or closed page costs nothing."""
 _UNWANTED_S = 4.0
-"""A panel that was not asked for so long is not made: it is hidden, or off the screen."""
+"""Seconds without a request, after which a panel is not updated: it is hidden, or off the screen."""
 _FAILED_S = 1.0
-"""Between two tries of a panel that cannot be shown."""
+"""Seconds between two attempts of a panel that cannot be shown."""
 _MOST_TOPIC = 300
 _PART_BYTES = 300_000
-"""Of a large part in one answer: a third more in base64, which is what chat hosts are known to pass on."""
+"""Bytes of a large part in one answer: base64 adds a third, which chat hosts are known to pass on."""
 _MOST_PAST = 4
-"""Pages that were given up, of which it is still told what they showed."""
+"""Closed pages whose last state is still reported."""
 _ROUNDED_NS = 1000
-"""A page's time is a float, some 100 ns too early or late: the message at which it is meant to stand is shown."""
+"""A page's time is a float, off by some 100 ns: this margin includes the message at exactly that time."""
 _logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
 class UpdateRequest:
-    """What a page asks for: its view (empty: a new one), the panels with what is chosen in each, what it has `seen`
-    of each, how long it waits for news, and of a recording the time that is shown (Unix time, s).
+    """A page's request.
+
+    `view` is its id (empty: a new view), `panels` the selection of each panel, `seen` the number of each panel's
+    content that the page has, `wait_ms` how long to wait for news, and `at_s` the time that is shown of a recording
+    (Unix time, s).
     """
 
     view: str = ""
@@ -62,9 +65,9 @@ class UpdateRequest:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PageState:
-    """What one page shows, or showed when it was given up: a line for each panel that is seen, and what was picked.
+    """The content of one page now, or when it was closed: a line for each visible panel, and the picks.
 
-    `asked_at` is when it last asked (Unix time, s), `who` the client whose page it is.
+    `asked_at` is the time of its last request (Unix time, s), `who` the client that opened it.
     """
 
     id: str
@@ -77,16 +80,16 @@ class PageState:
 
 
 class Tasks(Protocol):
-    """Where work is begun that goes on beside the calls, such as a task group."""
+    """Starts background work, such as a task group."""
 
     def start_soon(self, work: Callable[..., Coroutine[Any, Any, None]], /, *arguments: object) -> object:
-        """Begins it."""
+        """Start a task."""
         ...
 
 
 @dataclass(eq=False)
 class _Shown:
-    """One panel with what it shows: `number` grows with each change."""
+    """One panel with its content; `number` grows with each change."""
 
     panel: Panel
     chosen: str = ""
@@ -97,7 +100,10 @@ class _Shown:
     scope: anyio.CancelScope | None = None
 
     def wake(self, *, anew: bool) -> None:
-        """It is asked for; `anew`: what is under way is about something else."""
+        """Note that the panel is requested.
+
+        With `anew` its selection has changed, and an update in progress is cancelled.
+        """
         self.asked_at = monotonic()
         if anew:
             self.content = None
@@ -107,7 +113,7 @@ class _Shown:
 
 
 class View:
-    """One open page."""
+    """The state of one open page: its panels, their selections, and the picks."""
 
     def __init__(self, robot: Robot, source: Source, panels: Sequence[Panel], chunks: Chunks) -> None:
         self.id = secrets.token_hex(16)
@@ -125,12 +131,12 @@ class View:
         self._is_closed = False
 
     def close(self) -> None:
-        """Answers who waits for news."""
+        """Close the view; a request that waits for news is answered at once."""
         self._is_closed = True
         self._news.set()
 
     async def run(self) -> None:
-        """Until nobody has asked for it for a while."""
+        """Update the panels until no request has come for `IDLE_S`, or the view is closed."""
         async with anyio.create_task_group() as tasks:
             for shown in self._shown.values():
                 tasks.start_soon(self._keep, shown)
@@ -141,7 +147,7 @@ class View:
             tasks.cancel_scope.cancel()
 
     async def update(self, request: UpdateRequest) -> Mapping[str, Any]:
-        """The panels that have something newer than what the page has seen; waits for the first one."""
+        """Return the panels with news for the page; wait for the first one."""
         self.asked_at, self._told_at = monotonic(), time()
         until_ns = None if request.at_s is None or self._live else round(request.at_s * 1e9) + _ROUNDED_NS
         has_moved, self._until_ns = until_ns != self._until_ns, until_ns
@@ -161,7 +167,7 @@ class View:
         return {"view": self.id, "now_s": self._look("").now_ns / 1e9, "took_ms": took_ms, "panels": newer}
 
     def state(self, subject: str, *, is_open: bool = True) -> PageState:
-        """What it shows."""
+        """Return what the page shows."""
         until_ns = self._until_ns
         at = f", at {iso_time(until_ns)}" if until_ns is not None else ""
         seen = [shown for shown in self._shown.values() if shown.asked_at > self.asked_at - _UNWANTED_S]
@@ -176,7 +182,7 @@ class View:
         )
 
     async def pick(self, picks: Sequence[Pick]) -> None:
-        """Notes what is picked, in place of what was before; a box that is new, with the depth there."""
+        """Store what is picked, in place of earlier picks; for a new box also the depth there."""
         found: list[Pick] = []
         for pick in picks:
             old = next((one for one in self.picks if one.is_same_box(pick)), None)
@@ -203,11 +209,11 @@ class View:
     async def _beside(self, panel: Panel) -> None:
         try:
             await panel.beside(self._robot)
-        except Exception:  # whatever one panel meets: the others, and the button, go on
+        except Exception:  # an error of one panel must not stop the others, nor the button
             _logger.exception("what the panel %s does beside failed", panel.name)
 
     async def _keep(self, shown: _Shown) -> None:
-        """Shows one panel again and again, while it is asked for."""
+        """Update one panel repeatedly while it is requested."""
         while True:
             await shown.asked.wait()
             shown.asked.clear()
@@ -233,7 +239,7 @@ class View:
             found = await shown.panel.show(self._look(shown.chosen))
         except RobotError as error:
             found = {"why": str(error), "failed": True}
-        except Exception:  # whatever one panel meets: the others, and the button, go on
+        except Exception:  # an error of one panel must not stop the others, nor the button
             _logger.exception("the panel %s failed", shown.panel.name)
             found = {"why": "This panel failed; the log of ros2-mcp view says how.", "failed": True}
         if found is None:
@@ -243,10 +249,10 @@ class View:
 
 
 class Views:
-    """All open pages of one robot or recording. `acting` knows who acts on it.
+    """All open pages of one robot or recording. `acting` knows which servers act on the robot.
 
-    What is picked `in_browser` is kept in the state folder, where the agent's server finds it. Below `prefixes` are
-    packages with meshes, besides those that this process sees anyway.
+    Picks made `in_browser` are stored in the state folder, where the agent's server finds them. Packages with meshes
+    are searched below `prefixes`, besides the ones that this process finds anyway.
     """
 
     def __init__(
@@ -270,14 +276,14 @@ class Views:
 
     @property
     def is_open(self) -> bool:
-        """Whether a page asks."""
+        """Whether any page is open."""
         return bool(self._views)
 
     async def update(self, request: UpdateRequest, who: str = "") -> Mapping[str, Any]:
-        """What is new for a page, which `who` has opened; a page whose view was given up gets a new one.
+        """Return what is new for a page opened by `who`; a page whose view was closed gets a new one.
 
         Raises:
-            BadInput: if there are too many.
+            BadInput: if too many pages are open.
         """
         view = self._views.get(request.view)
         if view is None:
@@ -290,16 +296,16 @@ class Views:
         return await view.update(request)
 
     def close(self) -> None:
-        """Answers all pages that wait for news: the server ends."""
+        """Answer all pages that wait for news, because the server ends."""
         for view in self._views.values():
             view.close()
 
     async def answer(self, asked: Mapping[str, Any]) -> Mapping[str, Any]:
-        """What else a page asks: a large part by its key, or to note what was picked (all of it), or its end.
+        """Answer a page's other requests: a large part by its key, storing its picks, or closing its view.
 
         Raises:
-            NotFound: if the view or the part is no longer there.
-            BadInput: for what no page asks.
+            NotFound: if the view or the part no longer exists.
+            BadInput: for an invalid request.
         """
         view = self._views.get(str(asked.get("view")))
         if view is None:
@@ -315,7 +321,7 @@ class Views:
         return {"picked": [visible(pick.summary()) for pick in view.picks]}
 
     def states(self) -> Sequence[PageState]:
-        """What the pages show, and the last ones that were given up."""
+        """Return what the pages show, and the last state of recently closed ones."""
         return [*(view.state(self._subject) for view in self._views.values()), *self._past]
 
     @property
@@ -323,7 +329,7 @@ class Views:
         return "the robot now" if self._source.is_live else f"the recording {self._source.title}"
 
     async def stop(self) -> Mapping[str, Any]:
-        """Presses the button."""
+        """Press the stop button."""
         return await press(self.acting, self._robot)
 
     def _open(self) -> View:
@@ -337,7 +343,7 @@ class Views:
         return view
 
     def _give_up_oldest(self) -> bool:
-        """Whether a view was given up that has not asked for longer than a page that is seen ever waits."""
+        """Close the view with the oldest request, if it is older than `_UNWANTED_S`; return whether one was closed."""
         oldest = min(self._views.values(), key=lambda view: view.asked_at)
         if monotonic() - oldest.asked_at < _UNWANTED_S:
             return False
@@ -357,7 +363,7 @@ class Views:
 
 
 async def press(acting: Acting, robot: Robot) -> Mapping[str, Any]:
-    """Presses the button, for a page."""
+    """Press the stop button, and return the outcome for a page."""
     stopped = await acting.stop(robot)
     return {
         "summary": stopped.summary(),
@@ -370,7 +376,7 @@ async def press(acting: Acting, robot: Robot) -> Mapping[str, Any]:
 
 
 def _told(panel: Panel, content: Content | None) -> str:
-    """One line for the model: what a panel shows, if it shows anything yet."""
+    """Return one line for the model: what a panel shows."""
     if content is None:
         return f"{panel.name}: nothing yet"
     told = filter(None, (panel.words(content), str(content.get("why") or "")))
@@ -378,7 +384,7 @@ def _told(panel: Panel, content: Content | None) -> str:
 
 
 def _part(chunks: Chunks, key: str, begin: Any) -> Mapping[str, Any]:
-    """A part of what was offered under this key, packed with zlib, in base64; `next` is where the rest begins."""
+    """Return part of the data under this key, in base64; `next` is where the rest begins."""
     found = chunks.find(key)
     if found is None:
         raise NotFound("This is no longer shown.")
@@ -390,7 +396,7 @@ def _part(chunks: Chunks, key: str, begin: Any) -> Mapping[str, Any]:
 
 
 def update_request(arguments: Mapping[str, Any]) -> UpdateRequest:
-    """The request that a page's JSON is. Raises `BadInput` for what is none."""
+    """Parse a page's JSON into a request. Raises `BadInput` if it is not valid."""
     try:
         panels = {str(name): str(chosen)[:_MOST_TOPIC] for name, chosen in dict(arguments["panels"]).items()}
         seen = {str(name): int(number) for name, number in dict(arguments.get("seen") or {}).items()}

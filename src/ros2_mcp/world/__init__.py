@@ -1,1 +1,1 @@
-"""What is known of space and bodies: transforms, descriptions, footprints, costs, clouds and scans."""
+"""Geometry of the robot and its surroundings: transforms, descriptions, footprints, costs, clouds and scans."""

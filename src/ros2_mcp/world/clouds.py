@@ -1,4 +1,4 @@
-"""sensor_msgs/msg/PointCloud2 of any layout as arrays of its points."""
+"""Read sensor_msgs/msg/PointCloud2 of any layout as arrays of its points."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from ros2_mcp.model.text import named, quoted
 _KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 _INTENSITIES = ("intensity", "intensities", "i", "reflectivity")
 _FARTHEST_M = 1e9
-"""Some drivers mark missing points with huge numbers as well as with NaN; no sensor sees a million kilometres."""
+"""Some drivers mark missing points with huge numbers instead of NaN; no sensor sees a million kilometres."""
 _PACKED = ("rgb", "rgba")
-"""Fields of three or four colours in one number, as PCL packs them."""
+"""Fields with three or four colours packed in one number, as in PCL."""
 
-# Fields that a message about a cloud names: enough to see what kind of cloud it is.
+# Fields that an error about a cloud names: enough to see what kind of cloud it is.
 _MAX_NAMED = 10
 
 
 @dataclass(frozen=True, slots=True)
 class Cloud:
-    """The points whose place is finite (within a million kilometres), in metres; `points` counts all, `not_finite`
-    those left out.
+    """The points with finite coordinates (within a million kilometres), in metres.
 
-    `intensity` has one number for each point, `rgb` is n × 3; None where the cloud has none.
+    `points` counts all points of the message, `not_finite` the omitted ones. `intensity` has one number for each point,
+    `rgb` is n × 3; None if the cloud has no such field.
     """
 
     xyz: NDArray[np.float64]
@@ -39,10 +39,10 @@ class Cloud:
 
 
 def cloud_of(message: Any) -> Cloud:
-    """The points of a cloud.
+    """Return the points of a cloud.
 
     Raises:
-        BadData: if its data does not fit the layout that it tells, or it has no x, y and z.
+        BadData: if the data does not fit the declared layout, or the cloud lacks x, y or z.
     """
     names = [field.name for field in message.fields]
     if not {"x", "y", "z"} <= set(names):
@@ -67,7 +67,7 @@ def cloud_of(message: Any) -> Cloud:
 class Points:
     """Points of a cloud as (x, y, z, further fields) in the units of the message.
 
-    Of the `finite` ones among its `total` points each `stride`-th is taken, at most as many as were asked for.
+    Every `stride`-th of the `finite` points is taken, up to the limit; `total` counts all points of the cloud.
     """
 
     rows: Sequence[tuple[float, ...]]
@@ -77,16 +77,16 @@ class Points:
 
 
 def points_of(message: Any, fields: Sequence[str], stride: int | None, limit: int) -> Points:
-    """The points whose place is finite, as plain numbers; float32 in the seven digits that it has.
+    """Return the points with finite coordinates as Python numbers; float32 is rounded to seven digits.
 
     Args:
-        message: a PointCloud2, or what has its fields; `data` is an array of uint8.
+        message: a PointCloud2, or an object with its fields; `data` is an array of uint8.
         fields: names of further fields of each point; a packed rgb is the integer 0xRRGGBB.
-        stride: 2 takes every second point. None: the smallest with which all fit into `limit`.
-        limit: at most so many points.
+        stride: 2 takes every second point. None: the smallest stride with which all points fit into `limit`.
+        limit: the maximum number of points.
 
     Raises:
-        BadData: if its data does not fit the layout that it tells, or it has no x, y and z or no such field.
+        BadData: if the data does not fit the declared layout, or the cloud lacks x, y, z or one of the fields.
     """
     names = [field.name for field in message.fields]
     shown = ", ".join(map(named, names[:_MAX_NAMED])) or "none"
@@ -108,7 +108,7 @@ def _numbers(values: NDArray[Any]) -> list[Any]:
 
 
 def _rows(message: Any) -> NDArray[Any]:
-    """The points as height × width structured elements, without padding."""
+    """Return the points as a structured array of shape height × width, without padding."""
     point, height, width = message.point_step, message.height, message.width
     row = message.row_step if height > 1 else width * point
     order = ">" if message.is_bigendian else "<"
@@ -134,7 +134,7 @@ def _rows(message: Any) -> NDArray[Any]:
 
 
 def _kind(field: Any) -> str:
-    """The kind of a field's (first) number; packed colours are read as the integers that they are."""
+    """Return the NumPy type of a field's (first) number; packed colours are read as integers."""
     if field.datatype not in _KINDS:
         raise BadData(f"The field {quoted(field.name)} of the cloud has the unknown datatype {field.datatype}.")
     kind = _KINDS[field.datatype]

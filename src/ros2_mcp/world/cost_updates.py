@@ -1,4 +1,4 @@
-"""Costmaps as Nav2 tells them beside its occupancy grids: raw ones, and the parts that have changed since.
+"""Nav2's further forms of costmaps: raw costmaps, and updates of a part of a costmap.
 
 Import it inside functions only: it needs NumPy.
 """
@@ -20,7 +20,7 @@ _RAW_TOUCHING, _RAW_OCCUPIED, _RAW_UNKNOWN = 253, 254, 255
 
 
 def _published() -> NDArray[np.int8]:
-    """What Nav2 publishes in an occupancy grid for each raw cost: 1 to 252 become 1 to 98."""
+    """Return the table from raw costs (0 to 255) to the values of Nav2's occupancy grids: 1 to 252 become 1 to 98."""
     table = np.zeros(256, np.int8)
     between = np.arange(1, _RAW_TOUCHING)
     table[between] = 1 + 97 * (between - 1) // 251
@@ -32,7 +32,7 @@ _PUBLISHED = _published()
 
 
 def as_grid(type_name: str, message: Any) -> CostGrid:
-    """A whole costmap, raw or not. Raises `BadData` as `OccupancyGrid`."""
+    """Convert a whole costmap, raw or not. Raises `BadData` as `OccupancyGrid` does."""
     if type_name != COSTMAP:
         return CostGrid(message)
     told = message.metadata
@@ -41,7 +41,7 @@ def as_grid(type_name: str, message: Any) -> CostGrid:
 
 
 def updated(grid: CostGrid, type_name: str, update: Any) -> CostGrid:
-    """The costmap with a part that has changed. Raises `BadData` if that part does not lie in it."""
+    """Return the costmap with an update applied. Raises `BadData` if the update does not lie inside the costmap."""
     is_raw = type_name == COSTMAP_UPDATE
     width, height = (update.size_x, update.size_y) if is_raw else (update.width, update.height)
     x, y = update.x, update.y
@@ -51,7 +51,7 @@ def updated(grid: CostGrid, type_name: str, update: Any) -> CostGrid:
     part = _cells(is_raw, update.data)
     if len(part) != width * height:
         raise BadData(f"An update has {len(part)} cells instead of {width} × {height}.")
-    cells: NDArray[np.int8] = np.array(grid.cells)  # others may be drawing the former ones
+    cells: NDArray[np.int8] = np.array(grid.cells)  # a copy: the former cells may be being drawn
     cells[y : y + height, x : x + width] = np.reshape(part, (height, width))
     return CostGrid(SimpleNamespace(header=grid.header, info=grid.info, data=np.ravel(cells)))
 

@@ -1,6 +1,6 @@
-"""A costmap, or a map in its place: what it costs to be somewhere, and where one can get to from there.
+"""A costmap, or a map used as one: the cost at a point, and which points can be reached.
 
-Import it inside functions only: it needs NumPy. `model/costs.py` says what costs mean.
+Import it inside functions only: it needs NumPy. `model/costs.py` defines the costs.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ from ros2_mcp.model.costs import OCCUPIED, TOUCHING, Narrowest, Reach
 from ros2_mcp.world.occupancy import OccupancyGrid
 
 _WIDE_M = 3.0
-"""A gap that is wider than this is no narrow spot for anything that drives through doors."""
+"""A gap wider than this is no narrow spot for any robot that drives through doors."""
 _MOST_ON_WAY = 400
-"""Points of a way that are measured: one each 10 cm of 40 m, and no more work for a longer one."""
+"""Points at which a path is measured: one per 10 cm of a 40 m path; longer paths are sampled more coarsely."""
 _OPPOSITE = -0.5
-"""The cosine of 120°: what stands to the other side of the robot, and not round the corner that it drives along."""
+"""The cosine of 120°: an obstacle at a larger angle is on the other side of the robot, not around the corner ahead."""
 
 
 class CostGrid(OccupancyGrid):
-    """A grid of which the cells say what it costs to be there."""
+    """A grid whose cells are costs."""
 
     def nearest_free(self, x_m: float, y_m: float) -> tuple[float, float] | None:
-        """The middle of the nearest cell in which the robot touches nothing; None where there is none."""
+        """Return the centre of the nearest cell whose cost is below `TOUCHING`, in m; None if there is none."""
         rows, columns = np.nonzero((self.cells >= 0) & (self.cells < TOUCHING))
         if not len(rows):
             return None
@@ -35,7 +35,7 @@ class CostGrid(OccupancyGrid):
         return self.point(int(rows[best]), int(columns[best]))
 
     def nearest_occupied(self, x_m: float, y_m: float) -> tuple[float, float] | None:
-        """The middle of the nearest occupied cell; None where there is none."""
+        """Return the centre of the nearest occupied cell, in m; None if there is none."""
         rows, columns = np.nonzero(self.cells >= OCCUPIED)
         if not len(rows):
             return None
@@ -44,10 +44,10 @@ class CostGrid(OccupancyGrid):
         return self.point(int(rows[best]), int(columns[best]))
 
     def reach(self, start: tuple[float, float], goal: tuple[float, float]) -> Reach | None:
-        """Where one gets to from `start` through cells in which the robot touches nothing, unknown ones included.
+        """Return the point nearest to `goal` that is reachable from `start` without touching an obstacle.
 
-        A robot that touches something begins at the nearest place where it does not. None where the start is outside,
-        or in what is occupied.
+        Unknown cells count as free. If the robot touches an obstacle at `start`, the search begins at the nearest free
+        cell. None if `start` is outside of the grid or in an occupied cell.
         """
         cost = self.value(*start)
         if cost is None or cost >= OCCUPIED:
@@ -68,7 +68,7 @@ class CostGrid(OccupancyGrid):
         return Reach(at == (goal_row, goal_column), x, y, math.hypot(goal[0] - x, goal[1] - y))
 
     def narrowest(self, way: Sequence[tuple[float, float]]) -> Narrowest | None:
-        """How near a way leads past what is occupied, and through which gap; None where nothing stands within 3 m."""
+        """Return the least clearance along a path and its narrowest gap; None if no obstacle is within 3 m of it."""
         step = max(1, math.ceil(len(way) / _MOST_ON_WAY))
         points: NDArray[np.float64] = np.array([*way[::step], way[-1]])
         taken = self._occupied_around(points)
@@ -94,7 +94,7 @@ class CostGrid(OccupancyGrid):
                     gap = float(wide[other]), (float(x), float(y))
         if near is None:
             return None
-        cell = self.resolution_m  # what is measured is between the middles of cells
+        cell = self.resolution_m  # distances were measured between the centres of cells
         return Narrowest(
             clearance_m=max(near[0] - cell / 2, 0.0),
             clearance_at=(float(points[near[1]][0]), float(points[near[1]][1])),
@@ -103,7 +103,7 @@ class CostGrid(OccupancyGrid):
         )
 
     def _occupied_around(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The middles (n × 2, m) of the occupied cells that are within 3 m of the box around some points."""
+        """Return the centres (n × 2, in m) of the occupied cells within 3 m of the bounding box of some points."""
         cells = [self.cell(float(x), float(y)) for x, y in points]
         room = math.ceil(_WIDE_M / self.resolution_m)
         low_row, low_column = (max(min(one[axis] for one in cells) - room, 0) for axis in (0, 1))
@@ -116,14 +116,14 @@ class CostGrid(OccupancyGrid):
 
 
 def _runs(is_open: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """The runs of open cells: their rows, first columns, and columns after the last; row by row."""
+    """Return the runs of open cells, row by row: their rows, first columns, and the columns after their last ones."""
     steps = np.diff(np.pad(is_open.astype(np.int8), ((0, 0), (1, 1))), axis=1)
     rows, starts = np.nonzero(steps == 1)
     return rows, starts, np.nonzero(steps == -1)[1]
 
 
 def _connected(rows: NDArray[np.int64], starts: NDArray[np.int64], ends: NDArray[np.int64]) -> NDArray[np.int64]:
-    """For each run a number that it shares with all runs that it touches, at corners too."""
+    """Label the runs: runs that are connected, also at corners, share a number."""
     first = np.searchsorted(rows, np.arange(int(rows[-1]) + 2) if len(rows) else np.zeros(1)).tolist()
     parents, begins, stops = list(range(len(rows))), starts.tolist(), ends.tolist()
 

@@ -1,4 +1,4 @@
-"""Point clouds and depth images as what they mean: the nearest thing above the ground, the extent, the ground."""
+"""Interpret point clouds and depth images: the nearest obstacle above the ground, the extent, and the ground."""
 
 from __future__ import annotations
 
@@ -16,27 +16,28 @@ from ros2_mcp.world.clouds import cloud_of
 from ros2_mcp.world.scans import moved
 
 _MOST_POINTS = 60_000
-"""Looked at, evenly spread: a picture of 640 × 480 has five times as many, and its surfaces do not show it."""
+"""Points that are analysed, evenly spread: an image of 640 × 480 has five times as many, which its surfaces do not
+need."""
 _AMONG = 5
-"""The nearest thing is told by the fifth nearest point of a dense cloud: single points may be noise of the sensor."""
+"""In a dense cloud the fifth nearest point is taken as the nearest obstacle: single points may be sensor noise."""
 _DENSE = 500
-"""Of fewer points each one counts: sparse radars and thinned clouds have no neighbours."""
+"""In clouds with fewer points each one counts: points of sparse radars and thinned clouds have no neighbours."""
 _BIN_M = 0.05
-"""Heights are counted in steps of that: a floor seen by a depth camera is as thick."""
+"""Height of a histogram bin: the thickness of a floor as a depth camera sees it."""
 _GROUND_SHARE = 0.1
-"""Of the points, that lie at about one height in what is taken for ground."""
+"""Share of all points that must be at about one height to be the ground."""
 _GROUND_WIDE_M = 0.5
-"""How far ground goes at least in x and y: the top of a box is smaller."""
+"""Least extent of ground in x and y: the top of a box is smaller."""
 _ABOVE_M = 0.1
-"""From this height above the ground on something is an obstacle: less is the roughness of the ground and of sensors."""
+"""Points from this height above the ground are obstacles; lower ones are roughness of the ground and sensor noise."""
 _TALL_M = 2.0
-"""What is higher above the ground does not stand in the way of most robots, such as a ceiling."""
+"""Points higher above the ground, such as a ceiling, are not in the way of most robots."""
 _OPTICAL = ("optical", "optical_frame")
-"""How frames are called in which z looks forward, by REP 103."""
+"""Endings of the names of optical frames, in which z points forward, by REP 103."""
 
 
 def cloud_meaning(message: Any, mount: Pose | None = None, base: str = "") -> DepthMeaning:
-    """What a PointCloud2 says; `mount` is the pose of its frame in the frame `base`, None where not known.
+    """Interpret a PointCloud2; `mount` is the pose of its frame in the frame `base`, None if not known.
 
     Raises:
         BadData: as `cloud_of`.
@@ -48,10 +49,10 @@ def cloud_meaning(message: Any, mount: Pose | None = None, base: str = "") -> De
 def depth_meaning(
     message: Any, intrinsics: tuple[float, float, float, float] | None, mount: Pose | None = None, base: str = ""
 ) -> DepthMeaning | None:
-    """What a depth image says; None for an image that is none.
+    """Interpret a depth image; None if the image is not a depth image.
 
-    `intrinsics` are fx, fy, cx, cy of its camera info in pixels, None where there is none; `mount` as for a cloud, of
-    the optical frame.
+    `intrinsics` are fx, fy, cx, cy of its camera info in pixels, None without camera info; `mount` is the pose of the
+    optical frame in the frame `base`.
 
     Raises:
         BadData: as `depth_of`.
@@ -78,13 +79,14 @@ def depth_meaning(
     rows, columns = np.nonzero(valid[::step, ::step])
     z = depths[::step, ::step][rows, columns]
     xyz = np.stack(((columns * step - cx) * z / fx, (rows * step - cy) * z / fy, z), axis=1)
-    # The pixels of a depth image are in an optical frame, whatever it is called.
+    # The points of a depth image are in an optical frame, whatever its name.
     return _meaning(xyz, message.header.frame_id, mount, base, counts, optical=True)
 
 
 def depth_within(message: Any, box: Sequence[int]) -> tuple[float | None, str]:
-    """The median depth in m of a box of pixels (left, top, right, bottom, these within), None where there is none; and
-    what there is, in words.
+    """Return the median depth in m of a box of pixels (left, top, right, bottom, inclusive), and a description.
+
+    The median is None if the image is not a depth image, or the box has no valid depth.
 
     Raises:
         BadData: as `depth_of`.
@@ -97,14 +99,14 @@ def depth_within(message: Any, box: Sequence[int]) -> tuple[float | None, str]:
     valid = part[np.isfinite(part)]
     if not len(valid):
         return None, "no valid depth there"
-    # To a millimetre, once: the words and the number are of the same value.
+    # Rounded once, so that the text and the number show the same value.
     low, median, high = (round(float(value), 3) for value in np.percentile(valid, (2, 50, 98)))
     told = f"depth there {median:.2f} m (from {low:.2f} to {high:.2f} m, {len(valid) / part.size:.0%} of it valid)"
     return median, told
 
 
 def intrinsics_of(info: Any) -> tuple[float, float, float, float]:
-    """fx, fy, cx, cy of a sensor_msgs/msg/CameraInfo: of its projection, or where that is empty of its camera."""
+    """Return fx, fy, cx, cy in pixels from a sensor_msgs/msg/CameraInfo: of P, or of K if P is empty."""
     of_rectified = float(info.p[0]), float(info.p[5]), float(info.p[2]), float(info.p[6])
     return of_rectified if of_rectified[0] > 0 else (*(float(info.k[at]) for at in (0, 4, 2, 5)),)  # type: ignore[return-value]
 
@@ -118,7 +120,7 @@ def _third(name: str, depths: NDArray[np.float64]) -> str:
 
 
 def _nearest_of(distances: NDArray[np.float64]) -> float | None:
-    """The distance at which the nearest thing is; None of no distances."""
+    """Return the distance of the nearest obstacle; None if there are no distances."""
     if not len(distances):
         return None
     among = min(_AMONG, len(distances)) if len(distances) >= _DENSE else 1
@@ -181,7 +183,7 @@ def _meaning(
 
 
 def _nearest_point(standing: NDArray[np.float64]) -> tuple[float, float, float] | None:
-    """x, y and z of the nearest thing."""
+    """Return x, y and z of the nearest obstacle."""
     if not len(standing):
         return None
     distances = np.hypot(standing[:, 0], standing[:, 1])
@@ -192,12 +194,12 @@ def _nearest_point(standing: NDArray[np.float64]) -> tuple[float, float, float] 
 
 
 def _ground(seen: NDArray[np.float64]) -> tuple[float, float] | None:
-    """Height and share of points of the lowest wide level; None where there is none."""
+    """Return the height of the lowest wide level and its share of the points; None if there is none."""
     heights = seen[:, 2]
     bins = np.floor(heights / _BIN_M).astype(np.int64)
     levels, counts = np.unique(bins, return_counts=True)
     for level in levels[counts >= _GROUND_SHARE / 2 * len(seen)]:
-        about = np.abs(bins - level) <= 1  # a level may lie on the edge of two bins
+        about = np.abs(bins - level) <= 1  # a level may lie on the boundary of two bins
         if int(about.sum()) < _GROUND_SHARE * len(seen):
             continue
         if (np.ptp(np.quantile(seen[about, :2], (0.05, 0.95), axis=0), axis=0) >= _GROUND_WIDE_M).all():

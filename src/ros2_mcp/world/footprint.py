@@ -1,4 +1,4 @@
-"""The outline of a robot seen from above, out of its description."""
+"""The footprint of a robot (its outline from above), from its description."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from ros2_mcp.world.robot_kind import above_of, legs_of, rotors_of, wheels_of
 from ros2_mcp.world.urdf import Geometry, Mount, Urdf
 
 _CORNERS = 24
-"""Of a circle: the outline of a round robot is then 1 % of its radius too small at most."""
+"""Corners of a circle: the footprint of a round robot is then at most 1 % of its radius too small."""
 _LARGEST_M = 20.0
-"""A shape that is larger is a mistake of units, or a floor that somebody has put into the description."""
+"""A larger shape is a mistake of units, or a floor that was put into the description."""
 
 Point = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
 class Reach:
-    """How far an outline goes from the base's origin in metres: along x, against x, along y, against y, at most."""
+    """Extent of a footprint from the base's origin in metres: along +x, -x, +y, -y, and the largest distance."""
 
     front_m: float
     rear_m: float
@@ -30,24 +30,23 @@ class Reach:
 
 
 def outline(urdf: Urdf, base: str) -> Sequence[Point]:
-    """The convex hull of what is fixed to the base and of its wheels with their steering: counter-clockwise, in metres
-    of the frame `base`.
-    Of a legged robot the legs belong to it, with every joint at 0: a body narrower than its feet is no outline.
+    """Return the convex hull of the links fixed to the base and its wheels, counter-clockwise, in metres of `base`.
 
-    Shapes of collision count; of a link that has none, those that are seen. Meshes have no size in a description. Empty
-    where the description has no such link, or nothing with a size.
+    Links that steer a wheel are included, and the legs of a legged robot, with every joint at 0: a body narrower than
+    its feet is no footprint. Collision shapes are used, or visual shapes for links without them. Meshes have no size in
+    a description. Empty if the description has no such link, or no shape with a size.
     """
     return hull([(x, y) for x, y, _ in _points(urdf, base)])
 
 
 def heights(urdf: Urdf, base: str) -> tuple[float, float] | None:
-    """From where to where the same parts go along z of the frame `base`, in metres; None where they have no size."""
+    """Return the least and the greatest z of the links of `outline`, in metres of `base`; None if they have no size."""
     z = [at[2] for at in _points(urdf, base)]
     return (min(z), max(z)) if z else None
 
 
 def beyond(points: Sequence[Point], x: float, y: float) -> float:
-    """How far a point is from an outline (a convex hull, counter-clockwise), in m; 0 inside."""
+    """Return the distance of a point from a footprint (a convex hull, counter-clockwise), in m; 0 inside."""
     if all(_turn(one, two, (x, y)) >= 0 for one, two in zip(points, (*points[1:], points[0]), strict=True)):
         return 0.0
     return min(_from_line(one, two, x, y) for one, two in zip(points, (*points[1:], points[0]), strict=True))
@@ -62,7 +61,7 @@ def _from_line(one: Point, two: Point, x: float, y: float) -> float:
 
 
 def _points(urdf: Urdf, base: str) -> Sequence[Vector]:
-    """The corners of all parts of the outline, in the frame `base`."""
+    """Return the corners of all shapes of the footprint, in the frame `base`."""
     if base not in urdf.links:
         return ()
     body = urdf.fixed_to(base)
@@ -83,9 +82,9 @@ def _points(urdf: Urdf, base: str) -> Sequence[Vector]:
 
 
 def _swept(points: Sequence[Vector], axis: Vector) -> Iterator[Vector]:
-    """What a rotor passes over: the circle of its farthest point about its axis, in the frame of its link."""
+    """Return the circle that a rotor sweeps: that of its farthest point about its axis, in the frame of its link."""
     x, y, z = _unit(axis)
-    u = _unit((y, -x, 0.0) if math.hypot(x, y) > abs(z) else (0.0, z, -y))  # at a right angle to the axis
+    u = _unit((y, -x, 0.0) if math.hypot(x, y) > abs(z) else (0.0, z, -y))  # perpendicular to the axis
     v = (y * u[2] - z * u[1], z * u[0] - x * u[2], x * u[1] - y * u[0])
     radius = max((_distance(point, (x, y, z)) for point in points), default=0.0)
     for number in range(_CORNERS):
@@ -100,13 +99,13 @@ def _unit(vector: Vector) -> Vector:
 
 
 def _distance(point: Vector, axis: Vector) -> float:
-    """Of a point from an axis through the origin."""
+    """Return the distance of a point from an axis through the origin."""
     along = sum(one * other for one, other in zip(point, axis, strict=True))
     return math.hypot(*(one - along * other for one, other in zip(point, axis, strict=True)))
 
 
 def unmeasured(urdf: Urdf, base: str) -> Sequence[str]:
-    """The links of the outline of which only meshes tell the shape: it may be larger by them."""
+    """Return the links of the footprint whose shapes are only meshes: the real footprint may be larger by them."""
     if base not in urdf.links:
         return ()
     parts = [urdf.links[name] for name in parts_of(urdf, urdf.fixed_to(base))]
@@ -118,7 +117,7 @@ def unmeasured(urdf: Urdf, base: str) -> Sequence[str]:
 
 
 def reach(points: Sequence[Point]) -> Reach | None:
-    """How far an outline goes; None of no outline."""
+    """Return the extent of a footprint; None for an empty one."""
     if not points:
         return None
     x, y = [point[0] for point in points], [point[1] for point in points]
@@ -126,15 +125,15 @@ def reach(points: Sequence[Point]) -> Reach | None:
 
 
 def parts_of(urdf: Urdf, body: str) -> Sequence[str]:
-    """The links of the outline: what is fixed to the body, its legs, and its wheels with what holds these."""
+    """Return the links of the footprint: those fixed to the body, its legs, and its wheels with their holders."""
     moved = {joint.child for joint in legs_of(urdf)}
-    for wheel in (*wheels_of(urdf), *rotors_of(urdf)):  # an engine that is steered is as much a part as a wheel is
+    for wheel in (*wheels_of(urdf), *rotors_of(urdf)):  # a steered engine belongs to the footprint as a wheel does
         holders = [joint.child for joint in above_of(urdf, wheel.child)]
         moved |= set(holders) if urdf.mount(wheel.child, body) else set[str]()
     moved |= {
         joint.child for joint in urdf.moving if joint.kind == "continuous" and urdf.fixed_to(joint.parent) == body
     }
-    moved |= {  # a steered wheel that does not roll in the description
+    moved |= {  # a steered wheel without a rolling joint in the description
         joint.child
         for joint in urdf.moving
         if "wheel" in f"{joint.name} {joint.child}".lower() and urdf.fixed_to(joint.parent) == body
@@ -143,7 +142,7 @@ def parts_of(urdf: Urdf, body: str) -> Sequence[str]:
 
 
 def _in_base(at: Vector, base: Mount) -> Vector:
-    """A point of the body in the frame of the base, which is fixed to it."""
+    """Transform a point from the frame of the body to that of the base, which is fixed to the body."""
     dx, dy, dz = (one - other for one, other in zip(at, base.xyz, strict=True))
     axes = [Mount(rpy=base.rpy).of(Mount(axis)).xyz for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))]
     x, y, z = (dx * axis[0] + dy * axis[1] + dz * axis[2] for axis in axes)
@@ -151,12 +150,12 @@ def _in_base(at: Vector, base: Mount) -> Vector:
 
 
 def corners(shape: Geometry, link: Mount) -> Iterator[tuple[float, float, float]]:
-    """The corners of a shape in the body's frame; round ones have many."""
+    """Yield the corners of a shape in the body's frame; a round shape is approximated by many."""
     size = [abs(one) for one in shape.size]
     if shape.kind == "mesh" or not all(0 < one <= _LARGEST_M for one in size):
         return
     mount = link.of(shape.mount)
-    if shape.kind == "sphere":  # looks the same however it is turned
+    if shape.kind == "sphere":  # a sphere has no orientation
         mount = Mount(mount.xyz)
     for at in _own_corners(shape.kind, size):
         yield mount.of(Mount(at)).xyz
@@ -179,7 +178,7 @@ def _own_corners(kind: str, size: Sequence[float]) -> Iterator[tuple[float, floa
 
 
 def hull(points: Sequence[Point]) -> Sequence[Point]:
-    """The convex hull by Andrew's monotone chain: the lower side from left to right, then the upper one back."""
+    """Return the convex hull by Andrew's monotone chain: the lower side from left to right, then the upper one back."""
     ordered = sorted(set(points))
     if len(ordered) < 3:
         return ()
@@ -196,5 +195,5 @@ def hull(points: Sequence[Point]) -> Sequence[Point]:
 
 
 def _turn(one: Point, two: Point, three: Point) -> float:
-    """More than 0 where the way over the three points turns left."""
+    """Return a number above 0 if the path over the three points turns left, below 0 if it turns right."""
     return (two[0] - one[0]) * (three[1] - one[1]) - (two[1] - one[1]) * (three[0] - one[0])

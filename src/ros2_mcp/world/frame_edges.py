@@ -1,4 +1,4 @@
-"""One frame and its parent over time: what was told of it, and what is wrong with that, as tf2 would take it."""
+"""One frame and its parent over time: the transforms received, and their faults by the rules of tf2."""
 
 from __future__ import annotations
 
@@ -13,40 +13,42 @@ from typing import TypeVar
 from ros2_mcp.model.poses import Pose, angle_between_rad, between
 
 KEPT_NS = 30_000_000_000
-"""How far a live tree reaches back. tf2 keeps 10 s; an agent asks some seconds after it saw something."""
+"""Duration for which a live tree keeps transforms. tf2 keeps 10 s; an agent asks some seconds after an event."""
 _JUMP_NS = 2_000_000_000
-"""A stamp that goes back so far is no late message: localisations stamp up to 1 s ahead, and networks delay less."""
+"""A stamp that goes back by more is not just late: localisations stamp up to 1 s ahead, and networks delay less."""
 _FASTEST = 10.0
-"""Simulated time runs at most so many times as fast; a stamp that goes forward faster than that has jumped."""
+"""Simulated time runs at most this many times as fast as wall time; a stamp that advances faster has jumped."""
 _MOST_JUMPS = 50
 _LOOKED_BACK = 60
-"""Transforms of an edge that are looked at for two parents or two publishers: some seconds."""
+"""Recent transforms of an edge that are checked for two parents or two publishers: some seconds."""
 _PAUSES, _LEAST_PAUSE_NS, _ONCE_NS = 3, 1_000_000_000, 5_000_000_000
-"""A publisher of several has ended after three times its longest pause, and a second at least; one that was heard once
-only, whose rate nobody knows, after 5 s."""
+"""A publisher has ended if it was silent for three times its longest pause, and for at least a second; one with a
+single message, whose rate is not known, after 5 s."""
 _RATED = 100
-"""Messages of which the rate is told."""
+"""Messages from which the rate is computed."""
 _PAUSE_NS, _PAUSE_STEPS = 500_000_000, 4
-"""A pause between two bursts is so long at least, and so many times as long as the step of the stamps over it: what is
-sent seldom has steps as long as its pauses."""
+"""The least pause between two bursts, and the least ratio of such a pause to the step of the stamps over it: transforms
+that are rarely sent have steps as long as their pauses."""
 _AT_ONCE, _LEAST_BURST, _LEAST_SPAN_NS = 20, 5, 1_000_000_000
-"""One burst: so many times as fast as its stamps go, twice what simulated time runs at; messages; and their span."""
+"""A single burst: messages arrive at least this many times as fast as their stamps advance (twice the fastest simulated
+time); the least number of messages; and their least span."""
 _MOST_PAUSES = 50
 _LEAP_M, _LEAP_M_S, _LEAP_DEG, _LEAP_DEG_S = 0.25, 10.0, 30.0, 720.0
-"""A step so far and so fast is no motion of a robot, if those before and after it are slow."""
+"""A step of at least this distance and speed is no motion of a robot, if the steps before and after it are slow."""
 _LEAP_TIMES = 5
-"""As fast as the steps beside it, at least: a car, or a wheel that turns fast, makes all of its steps so."""
+"""A leap is at least this many times as fast as its neighbouring steps: all steps of a car or a fast wheel are
+large."""
 _MOST_LEAPS = 100
 _MOST_FOLLOWED = 64
-"""Publishers of one edge."""
+"""Publishers that are tracked per edge."""
 _Value = TypeVar("_Value", bound=Hashable)
 
 
 @dataclass(frozen=True, slots=True)
 class Told:
-    """One transform of a frame, as a message told it: its parent, and where it is in it. Times in ns of Unix time.
+    """One received transform of a frame: its parent, and its pose in the parent. Times are Unix times in ns.
 
-    `writer` tells publishers of one topic apart (`writers.py`); 0 where that is not known.
+    `writer` distinguishes the publishers of one topic (`writers.py`); 0 if not known.
     """
 
     parent: str
@@ -58,7 +60,7 @@ class Told:
 
 @dataclass(frozen=True, slots=True)
 class Jump:
-    """The stamps of a frame's transforms went from one time to another that does not follow it. Times in ns."""
+    """A jump of the stamps of a frame's transforms, back or too far ahead. Times in ns."""
 
     child: str
     from_ns: int
@@ -68,7 +70,7 @@ class Jump:
 
 @dataclass(frozen=True, slots=True)
 class Leap:
-    """What one publisher told went so far from one message to the next, as nothing moves."""
+    """A step between two transforms of one publisher that is too far and too fast for a motion."""
 
     far_m: float
     turned_deg: float
@@ -78,7 +80,7 @@ class Leap:
 
 @dataclass(frozen=True, slots=True)
 class Bursts:
-    """Messages that come many at once: `pause_ns` between two bursts, and about how many are in each."""
+    """Messages that arrive in bursts: `pause_ns` is the pause between two bursts, `count` about how many are in one."""
 
     pause_ns: int
     count: int
@@ -86,7 +88,7 @@ class Bursts:
 
 @dataclass(slots=True)
 class _Steps:
-    """A publisher's last message, how fast (m/s, degrees/s) the step to it was, and a leap that it may have been."""
+    """A publisher's last transform, the speed (m/s, degrees/s) of the step to it, and a possible leap."""
 
     told: Told
     speed: tuple[float, float] | None = None
@@ -95,16 +97,15 @@ class _Steps:
 
 
 class Edge:
-    """All that was told of one frame and its parent: `moving` by stamps, and `static` by parents.
+    """All received transforms of one frame: `moving` ones by stamp, and `static` ones by parent.
 
-    `received` counts the moving ones, `repeated` those of them with a stamp that was there already, which tf2
-    ignores, too, and `unstamped` those whose stamp is 0: nobody has set it, and the last of them holds for all
-    times, as of a static one. `last_received_ns` is the time of receipt of the newest message. `refused` says in
-    words why the last transform of it was not taken, `refused_parent` and `refused_writer` of which parent, and by
-    whom, `refused_ns` when the last such came. `jumps` are those of its stamps. `is_left`: it is static, and
-    whoever tells it is gone, so that nodes that start from now on do not get it. `on_static` is whether the last
-    came on /tf_static. `slashed` is how it was told, where that was with a leading slash; `frozen` how many of the
-    last messages in a row had a stamp that did not change.
+    `received` counts the moving ones; `repeated` those among them whose stamp was received before, which tf2 ignores,
+    too; and `unstamped` those with stamp 0, of which the last is valid for all times, like a static one.
+    `last_received_ns` is the time of receipt of the newest message. `refused` is the reason why the last transform was
+    rejected, `refused_parent` its parent, `refused_writer` its publisher, and `refused_ns` its time of receipt. `jumps`
+    are those of the stamps. `is_left`: the edge is static and its publisher has ended, so that nodes that start later
+    do not receive it. `on_static` is whether the last transform came on /tf_static. `slashed` are the names as
+    published, if they have a leading slash; `frozen` counts the last messages in a row that repeated an earlier stamp.
     """
 
     def __init__(self, child: str) -> None:
@@ -136,32 +137,32 @@ class Edge:
 
     @property
     def is_static(self) -> bool:
-        """Whether it holds for all times."""
+        """Whether the transform is valid for all times."""
         return not self.moving and not self.unstamped and bool(self.static)
 
     @property
     def newest(self) -> Told | None:
-        """What it was last."""
+        """The newest transform."""
         if self.moving:
             return self.moving[-1]
         return next(reversed(self.static.values())) if self.static else None
 
     @property
     def parents(self) -> list[str]:
-        """Every parent that was told of it and is still kept, the newest last."""
+        """Every parent in the transforms that are kept, except those whose publisher has ended; the newest last."""
         moving = dict.fromkeys(_still_told((told.parent, told.received_ns) for told in self.moving[-_LOOKED_BACK:]))
         return list({**dict.fromkeys(self.static), **moving})
 
     @property
     def two_parents(self) -> bool:
-        """Whether two are told at the same time; a frame that was once given another parent has one."""
+        """Whether two parents are published at the same time; a frame that was reparented once has one parent."""
         if len(self.static) > 1 or (self.static and {told.parent for told in self.moving} - set(self.static)):
             return True
         return _turns(_still_told([(told.parent, told.received_ns) for told in self.moving[-_LOOKED_BACK:]])) > 1
 
     @property
     def writers(self) -> list[int]:
-        """The publishers that tell it at the same time, where they can be told apart."""
+        """The publishers that publish it at the same time, if they can be distinguished."""
         recent = _still_told(self._told_by)
         if _turns(recent) > 1:
             return sorted(set(recent))
@@ -169,26 +170,26 @@ class Edge:
 
     @property
     def on_both(self) -> bool:
-        """Whether it is told as static and as moving alike, with one parent."""
+        """Whether it is published both as static and as moving, with one parent."""
         return bool(self.moving) and self.moving[-1].parent in self.static and not self.two_parents
 
     def static_writers_of(self, parent: str) -> list[int]:
-        """The publishers of /tf_static that tell it with that parent."""
+        """Return the publishers on /tf_static that publish it with that parent."""
         return sorted(writer for writer, told in self._static_by.items() if told.parent == parent)
 
     def static_parent_by(self, writer: int) -> str:
-        """The parent with which a publisher of /tf_static told it last."""
+        """Return the parent in the last transform from a publisher on /tf_static."""
         told = self._static_by.get(writer)
         return told.parent if told else self.refused_parent
 
     def writers_of(self, parent: str) -> list[int]:
-        """The publishers that tell it with that parent, of the last messages."""
+        """Return the publishers that published it with that parent, among the last messages."""
         told = [one for one in self.moving[-_LOOKED_BACK:] if one.parent == parent]
         found = {one.writer for one in told or self.static.values() if one.parent == parent}
         return sorted(found) or [self.refused_writer]
 
     def parent_by(self, writer: int) -> str:
-        """The parent with which a publisher told it last; where nothing is kept of that publisher, the newest."""
+        """Return the parent in a publisher's last transform; the newest parent if none of that publisher is kept."""
         if steps := self._steps.get(writer):
             return steps.told.parent
         if fixed := self._static_by.get(writer):
@@ -197,7 +198,10 @@ class Edge:
 
     @property
     def apart(self) -> tuple[float, float] | None:
-        """How far what several publishers tell of it, with one parent and for one time, is apart: m and degrees."""
+        """The largest difference, in m and degrees, between the poses from several publishers.
+
+        Poses for the same parent and time are compared. None if there are none.
+        """
         by_writer: dict[int, list[Told]] = {}
         for told in self.moving[-_LOOKED_BACK:] if len(self.writers) > 1 else ():
             by_writer.setdefault(told.writer, []).append(told)
@@ -213,18 +217,20 @@ class Edge:
 
     @property
     def rate_hz(self) -> float | None:
-        """How often it is, by its stamps where they go on, else by the times of receipt; None for what is static, or
-        was told once. Messages may come many at once, or late: the stamps say how often it was measured.
+        """Rate in Hz, from the stamps if they advance, otherwise from the times of receipt.
+
+        None for a static transform, or a single one. Messages may arrive in bursts or late; the stamps show the rate of
+        the measurements.
         """
         stamps = self.stamps[-_RATED:]
-        # Right after a jump there are too few to tell a rate by.
+        # Right after a jump there are too few stamps for a rate.
         if len(stamps) > (2 if self.jumps else 1) and stamps[-1] > stamps[0]:
             return (len(stamps) - 1) / (stamps[-1] - stamps[0]) * 1e9
         return self.received_hz
 
     @property
     def received_hz(self) -> float | None:
-        """How often it comes, by the times of receipt; None for what is static, or was told once."""
+        """Rate of messages in Hz, by the times of receipt; None for a static transform, or a single one."""
         if not self.moving and self.on_static:
             return None
         if len(self._times) < 2:
@@ -234,15 +240,15 @@ class Edge:
 
     @property
     def leaps(self) -> list[Leap]:
-        """Where it went suddenly from one place to another one, within what is kept; the newest last."""
+        """Leaps of the pose within the time that is kept; the newest last."""
         return [leap for leap in self._leaps if leap.received_ns >= self.last_received_ns - KEPT_NS]
 
     @property
     def bursts(self) -> Bursts | None:
-        """That messages come many at once, with pauses between, though their stamps have none; None if they do not.
+        """The bursts in which messages arrive, although their stamps are evenly spaced; None if they arrive evenly.
 
-        Two pauses tell it, if they are most of the time; or so many messages at once that none was sent when it was
-        measured, which is known from the first burst on.
+        Two pauses are evidence if they make up most of the time. So are so many messages at once that they cannot have
+        been sent when they were measured, which shows already in the first burst.
         """
         if len(self.moving) < _LEAST_BURST:
             return None
@@ -253,7 +259,7 @@ class Edge:
         is_at_once = span_ns >= _LEAST_SPAN_NS and flows_ns * _AT_ONCE < span_ns
         if not is_at_once and (len(pauses) < 2 or 2 * sum(pauses) < heard_ns):
             return None
-        if len(self.writers) > 1:  # one stamps later than the other: that tells nothing of when they came
+        if len(self.writers) > 1:  # the publishers stamp differently, which says nothing about the times of receipt
             return None
         count = len(self.moving) // (len(pauses) + 1)
         if pauses:
@@ -261,28 +267,28 @@ class Edge:
         return Bursts(span_ns + span_ns // (len(self.stamps) - 1), count)
 
     def age_ns(self, at_ns: int) -> int:
-        """How long before that time, by the stamps, the last was that there was then; below 0 where all are later."""
+        """Return the age, by stamp, of the last transform at a time; negative if all stamps are later."""
         place = bisect_right(self.stamps, at_ns)
         return at_ns - self.stamps[max(place - 1, 0)]
 
     def around(self, at_ns: int) -> tuple[int, int] | None:
-        """The stamps between which that time lies; None where it is that of one, or outside."""
+        """Return the stamps before and after a time; None if the time is a stamp, or outside of all stamps."""
         after = bisect_left(self.stamps, at_ns)
         if after in (0, len(self.stamps)) or self.stamps[after] == at_ns:
             return None
         return self.stamps[after - 1], self.stamps[after]
 
     def longest_gap(self) -> tuple[int, int] | None:
-        """The stamps with the longest pause between them; None of fewer than two."""
+        """Return the two successive stamps that are farthest apart; None if there are fewer than two."""
         return max(pairwise(self.stamps), key=lambda pair: pair[1] - pair[0], default=None)
 
     @property
     def lag_ns(self) -> int:
-        """How far its newest stamp was behind its receipt, when that stamp first came."""
+        """Delay from the newest stamp to the time of receipt of its first message."""
         return self.moving[-1].received_ns - self.stamps[-1]
 
     def at(self, at_ns: int) -> Told | None:
-        """What it is at that time; None where that is before the first or after the last that was told."""
+        """Return the transform at a time; None before the first or after the last stamp."""
         if not self.moving:
             return self.newest
         after = bisect_left(self.stamps, at_ns)
@@ -291,14 +297,14 @@ class Edge:
         if after in (0, len(self.stamps)):
             return None
         first, second = self.moving[after - 1], self.moving[after]
-        if first.parent != second.parent:  # as tf2 does: until it has the other parent
+        if first.parent != second.parent:  # as tf2 does: the old parent is valid until the stamp of the new one
             return Told(first.parent, first.pose, at_ns, first.received_ns, first.writer)
         share = (at_ns - first.stamp_ns) / (second.stamp_ns - first.stamp_ns)
         pose = between(first.pose, second.pose, share)
         return Told(first.parent, pose, at_ns, second.received_ns, second.writer)
 
     def add_static(self, told: Told) -> None:
-        """Takes in what holds for all times; another one with the same publisher replaces its last."""
+        """Add a transform that is valid for all times; it replaces the last one of the same publisher."""
         for parent, former in list(self.static.items()):
             if parent != told.parent and told.writer and former.writer == told.writer:
                 del self.static[parent]
@@ -309,7 +315,10 @@ class Edge:
         self.last_received_ns = max(self.last_received_ns, told.received_ns)
 
     def add_moving(self, told: Told) -> Jump | None:
-        """Takes in one with a stamp; after a jump of the stamps what was told before does not count any more."""
+        """Add a transform with a stamp. After a jump of the stamps, earlier transforms are discarded.
+
+        Return the jump, if there is one.
+        """
         if not told.stamp_ns:
             self.unstamped += 1
             self._count(told.received_ns)
@@ -321,7 +330,7 @@ class Edge:
             self.stamps.clear()
             self._steps.clear()
             self._pauses.clear()
-            first, later = self.jumps[:1], self.jumps[1:]  # the first is told, too
+            first, later = self.jumps[:1], self.jumps[1:]  # the first jump is reported, too
             self.jumps = [*first, *[*later, jump][-(_MOST_JUMPS - len(first)) :]]
         self.received += 1
         self._told_by.append((told.writer, told.received_ns))
@@ -364,7 +373,7 @@ class Edge:
         return Jump(self.child, last_ns, told.stamp_ns, told.received_ns)
 
     def _step_to(self, told: Told) -> None:
-        """Follows each publisher by itself, and notes a step that is far faster than those before and after it."""
+        """Follow each publisher separately; note a step that is far faster than the steps before and after it."""
         steps = self._steps.get(told.writer)
         if steps is None or steps.told.parent != told.parent:
             if len(self._steps) >= _MOST_FOLLOWED:
@@ -385,7 +394,7 @@ class Edge:
         steps.told, steps.before, steps.speed = told, steps.speed or (0.0, 0.0), speed
 
     def forget(self, keep: int, around_ns: int | None, kept_ns: int = KEPT_NS) -> None:
-        """Gives up the oldest, or where there is a time that counts, those that are farthest from it."""
+        """Drop the oldest transforms beyond `keep` or `kept_ns`; with `around_ns` those farthest from that time."""
         if around_ns is None:
             gone = max(len(self.moving) - keep, bisect_left(self.stamps, self.stamps[-1] - kept_ns), 0)
             del self.moving[:gone], self.stamps[:gone]
@@ -396,7 +405,7 @@ class Edge:
 
 
 def _still_told(values: Iterable[tuple[_Value, int]]) -> list[_Value]:
-    """Those without what has ended: it was not told for longer than it ever paused, while others were."""
+    """Return the values without those that have ended: not received for longer than they ever paused."""
     told = list(values)
     times: dict[_Value, list[int]] = {}
     for value, received_ns in told:
@@ -412,19 +421,22 @@ def _still_told(values: Iterable[tuple[_Value, int]]) -> list[_Value]:
 
 
 def _is_leap(leap: Leap, beside: tuple[float, float]) -> bool:
-    """Whether a step beside it was slow enough for it to be one."""
+    """Return whether a neighbouring step was slow enough for this step to be a leap."""
     speed_m_s, speed_deg_s = leap.far_m / leap.within_ns * 1e9, leap.turned_deg / leap.within_ns * 1e9
     is_far = leap.far_m >= _LEAP_M and speed_m_s >= max(_LEAP_M_S, _LEAP_TIMES * beside[0])
     return is_far or (leap.turned_deg >= _LEAP_DEG and speed_deg_s >= max(_LEAP_DEG_S, _LEAP_TIMES * beside[1]))
 
 
 def _turns(values: Sequence[object]) -> int:
-    """How often one is followed by another."""
+    """Return how often the value changes from one element to the next."""
     return sum(one != other for one, other in zip(values, islice(values, 1, None), strict=False))
 
 
 def _at_one_time(one: Sequence[Told], other: Sequence[Told]) -> list[tuple[Told, Told]]:
-    """What two publishers told for one time: of each message of the one between two of the other's, that in between."""
+    """Return pairs of transforms of two publishers for one time.
+
+    For each transform of the one between two of the other's, the latter two are interpolated.
+    """
     ordered = sorted(other, key=lambda told: told.stamp_ns)
     stamps = [told.stamp_ns for told in ordered]
     found: list[tuple[Told, Told]] = []

@@ -1,4 +1,4 @@
-"""What joints move on a robot, seen from above: an arm, a gripper, a head; by description and transforms."""
+"""The links of a robot that joints move (arm, gripper, head), seen from above; from description and transforms."""
 
 from __future__ import annotations
 
@@ -15,8 +15,11 @@ _MOST = 200
 
 @dataclass(frozen=True, slots=True)
 class Limb:
-    """A link that a joint moves: `parent` is the link that holds it; `corners` of its shapes, in m of its own frame,
-    are empty where only meshes tell its shape. `is_jointed` is false of what is fixed to its parent."""
+    """A link of an arm or the like: `parent` is the link that holds it.
+
+    `corners` are those of its shapes in m, in its own frame; empty if its shapes are only meshes. `is_jointed` is false
+    if it is fixed to its parent.
+    """
 
     link: str
     parent: str
@@ -26,8 +29,12 @@ class Limb:
 
 @dataclass(frozen=True, slots=True)
 class LimbSeen:
-    """A limb from above: the `outline` of its shapes (empty where they have no size), and the line `bone` from the
-    origin of the link that holds it to its own (None where that link's place is not known), in m."""
+    """A limb seen from above.
+
+    `outline` is that of its shapes (empty if they have no size), and `bone` the line from the origin of the link that
+    holds it to its own origin (None if the pose of that link is not known), in m. `top_m` is the z of its highest
+    point.
+    """
 
     outline: Sequence[Point]
     bone: tuple[Point, Point] | None
@@ -36,7 +43,7 @@ class LimbSeen:
 
 
 def limbs_of(urdf: Urdf, base: str) -> Sequence[Limb]:
-    """The links that joints move and that the outline of the body has not: no wheels and no legs."""
+    """Return the links above moving joints that do not belong to the footprint of the body: no wheels and no legs."""
     if base not in urdf.links:
         return ()
     body = urdf.fixed_to(base)
@@ -53,7 +60,7 @@ def limbs_of(urdf: Urdf, base: str) -> Sequence[Limb]:
 
 
 def limbs_seen(limbs: Sequence[Limb], place: Callable[[str], Pose | None]) -> Sequence[LimbSeen]:
-    """The limbs of which `place` knows where they are in the picture's frame, the lowest first."""
+    """Return the limbs whose pose in the picture's frame is known to `place`, the lowest first."""
     found: list[LimbSeen] = []
     for limb in limbs:
         pose, held = place(limb.link), place(limb.parent)

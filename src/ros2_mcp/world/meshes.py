@@ -1,4 +1,4 @@
-"""Files of meshes (STL, COLLADA, OBJ) as triangles, few enough and small enough for a page to draw."""
+"""Read mesh files (STL, COLLADA, OBJ) as triangles, few and small enough for a web page to draw."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ Vertices: TypeAlias = NDArray[np.float64]
 Triangles: TypeAlias = NDArray[np.int64]
 
 MOST_BYTES = 30_000_000
-"""Of one file: the largest of known robots have 10 MB."""
+"""Size of one file; the largest ones of known robots have 10 MB."""
 _MOST_TRIANGLES = 1_000_000
 _DEEPEST = 50
-"""Nodes of a COLLADA scene within each other."""
+"""Nesting depth of the nodes of a COLLADA scene."""
 _MOST_PLACED = 2000
-"""Times that geometries are placed in one COLLADA scene."""
+"""Instances of geometries in one COLLADA scene."""
 _STL_HEADER, _STL_TRIANGLE = 84, 50
 _STL_ROW = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _STEPS = 65535
 _FIRST_CELLS = 400
-"""Along the longest side, at the first try of making a mesh coarser."""
+"""Cells along the longest side in the first attempt to make a mesh coarser."""
 _COARSER = 1.4
 _FARTHEST = 1e6
 
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """Triangles of one colour (red, green, blue, 0 to 255; None: of none), by the numbers of their vertices."""
+    """Triangles of one colour (red, green, blue, 0 to 255; None: no colour), as indices of their vertices."""
 
     vertices: Vertices
     triangles: Triangles
@@ -45,9 +45,11 @@ class Part:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PackedMesh:
-    """`data`, packed with zlib, has the numbers of three vertices of each of `triangles` (32 bits), then x, y and z of
-    each of `vertices` in 16 bits, times `step` plus `low`; then where it `has_colours` three bytes for each vertex.
-    Little-endian. Of `of_triangles` in the file some are left out, where that were too many.
+    """A mesh, packed for drawing.
+
+    `data`, packed with zlib and little-endian, has three vertex indices (32 bits each) for each of `triangles`; then x,
+    y and z (16 bits each, times `step`, plus `low`) for each of `vertices`; then, if it `has_colours`, three bytes for
+    each vertex. `of_triangles` is the number of triangles in the file, of which some are omitted if there are too many.
     """
 
     data: bytes
@@ -60,10 +62,10 @@ class PackedMesh:
 
 
 def parts_of(data: bytes, suffix: str) -> list[Part]:
-    """What a file with this ending holds.
+    """Parse a mesh file with this suffix.
 
     Raises:
-        BadData: if that cannot be read, or is too much.
+        BadData: if the file cannot be read, or is too large.
     """
     if len(data) > MOST_BYTES:
         raise BadData(f"It has more than {MOST_BYTES / 1e6:.0f} MB.")
@@ -83,7 +85,7 @@ def parts_of(data: bytes, suffix: str) -> list[Part]:
 
 
 def packed_mesh(parts: list[Part], most: int) -> PackedMesh:
-    """For drawing, with at most so many triangles: of a finer mesh vertices that are near each other become one."""
+    """Pack meshes for drawing, with at most `most` triangles: in a finer mesh, vertices near each other are merged."""
     vertices = np.concatenate([part.vertices for part in parts])
     begins = np.cumsum([0, *(len(part.vertices) for part in parts)])
     triangles = np.concatenate([part.triangles + begin for part, begin in zip(parts, begins, strict=False)])
@@ -114,7 +116,7 @@ def packed_mesh(parts: list[Part], most: int) -> PackedMesh:
 def _merged(
     vertices: Vertices, triangles: Triangles, of_part: NDArray[np.int64], low: Vertices, cell: Vertices
 ) -> tuple[NDArray[np.intp], Triangles]:
-    """Of the vertices in each cell the first, and the triangles between these that still have an area."""
+    """Return the first vertex in each cell, and the triangles between these vertices that still have an area."""
     at = _steps((vertices - low) / cell)
     number = ((of_part * (_STEPS + 1) + at[:, 0]) * (_STEPS + 1) + at[:, 1]) * (_STEPS + 1) + at[:, 2]
     _, first, cells = np.unique(number, return_index=True, return_inverse=True)
@@ -130,12 +132,12 @@ def _steps(values: Vertices) -> NDArray[np.int64]:
 
 
 def _rows(values: Any, width: int) -> Any:
-    """The numbers in rows; raises `ValueError` where they are not whole ones."""
+    """Reshape to rows of `width` numbers; raises `ValueError` if the last row is incomplete."""
     return values.reshape(-1, width)
 
 
 def _checked(part: Part) -> Part:
-    """Only the triangles whose corners are there, and are places."""
+    """Return the part without triangles whose corners are not finite; raises `BadData` for a missing corner."""
     vertices, triangles = part.vertices, part.triangles
     if len(triangles) and not (triangles.min() >= 0 and triangles.max() < len(vertices)):
         raise BadData("A triangle refers to a missing corner.")
@@ -177,7 +179,7 @@ def _obj(data: bytes) -> list[Part]:
 
 
 def _dae(data: bytes) -> list[Part]:
-    """The scene in metres. Its `up_axis` is not looked at, as by RViz: descriptions are made to look right there."""
+    """Return the scene in metres. Its `up_axis` is ignored, as in RViz: descriptions are made to look right there."""
     if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
         raise ValueError("it declares a document type")
     try:
@@ -271,7 +273,7 @@ class _Collada:
 
 
 def _triangles(kind: str, rows: list[NDArray[np.int64]], counts: NDArray[np.int64] | None) -> Triangles:
-    """Polygons as fans of triangles."""
+    """Split polygons into fans of triangles."""
     if kind == "triangles":
         return np.concatenate([np.empty((0, 3), np.int64), *(_rows(row[: len(row) // 3 * 3], 3) for row in rows)])
     polygons = rows
@@ -284,7 +286,7 @@ def _triangles(kind: str, rows: list[NDArray[np.int64]], counts: NDArray[np.int6
 
 
 def _matrix(step: ElementTree.Element) -> NDArray[np.float64] | None:
-    """One step of a node's pose; None for what is none."""
+    """Return one transform of a node as a 4 × 4 matrix; None if the element is not a transform."""
     kind, made = _tag(step), np.eye(4)
     if kind == "matrix":
         return _rows(_numbers(step), 4)
@@ -317,4 +319,4 @@ def _numbers(element: ElementTree.Element) -> NDArray[np.float64]:
 
 _READERS: Mapping[str, Any] = {".stl": _stl, ".dae": _dae, ".obj": _obj}
 SUFFIXES = tuple(_READERS)
-"""Endings of the files that can be read."""
+"""File name suffixes that can be read."""

@@ -1,4 +1,4 @@
-"""Why there is no transform between two frames, in words, from what was told."""
+"""Explain why there is no transform between two frames, from the transforms received."""
 
 from __future__ import annotations
 
@@ -16,16 +16,19 @@ _MOST_NAMED = 8
 _DAY_S = 86_400
 _YEAR_S = 365.25 * _DAY_S
 UNIX_FROM_NS = 10**18
-"""A stamp before 2001 is of another clock, such as that of a simulation: it is written in seconds."""
+"""A stamp before 2001 comes from another clock, such as that of a simulation, and is shown in seconds."""
 
 
 def stamp_in_words(stamp_ns: int, began_ns: int | None = None) -> str:
-    """A stamp as a time, of a recording with the seconds in it; or in seconds where it is none of our calendar."""
+    """Format a stamp as a time, in a recording with the seconds since its start.
+
+    A stamp that is no calendar time is given in seconds.
+    """
     return recorded_time(stamp_ns, began_ns) if stamp_ns >= UNIX_FROM_NS else f"{stamp_ns / 1e9:.3f} s of its clock"
 
 
 def seconds_in_words(away_ns: int) -> str:
-    """A duration as people read it."""
+    """Return a duration in a readable unit: ms, s, days or years."""
     away_s = abs(away_ns) / 1e9
     if away_s >= _YEAR_S:
         return f"{away_s / _YEAR_S:.1f} years"
@@ -35,10 +38,10 @@ def seconds_in_words(away_ns: int) -> str:
 
 
 def located(tree: FrameTree, target: str, frame: str, at_ns: int | None = None) -> Located:
-    """Where a frame is in the target, at a time, or (None) as late as all edges between them allow.
+    """Return the pose of a frame in the target at a time, or (None) at the newest time that all edges have.
 
     Raises:
-        NoTransform: if that is not known, with the reason.
+        NoTransform: if there is none, with the reason.
     """
     target, frame = target.lstrip("/"), frame.lstrip("/")
     found = tree.find(target, frame, at_ns)
@@ -48,7 +51,7 @@ def located(tree: FrameTree, target: str, frame: str, at_ns: int | None = None) 
 
 
 def why_none(tree: FrameTree, target: str, frame: str, at_ns: int | None) -> NoTransform:
-    """The error of a look-up that found nothing, or nothing that can be trusted."""
+    """Return the error for a lookup that found no transform, or none that can be trusted."""
     for name in (frame, target):
         if name not in tree.frames:
             return _unknown(tree, name)
@@ -120,7 +123,7 @@ def _circle(tree: FrameTree, frames: Sequence[str]) -> NoTransform:
 
 
 def circle_in_words(frames: Sequence[str], by: Callable[[str, str], str] = lambda _child, _parent: "") -> str:
-    """Frames that go in a circle, each in the next; `by` adds who tells it of a child and its parent."""
+    """Describe a loop of frames, each with its parent; `by` adds the publisher for a child and its parent."""
     steps = zip(frames, [*frames[1:], frames[0]], strict=True)
     return ", ".join(f"{named(child)} is in {named(parent)}{by(child, parent)}" for child, parent in steps)
 
@@ -149,7 +152,7 @@ def _two_trees(tree: FrameTree, target: str, frame: str) -> NoTransform:
 
 
 def alike(tree: FrameTree, target: str, frame: str) -> tuple[str, str] | None:
-    """Two frames of different trees that may be meant to be one; one is the root of the target's or of the frame's."""
+    """Return two frames of different trees whose names suggest that they are one; one is the root of either tree."""
     roots = {name: tree.root_of(name) for name in tree.frames}
     for root in dict.fromkeys((roots[frame], roots[target])):
         others = [name for name, top in roots.items() if top != root and may_be_one(root, name)]
@@ -169,7 +172,7 @@ def _misspelt(tree: FrameTree, target: str, frame: str) -> str:
 
 
 def _missing_edge(tree: FrameTree, target: str, frame: str) -> str:
-    """Which edge is missing, where the names of REP 105 tell who publishes it."""
+    """Return a hint which edge is missing, if names by REP 105 show which node should publish it."""
     roots = {tree.root_of(target), tree.root_of(frame)}
     base = next((root for root in sorted(roots) if root.rpartition("/")[2] in BASES), "")
     odom = next((name for name in sorted(tree.frames) if name.rpartition("/")[2] == "odom"), "")
@@ -186,7 +189,7 @@ def _missing_edge(tree: FrameTree, target: str, frame: str) -> str:
 
 
 def _no_common_time(tree: FrameTree, edges: Iterable[Edge], lacking: Sequence[Edge], common_ns: int) -> NoTransform:
-    """Of edges that have no time in common: one of them has ended, or stamps with another clock."""
+    """Explain that edges have no time in common: one of them has ended, or is stamped by another clock."""
     moving = [edge for edge in edges if edge.moving]
     oldest = min(moving, key=lambda edge: edge.stamps[-1])
     newest = max(moving, key=lambda edge: edge.stamps[-1])
@@ -227,12 +230,12 @@ def _jump_of(edge: Edge) -> str:
 
 
 def is_since_boot(tree: FrameTree, edge: Edge) -> bool:
-    """Whether its stamps are near 1970, though nobody tells simulated time: a machine whose clock was never set."""
+    """Return whether stamps are near 1970 without simulated time: the clock of the machine was never set."""
     return tree.has_clock is False and not tree.clock_ns and edge.stamps[-1] < UNIX_FROM_NS
 
 
 def _clock_of(edge: Edge, tree: FrameTree) -> str:
-    """By which clock an edge is stamped, as far as its stamps differ from when it came."""
+    """Name the clock by which an edge is stamped, from the difference between stamps and times of receipt."""
     ahead_ns, clock_ns = edge.stamps[-1] - edge.last_received_ns, tree.clock_ns
     if abs(ahead_ns) <= _CLOCKS_NS:
         return f"{edge_in_words(edge)} by the robot's (wall time)"
@@ -248,11 +251,11 @@ def _clock_of(edge: Edge, tree: FrameTree) -> str:
 
 
 _CLOCKS_NS = 2_500_000_000
-"""Between stamps and receipts: localisations stamp up to 1 s ahead, on purpose, and no usual delay is as long."""
+"""Difference of stamp and receipt: localisations stamp up to 1 s ahead on purpose, and no usual delay is as long."""
 _SLOW_NS = 1_500_000_000
-"""Between two transforms; the slowest usual publishers send once a second."""
+"""Interval between two transforms; the slowest usual publishers send once a second."""
 _STALE_NS = 1_000_000_000
-"""Without a message of what moves; the slowest usual publishers send once a second."""
+"""Time without a message of a moving edge; the slowest usual publishers send once a second."""
 
 
 def _not_then(tree: FrameTree, lacking: Sequence[Edge], sought_ns: int) -> NoTransform:
@@ -287,5 +290,5 @@ def _not_then(tree: FrameTree, lacking: Sequence[Edge], sought_ns: int) -> NoTra
 
 
 def edge_in_words(edge: Edge) -> str:
-    """An edge: parent → child."""
+    """Return an edge as `parent → child`."""
     return f"{named(edge.newest.parent) if edge.newest else '?'} → {named(edge.child)}"

@@ -1,4 +1,4 @@
-"""nav_msgs/msg/OccupancyGrid: checked once, with its place in its frame. Maps, costmaps and programs read it here.
+"""nav_msgs/msg/OccupancyGrid, validated once, with its pose in its frame. Used for maps, costmaps and programs.
 
 Import it inside functions only: it needs NumPy.
 """
@@ -19,17 +19,18 @@ from ros2_mcp_common.finite import not_finite
 
 
 class OccupancyGrid:
-    """The cells of one message with their place in its frame.
+    """The cells of one message, with their pose in its frame.
 
-    `cells` are height × width as the message has them, the first row at the least y; `origin` is the pose of the corner
-    of cell (0, 0), `corner` the same seen from above. `frame_id` has no leading slash.
+    `cells` are height × width as in the message, the first row at the least y; `origin` is the pose of the corner of
+    cell (0, 0), `corner` the same in the plane. `frame_id` has no leading slash.
     """
 
     def __init__(self, message: Any) -> None:
-        """Reads the `header`, `info` and `data` of a message.
+        """Read the `header`, `info` and `data` of a message.
 
         Raises:
-            BadData: if it is empty, its data does not fit its size, or its resolution or origin is not finite.
+            BadData: if the grid is empty, its data does not fit its size, its resolution is not positive, or its
+                resolution or origin is not finite.
         """
         info = message.info
         width, height, count = info.width, info.height, len(message.data)
@@ -58,7 +59,7 @@ class OccupancyGrid:
         self.cells: NDArray[np.int8] = data.reshape(height, width)
 
     def cell(self, x_m: float, y_m: float) -> tuple[int, int]:
-        """Row and column of a point, which may be outside."""
+        """Return row and column of a point, which may be outside of the grid."""
         dx, dy = x_m - self.corner.x_m, y_m - self.corner.y_m
         cos, sin = math.cos(self.corner.yaw_rad), math.sin(self.corner.yaw_rad)
         return (
@@ -67,22 +68,22 @@ class OccupancyGrid:
         )
 
     def point(self, row: float, column: float) -> tuple[float, float]:
-        """The middle of a cell, in m."""
+        """Return the centre of a cell, in m."""
         x, y = (column + 0.5) * self.resolution_m, (row + 0.5) * self.resolution_m
         cos, sin = math.cos(self.corner.yaw_rad), math.sin(self.corner.yaw_rad)
         return self.corner.x_m + cos * x - sin * y, self.corner.y_m + sin * x + cos * y
 
     def value(self, x_m: float, y_m: float) -> int | None:
-        """The value of the cell at a point; None outside."""
+        """Return the value of the cell at a point; None outside of the grid."""
         row, column = self.cell(x_m, y_m)
         rows, columns = self.cells.shape
         return int(self.cells[row, column]) if 0 <= row < rows and 0 <= column < columns else None
 
     def nearest(self, x_m: float, y_m: float, least: int, most: int) -> tuple[int, int] | None:
-        """Row and column of the nearest cell with a value from `least` to `most`; None where there is none.
+        """Return row and column of the nearest cell with a value from `least` to `most`; None if there is none.
 
-        It looks at one row after the other, from that of the point outwards: a map of 16 million cells has hits for
-        which there would be no memory.
+        Rows are searched one by one, outwards from the row of the point: all hits of a map of 16 million cells at once
+        would take too much memory.
         """
         row, column = self.cell(x_m, y_m)
         found: tuple[int, int] | None = None
@@ -99,18 +100,18 @@ class OccupancyGrid:
         return found
 
     def rows(self, together: int) -> list[list[int]]:
-        """The values by rows, from the lowest on; of each square of `together` × `together` cells the largest one."""
+        """Return the values by rows, the lowest first, with the largest of each `together` × `together` cells."""
         return largest_of(self.cells, together).tolist()
 
     def extent(self) -> str:
-        """In words, where it is, in m."""
+        """Return the extent in words, in m."""
         rows, columns = self.cells.shape
         corners = [self.point(row, column) for row in (-0.5, rows - 0.5) for column in (-0.5, columns - 0.5)]
         xs, ys = [x for x, _ in corners], [y for _, y in corners]
         return f"x {min(xs):.2f} to {max(xs):.2f}, y {min(ys):.2f} to {max(ys):.2f}"
 
     def facts(self) -> MapFacts:
-        """Its size, place and content in numbers."""
+        """Return the size, pose and content of the grid in numbers."""
         free = float(np.mean((self.cells >= 0) & (self.cells < OCCUPIED_FROM)))
         occupied = float(np.mean((self.cells >= OCCUPIED_FROM) & (self.cells <= 100)))
         height, width = self.cells.shape
@@ -128,12 +129,15 @@ class OccupancyGrid:
         )
 
     def percentages(self) -> NDArray[np.int8]:
-        """The cells as 0 to 100, and -1 for each that is no percentage: unknown."""
+        """Return the cells as 0 to 100, with -1 (unknown) for every other value."""
         return np.where((self.cells < 0) | (self.cells > 100), np.int8(-1), self.cells)
 
 
 def largest_of(cells: NDArray[np.int8], together: int) -> NDArray[np.int8]:
-    """Of each square of `together` × `together` cells the largest value; those at the far sides may be smaller."""
+    """Return the largest value of each square of `together` × `together` cells.
+
+    Squares at the far sides may be smaller.
+    """
     for axis, length in enumerate(cells.shape):
         cells = np.maximum.reduceat(cells, range(0, length, together), axis=axis)
     return cells

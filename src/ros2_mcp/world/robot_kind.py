@@ -1,4 +1,4 @@
-"""What kind of robot a description, its controllers and its command inputs speak of."""
+"""Classify a robot by its description, its controllers and its command topics."""
 
 from __future__ import annotations
 
@@ -11,35 +11,36 @@ _LEGS = re.compile(
     r"(hip|thigh|calf|knee|ankle|shank|[ul](pp|ow)?(er)?_?leg|haa|hfe|kfe|_h[xy]$|_kn$|coxa|femur|tibia)", re.IGNORECASE
 )
 _LEAST_LEGS = 6
-"""Joints of legs: two legs with three each; an arm on a base has no hip."""
+"""Least number of leg joints: two legs with three each. An arm on a base has no hip."""
 _STEERED = re.compile(r"steer", re.IGNORECASE)
 _CASTER = re.compile(r"(cast[eo]r|swivel)", re.IGNORECASE)
 _OMNI = re.compile(r"(mecanum|omni|swerve|holonomic|(?<![a-z])roller)", re.IGNORECASE)
 _NOT_SIDEWAYS = re.compile(r"diff_?drive", re.IGNORECASE)
-"""A controller that turns its wheels by side alone, whatever the wheels are called."""
+"""A controller that drives the wheels of each side alike, whatever the names of the wheels."""
 _CAR = re.compile(r"(ackermann|bicycle|tricycle|steering)", re.IGNORECASE)
 _GRIPPER = re.compile(r"(gripper|finger|fngr|knuckle|jaw|claw|(?<![a-z])[lr]?hand(_joint)?$)", re.IGNORECASE)
 _ROTOR = re.compile(r"(rotor|propeller|(?<![a-z])prop(?![a-z]))", re.IGNORECASE)
 _THRUSTER = re.compile(r"thruster", re.IGNORECASE)
 _NO_WHEEL = re.compile(r"(propeller|thruster|rotor|engine|(?<![a-z])(prop|screw|fan)(?![a-z]))", re.IGNORECASE)
-"""What turns without end, is round, and rolls on nothing."""
+"""Round, turning without limit, but not a wheel."""
 _TORSO = re.compile(r"torso", re.IGNORECASE)
 _FLYING = re.compile(r"((quad|multi|hexa|octo)(rotor|copter)|drone|uav|crazyflie)", re.IGNORECASE)
 _WINGS = re.compile(r"(aileron|elevon)", re.IGNORECASE)
-"""Surfaces that only wings have; rudders are of boats, too."""
+"""Surfaces that only wings have; boats have rudders, too."""
 _TRACK = re.compile(r"(?<![a-z])(tracks?|crawler|caterpillar)(?![a-z])", re.IGNORECASE)
 _LEAST_ROTORS = 3
 _LEAST_ARM = 4
-"""Joints one after the other: a pan-tilt head has two, a lift with a gripper three."""
+"""Joints in a chain: a pan-tilt head has two, a lift with a gripper three."""
 _LEAST_LIMBS = 3
-"""So many long chains are seldom arms: names alone would tell what they are."""
+"""With this many long chains they may not all be arms; only names could tell."""
 _UPRIGHT = 0.9
-"""Of an axis' part along z: about such a joint a wheel is steered, about others it hangs on a rocker."""
+"""Least z component of a joint's axis by which a wheel is steered; about other axes it hangs on a rocker."""
 
 
 def wheels_of(urdf: Urdf) -> list[Joint]:
-    """The joints that turn without end and hold a wheel: so named, or with a round shape and nothing moving below.
-    The rollers on a wheel are none.
+    """Return the joints of wheels: those that turn without limit, and are named so or have a round link.
+
+    The link of an unnamed wheel must hold no moving joint. Rollers on a wheel are excluded.
     """
     found: list[Joint] = []
     held = {joint.parent for joint in urdf.moving}
@@ -60,13 +61,13 @@ def wheels_of(urdf: Urdf) -> list[Joint]:
 
 
 def is_passive(urdf: Urdf, joint: Joint) -> bool:
-    """Whether it is of a caster: nobody moves it, or needs to know where it is."""
+    """Return whether the joint belongs to a caster, which is not driven and whose position does not matter."""
     names = [f"{joint.name} {joint.child}", *(f"{above.name} {above.child}" for above in above_of(urdf, joint.parent))]
     return joint.kind == "continuous" and any(map(_CASTER.search, names))
 
 
 def above_of(urdf: Urdf, link: str) -> Iterator[Joint]:
-    """The joints from a link up to the root that move."""
+    """Yield the moving joints from a link up to the root."""
     seen = set[str]()
     while (joint := urdf.above(link)) and joint.name not in seen:
         seen.add(joint.name)
@@ -76,13 +77,13 @@ def above_of(urdf: Urdf, link: str) -> Iterator[Joint]:
 
 
 def legs_of(urdf: Urdf) -> list[Joint]:
-    """The joints of legs; none where there are too few of them for two legs."""
+    """Return the joints of legs; empty if there are too few for two legs."""
     found = [joint for joint in urdf.moving if _LEGS.search(joint.name) or _LEGS.search(joint.child)]
     return found if len(found) >= _LEAST_LEGS else []
 
 
 def rotors_of(urdf: Urdf) -> list[Joint]:
-    """The joints that turn rotors; nobody tells or asks for their positions."""
+    """Return the joints that turn rotors; their positions are usually not published."""
     return [
         joint
         for joint in urdf.moving
@@ -91,9 +92,9 @@ def rotors_of(urdf: Urdf) -> list[Joint]:
 
 
 def arms_of(urdf: Urdf) -> list[list[Joint]]:
-    """The longest chain of joints that are of no wheel, leg or gripper, and other chains that are as much an arm.
+    """Return the joints of each arm: the longest chain without wheels, legs and grippers, and comparable chains.
 
-    What several arms hang from is of none. Where a long chain branches, its branches are the fingers of a hand.
+    Joints above several arms belong to none. If a long chain branches, its branches are the fingers of a hand.
     """
     arms: list[list[Joint]] = []
     common = 0
@@ -115,8 +116,13 @@ def arms_of(urdf: Urdf) -> list[list[Joint]]:
 def kind_of(
     urdf: Urdf | None, driven_by: Collection[str], stacks: Collection[str], controllers: Collection[str] = ()
 ) -> str:
-    """In words, from the description (None: there is none), the types of the command inputs, what runs on it, and the
-    types of its controllers.
+    """Name the kind of a robot, in words.
+
+    Args:
+        urdf: the description, or None.
+        driven_by: the types of the topics that command it.
+        stacks: the software that runs on it.
+        controllers: the types of its controllers.
     """
     rotors = len(rotors_of(urdf)) if urdf else 0
     propellers = f"{rotors} propeller{'s' if rotors > 1 else ''}"
@@ -151,7 +157,7 @@ def kind_of(
 
 
 def _flying(urdf: Urdf | None, rotors: int, driven_by: Collection[str]) -> str:
-    """A drone; with a doubt where only its autopilot says so, which ground vehicles and boats have as well."""
+    """Name a drone; with a caveat if only an autopilot suggests it, which ground vehicles and boats have as well."""
     is_named = (urdf and _FLYING.search(urdf.name)) or any("Multi" in kind for kind in driven_by)
     if rotors:
         return f"drone, {rotors} rotor{'s' if rotors > 1 else ''}"
@@ -159,7 +165,7 @@ def _flying(urdf: Urdf | None, rotors: int, driven_by: Collection[str]) -> str:
 
 
 def _mechanism(urdf: Urdf | None) -> str:
-    """What neither drives nor has an arm: a gripper alone, a pan-tilt head, a gantry."""
+    """Name a robot that neither drives nor has an arm: a gripper alone, a pan-tilt head, a gantry."""
     moving = urdf.moving if urdf else ()
     if moving and all(_GRIPPER.search(f"{joint.name} {joint.child}") for joint in moving):
         return "gripper"
@@ -167,13 +173,13 @@ def _mechanism(urdf: Urdf | None) -> str:
 
 
 def _is_tracked(urdf: Urdf) -> bool:
-    """Whether it has tracks on two sides; a single one, or one that slides, is a rail that an arm stands on."""
+    """Return whether it has tracks on two sides; a single or sliding one is a rail on which an arm is mounted."""
     tracks = [joint for joint in urdf.joints.values() if _TRACK.search(joint.child) and joint.kind != "prismatic"]
     return len(tracks) > 1
 
 
 def _chains(urdf: Urdf) -> list[list[Joint]]:
-    """Of each link that ends one, the joints of arms from the root on."""
+    """Return for each leaf link the arm joints above it, from the root on."""
     no_arm = {joint.name for joint in (*wheels_of(urdf), *legs_of(urdf), *rotors_of(urdf))}
     parents = {joint.parent for joint in urdf.joints.values()}
     return [
@@ -184,7 +190,7 @@ def _chains(urdf: Urdf) -> list[list[Joint]]:
 
 
 def _shared(one: Sequence[Joint], other: Sequence[Joint]) -> int:
-    """How many joints both chains begin with."""
+    """Return the number of joints with which both chains begin."""
     count = 0
     while count < min(len(one), len(other)) and one[count].name == other[count].name:
         count += 1
@@ -192,14 +198,16 @@ def _shared(one: Sequence[Joint], other: Sequence[Joint]) -> int:
 
 
 def _is_of_arm(joint: Joint) -> bool:
-    """Not of a gripper, by its own name (a wrist may well hold a link that is called gripper), and no joint that only
-    says that the robot moves about.
+    """Return whether the joint may belong to an arm.
+
+    Gripper joints do not, by their own name (a wrist may hold a link named gripper), nor do planar and floating joints,
+    which only describe that the robot moves about.
     """
     return not _GRIPPER.search(joint.name) and "fngr" not in joint.child and joint.kind not in ("planar", "floating")
 
 
 def _is_lift(urdf: Urdf, joint: Joint) -> bool:
-    """Whether it moves a torso: so named, or it slides, and more than the arm hangs from it, such as a head."""
+    """Return whether the joint lifts a torso: by its name, or because it slides and carries more than the arm."""
     if _TORSO.search(joint.name):
         return True
     body = urdf.fixed_to(joint.child)
@@ -207,14 +215,14 @@ def _is_lift(urdf: Urdf, joint: Joint) -> bool:
 
 
 def _is_swivel(urdf: Urdf, joint: Joint) -> bool:
-    """Whether it turns about an upright axis, and holds a wheel that turns about another one."""
+    """Return whether the joint turns about an upright axis and holds a wheel that turns about another one."""
     body = urdf.fixed_to(joint.child)
     holds = any(other.kind == "continuous" and urdf.fixed_to(other.parent) == body for other in urdf.moving)
     return holds and _is_upright(joint)
 
 
 def _holder(urdf: Urdf, wheel: Joint) -> Joint | None:
-    """The joint that turns a wheel's mounting, by which it is steered or swings; springs do not count."""
+    """Return the joint on which a wheel is steered or swings; springs are skipped."""
     return next((joint for joint in above_of(urdf, wheel.parent) if joint.kind != "prismatic"), None)
 
 
@@ -224,7 +232,7 @@ def _is_upright(joint: Joint) -> bool:
 
 
 def _base(urdf: Urdf | None, driven_by: Collection[str], controllers: Collection[str]) -> str:
-    """What it drives on; empty where it does not."""
+    """Name the mobile base; empty if there is none."""
     drives = any(kind.rpartition("/")[2].startswith("Twist") for kind in driven_by)
     is_car = any("Ackermann" in kind for kind in driven_by) or any(map(_CAR.search, controllers))
     if urdf is None:
@@ -235,7 +243,7 @@ def _base(urdf: Urdf | None, driven_by: Collection[str], controllers: Collection
     holders = {joint.name: _holder(urdf, joint) for joint in wheels}
     driven = [joint for joint in wheels if not _CASTER.search(f"{joint.name} {joint.child}")]
     turned = [holder for joint in driven if (holder := holders[joint.name]) and _is_upright(holder)]
-    if turned and len(turned) < len(driven):  # what turns without end beside driven wheels only follows them
+    if turned and len(turned) < len(driven):  # swivels beside driven wheels are casters that only follow
         loose = {holder.name for holder in turned if holder.kind == "continuous" and not _STEERED.search(holder.name)}
         driven = [joint for joint in driven if (holder := holders[joint.name]) is None or holder.name not in loose]
         turned = [holder for holder in turned if holder.name not in loose]
@@ -255,7 +263,7 @@ def _base(urdf: Urdf | None, driven_by: Collection[str], controllers: Collection
 
 
 def _is_omni(urdf: Urdf, wheels: Sequence[Joint], controllers: Collection[str]) -> bool:
-    """Whether names of its wheels, of their meshes or of its controllers say so, or rollers are on them."""
+    """Return whether its wheels are omnidirectional, by names of wheels, meshes or controllers, or by rollers."""
     if any(map(_NOT_SIDEWAYS.search, controllers)):
         return False
     links = [urdf.links[joint.child] for joint in wheels if joint.child in urdf.links]

@@ -1,4 +1,4 @@
-"""sensor_msgs/msg/LaserScan as what it means: the nearest obstacle, and how far each side is free, from the base."""
+"""Interpret sensor_msgs/msg/LaserScan: the nearest obstacle and the free distance on each side, seen from the base."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from ros2_mcp.world.footprint import Point, beyond
 from ros2_mcp_common.language.scans import limits_of, no_bearings
 
 _COVERED = 0.5
-"""A sector is told as free only where the valid beams cover this share of it: of less, too little is known."""
+"""Least share of a sector that valid beams must cover for its free distance to be reported."""
 _TILTED_DEG = 10.0
-"""A scan plane that is tilted more than that meets the floor: at a height of 0.3 m in less than 2 m."""
+"""Tilt above which the scan plane meets the floor soon: at a height of 0.3 m in less than 2 m."""
 _MOST_BEAMS = 1_000_000
-"""More than any scanner has in a turn; so large a message is broken."""
+"""More than any scanner has in a turn; a larger message is damaged."""
 
 
 @dataclass(frozen=True, slots=True)
 class ScanPoints:
-    """The beams of a scan in its own frame, in metres: where each ended, and whether at something (`hit`).
+    """The end points of a scan's beams in its own frame, in metres; `hit` is whether a beam ended at an obstacle.
 
-    Beams without an echo end at the scan's greatest range. `invalid` beams, which tell nothing, are left out;
-    `too_close` ones ended at something nearer than the least range, where they stand.
+    Beams without an echo end at the scan's maximum range. `invalid` beams are omitted; `too_close` ones hit an obstacle
+    nearer than the minimum range, and are placed at that range.
     """
 
     xy: NDArray[np.float64]
@@ -43,17 +43,19 @@ class ScanPoints:
 
     @property
     def hits(self) -> NDArray[np.float64]:
-        """Where something is, n × 2."""
+        """The points of obstacles, n × 2."""
         return self.xy[self.hit]
 
 
 def scan_points(message: Any) -> ScanPoints:
-    """The beams of a LaserScan, as REP 117 has them: +inf (or more than `range_max`) is no echo, -inf too close, NaN
-    and what is less than `range_min` invalid. Many drivers write 0 where they saw nothing: that is invalid, too.
+    """Return the beams of a LaserScan by REP 117.
+
+    +inf (or more than `range_max`) is no echo, -inf too close; NaN and less than `range_min` are invalid. Many drivers
+    write 0 for no echo, which is invalid, too.
 
     Raises:
-        BadData: if its angles are no numbers or the same for all beams, if they are of many turns, or if it has too
-            many beams.
+        BadData: if its angles are not finite or equal for all beams, if they span many turns, or if it has too many
+            beams.
     """
     ranges = np.asarray(message.ranges, np.float64)
     if len(ranges) > _MOST_BEAMS:
@@ -66,7 +68,7 @@ def scan_points(message: Any) -> ScanPoints:
     angle, step = float(message.angle_min), float(message.angle_increment)
     least, most = limits_of(message)
     echoed = np.isfinite(ranges) & (ranges > 0) & (ranges >= least)
-    if math.isinf(most):  # not filled in: as far as it saw
+    if math.isinf(most):  # not set: use the farthest echo
         most = float(ranges[echoed].max(initial=0.0))
     too_close = np.isneginf(ranges)
     nothing = np.isposinf(ranges) | (np.isfinite(ranges) & (ranges > most))
@@ -87,7 +89,7 @@ def scan_points(message: Any) -> ScanPoints:
 
 
 def scan_meaning(message: Any, mount: Pose | None = None, base: str = "") -> ScanMeaning:
-    """What a scan says; `mount` is the pose of its frame in the frame `base`, None where it is not known.
+    """Interpret a scan; `mount` is the pose of its frame in the frame `base`, None if it is not known.
 
     Raises:
         BadData: as `scan_points`.
@@ -114,14 +116,14 @@ def scan_meaning(message: Any, mount: Pose | None = None, base: str = "") -> Sca
 
 @dataclass(frozen=True, slots=True)
 class Nearest:
-    """What is nearest to an outline: how far from it, m, and its bearing from the base's origin, °, left positive."""
+    """The obstacle nearest to a footprint: distance in m, and bearing from the base's origin in °, left positive."""
 
     gap_m: float
     bearing_deg: float
 
 
 def nearest_to(points: Sequence[Point], message: Any, mount: Pose) -> Nearest | None:
-    """What of a scan is nearest to a robot's outline outside of it; None where nothing is in its field of view.
+    """Return the point of a scan outside of a robot's footprint that is nearest to it; None if there is none.
 
     Raises:
         BadData: as `scan_points`.
@@ -132,14 +134,17 @@ def nearest_to(points: Sequence[Point], message: Any, mount: Pose) -> Nearest | 
 
 
 def moved(xy: NDArray[np.float64], pose: Pose) -> NDArray[np.float64]:
-    """Points of a plane (n × 2) or of space (n × 3) of one frame in another, n × 3."""
+    """Transform points of a plane (n × 2) or of space (n × 3) from one frame to another; returns n × 3."""
     xyz = np.hstack((xy, np.zeros((len(xy), 1)))) if xy.shape[1] == 2 else xy
     axes = np.array([rotated(pose.rotation, axis) for axis in ((1, 0, 0), (0, 1, 0), (0, 0, 1))])
     return np.asarray(xyz @ axes) + np.array(pose.translation)
 
 
 def _free(distances: NDArray[np.float64], bearings: NDArray[np.float64], step_rad: float) -> dict[str, float | None]:
-    """The least distance in each sector, as beams without an echo count with the scanner's reach."""
+    """Return the least distance in each sector, None if too little of it is covered.
+
+    Beams without an echo count with the scanner's range.
+    """
     sectors = _sector(bearings)
     free: dict[str, float | None] = {}
     for index, name in enumerate(SECTORS):

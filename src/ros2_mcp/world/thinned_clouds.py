@@ -1,4 +1,4 @@
-"""Clouds as a page draws them: few enough points, in two bytes for each coordinate."""
+"""Reduce point clouds for a web page: fewer points, two bytes per coordinate."""
 
 from __future__ import annotations
 
@@ -13,20 +13,22 @@ from numpy.typing import NDArray
 from ros2_mcp.world.clouds import cloud_of
 
 MOST_POINTS = 60_000
-"""What a computer without a graphics card turns smoothly."""
+"""Points that a computer without a graphics card rotates smoothly."""
 _FARTHEST_M = 2000.0
-"""From the sensor. No lidar sees as far, and one wild point would leave the others no precision."""
+"""Distance from the sensor. No lidar sees as far, and one outlier would leave the other points no precision."""
 _STEPS = 65535
 _FIRST_CELLS = 500
-"""Along the longest side, at the first try of thinning."""
+"""Cells along the longest side in the first attempt of thinning."""
 _COARSER = 1.4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PackedCloud:
-    """`data`, packed with zlib, has x, y and z of each of `count` points in 16 bits (little-endian), times `step` plus
-    `low` in metres of the cloud's frame; then their colours: three bytes (`rgb`), or one (`intensity`). Of `points`
-    one is left in each cell of `cell_m` (0: all are there).
+    """A point cloud, packed for drawing.
+
+    `data`, packed with zlib and little-endian, has x, y and z of each of `count` points in 16 bits (times `step`, plus
+    `low`, in metres of the cloud's frame); then the colour of each point: three bytes (`rgb`) or one (`intensity`).
+    `points` counts those of the message, of which one is kept in each cell of size `cell_m` (0: all are kept).
     """
 
     data: bytes
@@ -39,7 +41,7 @@ class PackedCloud:
 
 
 def packed(message: Any, most: int = MOST_POINTS) -> PackedCloud:
-    """A PointCloud2 for drawing.
+    """Pack a PointCloud2 for drawing.
 
     Raises:
         BadData: as `cloud_of`.
@@ -71,7 +73,10 @@ def packed(message: Any, most: int = MOST_POINTS) -> PackedCloud:
 
 
 def _thinned(xyz: NDArray[np.float64], most: int) -> tuple[NDArray[np.intp], float]:
-    """Which points are kept: the first of each cell, so that what stands still does not flicker."""
+    """Return the indices of the points to keep, and the cell size in m.
+
+    The first point of each cell is kept, so that stationary objects do not flicker.
+    """
     if len(xyz) <= most:
         return np.arange(len(xyz)), 0.0
     cell_m = max(float((xyz.max(axis=0) - xyz.min(axis=0)).max()) / _FIRST_CELLS, 1e-3)
@@ -87,7 +92,7 @@ def _thinned(xyz: NDArray[np.float64], most: int) -> tuple[NDArray[np.intp], flo
 
 
 def _bytes_of(values: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """0 to 255 from the darkest to the brightest, but for the few that would leave the others no difference."""
+    """Scale to 0 to 255 from the darkest to the brightest, without the outliers of 1 % at both ends."""
     finite = np.where(np.isfinite(values), values, 0.0)
     low, high = (float(value) for value in np.percentile(finite, (1, 99)))
     return (np.minimum(np.maximum((finite - low) / max(high - low, 1e-12), 0.0), 1.0) * 255).astype(np.uint8)

@@ -1,9 +1,9 @@
-"""The tree of coordinate frames that tf2_msgs/msg/TFMessage tells, over time, as tf2 keeps it.
+"""The tree of coordinate frames from tf2_msgs/msg/TFMessage over time, with the rules of tf2.
 
-What tf2 does is from its documented behaviour (ROS 2 "tf2" concepts; REP 105 for names of frames): each frame has one
-parent; transforms are kept by their stamps and interpolated between two of them; of a static one the last told holds
-for all times; "latest" is the newest time that all edges between two frames have; before the first and after the last
-stamp of an edge there is nothing.
+The rules follow tf2's documentation (ROS 2 "tf2" concepts; REP 105 for names of frames): each frame has one parent;
+transforms are stored by stamp and interpolated between two stamps; the last static transform is valid for all times;
+"latest" is the newest time that all edges between two frames have; before the first and after the last stamp of an edge
+there is no transform.
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ if TYPE_CHECKING:
     from ros2_mcp.values.cdr import Codec
 
 BASES = ("base_link", "base_footprint")
-"""What the frame of a robot's body is called, by REP 105; with a prefix where there are several robots."""
+"""The frame of a robot's body by REP 105; with a prefix if there are several robots."""
 MOST_KEPT = 6_000
-"""Of one edge: 30 s at 200 Hz, the fastest that is usual."""
+"""Transforms of one edge: 30 s at 200 Hz, the highest usual rate."""
 MOST_TOLD = 300_000
-"""Of all edges together: some 100 MB, and 30 s of 100 joints at 100 Hz."""
+"""Transforms of all edges together: some 100 MB, and 30 s of 100 joints at 100 Hz."""
 MOST_FRAMES = 2_000
-"""The largest robots have some hundreds; a publisher that invents names without end is bounded by it."""
+"""The largest robots have some hundreds; this limits a publisher that keeps inventing names."""
 _TF_TYPE = "tf2_msgs/msg/TFMessage"
 _DEEPEST = 1_000
-"""Frames from a leaf to the root; deeper trees go in circles."""
+"""Frames from a leaf to the root; deeper trees have loops."""
 OTHER_CLOCK_NS = 60_000_000_000
-"""Between stamp and receipt: no delay, and no badly set clock of a second computer, is usually as long."""
+"""Difference of stamp and receipt that shows another clock: no delay, and no badly set clock, is usually as long."""
 _STANDS_NS, _STANDS_PERIODS = 1_000_000_000, 5
-"""All stamps stand still after a second, and five periods of the edge that is told most often."""
+"""All stamps are frozen if none advances for a second, and for five periods of the edge with the highest rate."""
 _UNIT = 0.01
-"""How far the squared length of a quaternion may be from 1; tf2 refuses what is further off."""
+"""Tolerance of the squared length of a quaternion from 1; tf2 rejects larger deviations."""
 
 
 _PARTS = (*(f"translation.{axis}" for axis in "xyz"), *(f"rotation.{axis}" for axis in "xyzw"))
@@ -47,9 +47,9 @@ _PARTS = (*(f"translation.{axis}" for axis in "xyz"), *(f"rotation.{axis}" for a
 
 @dataclass(frozen=True, slots=True)
 class Located:
-    """Where a frame is in another one: `pose`, at `stamp_ns` (None: all between them is static, so at any time).
+    """The pose of a frame in another one at `stamp_ns` (None: all edges between them are static, so at any time).
 
-    `chain` are the frames from the one that is located to the target; `edges` those between them, in this order.
+    `chain` are the frames from the located one to the target; `edges` those between them, in this order.
     """
 
     target: str
@@ -61,14 +61,14 @@ class Located:
 
 
 class FrameTree:
-    """All frames, each with what was told of its parent, bounded.
+    """All frames with the transforms received for them, bounded in number.
 
-    With `around_ns` those transforms are kept that are nearest to that time, else the newest. `frames` are all names,
-    those of roots too. `advanced_ns` is when a stamp last came that was not there yet. `messages` counts those of each
-    topic, `left_out` transforms of more frames than are kept, `nameless` those whose frame has no name (child_frame_id
-    is empty). `namespace` is that of the topics on which they are told, such as /robot1; empty of /tf itself.
-    `is_recorded`: all of it was read from a recording, of which `holes` could not be read. `has_clock` is whether
-    somebody tells simulated time, None where nobody has looked: without it a stamp near 1970 is no simulated time.
+    With `around_ns` the transforms nearest to that time are kept, otherwise the newest. `frames` are all names,
+    including roots. `advanced_ns` is the time of receipt of the last new stamp. `messages` counts those of each topic,
+    `left_out` transforms beyond the maximum number of frames, `nameless` those with an empty child_frame_id.
+    `namespace` is that of the topics, such as /robot1; empty for /tf itself. `is_recorded`: all transforms were read
+    from a recording, of which `holes` could not be read. `has_clock` is whether simulated time is published, None if
+    not checked: without it, a stamp near 1970 is not simulated time.
     """
 
     def __init__(self, around_ns: int | None = None) -> None:
@@ -88,9 +88,9 @@ class FrameTree:
         self._writers = {True: Writers(by_frames=True), False: Writers()}
 
     def decoded(self, codec: Codec, samples: Iterable[Sample]) -> list[tuple[Any, Sample]]:
-        """TFMessages with their samples; those that cannot be decoded are counted as `damaged`, with their `trouble`.
+        """Decode TFMessages; those that cannot be decoded are counted in `damaged`, with the last error in `trouble`.
 
-        It may run in another thread while the tree is asked; `add` must not.
+        This may run in another thread while the tree is queried; `add` must not.
         """
         found: list[tuple[Any, Sample]] = []
         for sample in samples:
@@ -101,12 +101,12 @@ class FrameTree:
         return found
 
     def take_in(self, messages: Iterable[tuple[Any, Sample]], *, is_static: bool) -> None:
-        """Takes in what `decoded` gives."""
+        """Add the messages that `decoded` returns."""
         for message, sample in messages:
             self.add(message, sample.received_ns, is_static=is_static, sequence=sample.sequence)
 
     def add(self, message: Any, received_ns: int, *, is_static: bool, sequence: int | None = None) -> None:
-        """Takes in a TFMessage; `sequence` is its publisher's number, which tells several publishers apart."""
+        """Add a TFMessage; `sequence` is its publisher's sequence number, which distinguishes several publishers."""
         self.messages["/tf_static" if is_static else "/tf"] += 1
         children = [one.child_frame_id for one in message.transforms]
         writer = self._writers[is_static].of(sequence, children, received_ns)
@@ -120,7 +120,7 @@ class FrameTree:
             edge.slashed = f"{one.header.frame_id} → {one.child_frame_id}" if is_slashed else ""
             at, turned = one.transform.translation, one.transform.rotation
             pose, why = _pose_of((at.x, at.y, at.z), (turned.x, turned.y, turned.z, turned.w), child, parent)
-            if why or parent == edge.refused_parent:  # with another parent it is told by somebody else
+            if why or parent == edge.refused_parent:  # with another parent it comes from another publisher
                 edge.refused = why
             if parent:
                 self.frames.setdefault(parent)
@@ -140,7 +140,7 @@ class FrameTree:
                 self.advanced_ns = max(self.advanced_ns, received_ns)
             most = max(2, min(MOST_KEPT, MOST_TOLD // max(len(self.edges), 1)))
             if len(edge.moving) > most or (self._around_ns is None and edge.stamps[0] < edge.stamps[-1] - 2 * KEPT_NS):
-                # In larger steps, so that a list is not moved with each message.
+                # In larger steps, so that the list is not moved with each message.
                 edge.forget(most - most // 8, self._around_ns)
 
     def _edge(self, child: str) -> Edge | None:
@@ -155,23 +155,23 @@ class FrameTree:
         return self.edges[child]
 
     def writers(self, *, is_static: bool) -> Mapping[int, frozenset[str]]:
-        """The publishers that were heard on one of both topics, and the frames that each has told."""
+        """Return the publishers received on one of the two topics, each with the frames that it published."""
         return self._writers[is_static].frames
 
     def publishers(self, *, is_static: bool) -> int:
-        """How many publishers were heard on one of both topics."""
+        """Return the number of publishers received on one of the two topics."""
         return self._writers[is_static].count
 
     def heard_ns(self, *, is_static: bool) -> Mapping[int, tuple[int, int]]:
-        """When these publishers were heard first and last, in ns."""
+        """Return the times of receipt (ns) of the first and the last message of each publisher."""
         return self._writers[is_static].heard_ns
 
     # ── asking ─────────────────────────────────────────────────────────────────────────────────────────────────
 
     def find(self, target: str, frame: str, at_ns: int | None = None) -> Located | None:
-        """Where a frame is in the target, at a time, or as late as all edges between them allow.
+        """Return the pose of a frame in the target at a time, or at the newest time that all edges between them have.
 
-        None where that is not known, or cannot be trusted; `no_transform.why_none` says why.
+        None if it is not known, or cannot be trusted; `no_transform.why_none` gives the reason.
         """
         if target not in self.frames or frame not in self.frames:
             return None
@@ -186,35 +186,41 @@ class FrameTree:
         return chain.located(target, frame, time_ns if any(edge.moving for edge in chain.edges) else None)
 
     def common_ns(self, target: str, frame: str) -> int | None:
-        """The newest time that all edges between two frames have; None where none of them moves."""
+        """Return the newest time that all edges between two frames have; None if all of them are static."""
         return min((edge.stamps[-1] for edge in self.connected(target, frame) or () if edge.moving), default=None)
 
     def newest(self, target: str, frame: str) -> Located | None:
-        """The same out of the newest of each edge, which need not be of one time: for pictures, not for motion."""
+        """Return the pose from the newest transform of each edge: for pictures, not for motion.
+
+        The transforms may be of different times.
+        """
         chain = self._chain(target, frame, lambda edge: edge.newest)
         return chain.located(target, frame, self.common_ns(target, frame)) if chain else None
 
     def connected(self, target: str, frame: str) -> Sequence[Edge] | None:
-        """The edges between two frames as they were last told, whenever that was; None where there is no way."""
+        """Return the edges between two frames by their newest transforms of any time.
+
+        None if they are not connected.
+        """
         chain = self._chain(target, frame, lambda edge: edge.newest)
         return chain.edges if chain else None
 
     def way_up(self, frame: str) -> Sequence[Edge]:
-        """The edges from a frame to its root as they were last told; where they go in a circle, once around."""
+        """Return the edges from a frame to its root, by their newest transforms; in a loop, once around."""
         return [edge for edge, _ in self._up(frame, lambda edge: edge.newest)]
 
     def circle_of(self, frame: str) -> list[str]:
-        """The frames of the circle to which the way up from a frame leads, each below the next; empty where it has a
-        root.
-        """
+        """Return the frames of the loop above a frame, each followed by its parent; empty if the frame has a root."""
         up = self._up(frame, lambda edge: edge.newest)
         children = [edge.child for edge, _ in up]
         last = up[-1][1].parent if up else frame
         return children[children.index(last) :] if last in children else []
 
     def circle_by(self, frame: str) -> list[str]:
-        """The frames of a circle that goes up from this one by any of its parents, each below the next; empty where
-        there is none. A further parent may hide it from `circle_of`, which goes by what was told last.
+        """Return the frames of a loop through this frame by any of its parents, each followed by its parent.
+
+        Empty if there is none. A second parent may hide this loop from `circle_of`, which uses only the newest
+        transforms.
         """
         came: dict[str, str] = {}
         waiting = [frame]
@@ -233,10 +239,11 @@ class FrameTree:
         return []
 
     def hidden_circle(self, target: str, frame: str, edges: Sequence[Edge]) -> list[str]:
-        """The circle of which one of these edges between two frames is a part, though a further parent of one of its
-        frames hides it: the same edge is then told the other way round, too, and neither can be trusted.
+        """Return the loop that contains one of these edges between two frames, hidden by a second parent of a frame.
+
+        The edge is then also published in reverse, and neither direction can be trusted. Empty if there is none.
         """
-        between = {edge.child for edge in edges}  # of these it is known already whether they have two parents
+        between = {edge.child for edge in edges}  # these are checked for two parents elsewhere
         above = {
             edge.child: edge for name in (frame, target) for edge in self.way_up(name) if edge.child not in between
         }
@@ -248,19 +255,19 @@ class FrameTree:
         return []
 
     def root_of(self, frame: str) -> str:
-        """The root of a frame's tree, as it was last told; of frames that go in a circle the first by name."""
+        """Return the root of a frame's tree by the newest transforms; in a loop, the first frame by name."""
         if circle := self.circle_of(frame):
             return min(circle)
         up = self._up(frame, lambda edge: edge.newest)
         return up[-1][1].parent if up else frame
 
     def children_of(self, parent: str) -> list[str]:
-        """The frames right below one, as they were last told, sorted."""
+        """Return the child frames of a frame by the newest transforms, sorted."""
         return sorted(edge.child for edge in self.edges.values() if edge.newest and edge.newest.parent == parent)
 
     @property
     def roots(self) -> list[str]:
-        """Every root, that of the largest tree first; frames of which nothing valid was told are roots, too."""
+        """Every root, that of the largest tree first; frames without any valid transform are roots, too."""
         sizes: dict[str, int] = {}
         for frame in self.frames:
             root = self.root_of(frame)
@@ -269,18 +276,19 @@ class FrameTree:
 
     @property
     def clock_ns(self) -> int:
-        """How far the stamps are behind the clock of the receiver, where they are of another one; else 0.
+        """Delay of the stamps behind the receiver's clock in ns, if they are from another clock; else 0.
 
-        So it is on simulated time, and where a bag is played.
+        This is so with simulated time, and while a bag is played.
         """
         lags = sorted(edge.lag_ns for edge in self.edges.values() if edge.moving)
-        # Of as many of both, those by the receiver's clock count.
+        # If there are equally many of both kinds, those by the receiver's clock decide.
         middle = min(lags[(len(lags) - 1) // 2], lags[len(lags) // 2], key=abs) if lags else 0
         return middle if abs(middle) > OTHER_CLOCK_NS else 0
 
     def stood_ns(self, at_ns: int) -> int:
-        """For how long no stamp has gone on, where all are of another clock than the receiver's; 0 where one has, or
-        where that is no longer than usual.
+        """Return for how long no stamp has advanced, if all stamps are from another clock than the receiver's.
+
+        Zero if a stamp has advanced, or the pause is not longer than usual.
         """
         if not self.clock_ns:
             return 0
@@ -290,13 +298,13 @@ class FrameTree:
         return stood_ns if stood_ns > usual_ns else 0
 
     def reaches(self, at_ns: int) -> bool:
-        """Whether that time lies among the stamps."""
+        """Return whether a time lies between the first and last stamp of any edge."""
         moving = [edge for edge in self.edges.values() if edge.moving]
         return any(edge.stamps[0] <= at_ns <= edge.stamps[-1] for edge in moving)
 
     @property
     def base(self) -> str:
-        """The frame of the robot's body; empty where there is none, or of which robot is not clear."""
+        """The frame of the robot's body; empty if there is none, or several robots have one."""
         for base in BASES:
             found = [base] if base in self.frames else [name for name in self.frames if name.rpartition("/")[2] == base]
             if len(found) == 1:
@@ -315,7 +323,7 @@ class FrameTree:
         return steps
 
     def _chain(self, target: str, frame: str, at: Callable[[Edge], Told | None]) -> _Chain | None:
-        """The way from a frame up to the first one that the target is below, too, and down from there."""
+        """Return the path from a frame up to its first common ancestor with the target, and down from there."""
         up, down = self._up(frame, at), self._up(target, at)
         below_target = {target: 0, **{told.parent: place for place, (_, told) in reversed(list(enumerate(down, 1)))}}
         if frame in below_target:
@@ -328,7 +336,7 @@ class FrameTree:
 
 @dataclass(frozen=True, slots=True)
 class _Chain:
-    """The steps up from a frame to the common one, and those up from the target to it."""
+    """The edges from a frame up to the common ancestor, and those from the target up to it."""
 
     up: Sequence[tuple[Edge, Told]]
     down: Sequence[tuple[Edge, Told]]
@@ -354,7 +362,7 @@ def _composed(steps: Iterable[tuple[Edge, Told]]) -> Pose:
 def _pose_of(
     at: tuple[float, float, float], turned: tuple[float, float, float, float], child: str, parent: str
 ) -> tuple[Pose | None, str]:
-    """The pose, or why it is none, for the same reasons as tf2 refuses it."""
+    """Return the pose, or the reason why it is invalid; tf2 rejects the same transforms."""
     if not parent:
         return None, "its parent has no name (header.frame_id is empty)"
     if parent == child:
@@ -369,7 +377,7 @@ def _pose_of(
 
 
 def pose_of(pose: Any) -> Pose:
-    """A geometry_msgs/msg/Pose; a rotation of all zeros, which nobody has filled in, is none.
+    """Convert a geometry_msgs/msg/Pose; a quaternion of all zeros, which was not set, is no rotation.
 
     Raises:
         ValueError: if it has numbers that are not finite, with the first of them.

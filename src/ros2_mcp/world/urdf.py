@@ -1,7 +1,7 @@
-"""URDF: a robot's links, its joints with their limits, and where everything sits; read from text that a robot sends.
+"""Parse URDF: a robot's links, its joints with their limits, and their poses.
 
-The format and its defaults: http://wiki.ros.org/urdf/XML. What cannot be read is left out and told in `problems`, for
-descriptions in the wild are seldom perfect; only what is no URDF at all is refused.
+The format and its defaults: http://wiki.ros.org/urdf/XML. Elements that cannot be read are skipped and reported in
+`problems`, because real descriptions are seldom perfect; only text that is not a URDF at all is rejected.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from ros2_mcp.model.errors import BadData
 from ros2_mcp.model.text import quoted
 
 MOST_BYTES = 10_000_000
-"""Of one description. A humanoid's with all its meshes by name has 0.2 MB; the rest is for those with data inside."""
+"""Size of one description. That of a humanoid with meshes by name has 0.2 MB; the rest is for embedded data."""
 _DEEPEST = 500
-"""Joints from a link to the root; deeper trees go in circles."""
+"""Joints from a link to the root; deeper trees have loops."""
 MOVING = ("revolute", "continuous", "prismatic", "planar", "floating")
 KINDS = ("fixed", *MOVING)
 
@@ -30,13 +30,13 @@ NO_POSITIONS: Mapping[str, float] = {}
 
 @dataclass(frozen=True, slots=True)
 class Mount:
-    """Where something sits in another frame: `xyz` in m, `rpy` in rad about the fixed axes x, y, z, in that order."""
+    """A pose in another frame: `xyz` in m, `rpy` in rad about the fixed axes x, y, z, in that order."""
 
     xyz: Triple = _NOWHERE
     rpy: Triple = _NOWHERE
 
     def of(self, inner: Mount) -> Mount:
-        """Where `inner`, which is told in this frame, sits in the frame in which this one is."""
+        """Return the pose of `inner`, given in this frame, in the frame in which this mount is given."""
         rotation = _matrix(self.rpy)
         x, y, z = (sum(row[i] * inner.xyz[i] for i in range(3)) for row in rotation)
         turned = _product(rotation, _matrix(inner.rpy))
@@ -45,8 +45,10 @@ class Mount:
 
 @dataclass(frozen=True, slots=True)
 class Geometry:
-    """A shape of a link, `size` in m: a box's x, y, z; a cylinder's or capsule's radius and length; a sphere's radius;
-    a mesh's scale. `mesh` is the file that a mesh names; `rgba` its colour, each part 0 to 1, None where none is told.
+    """A shape of a link.
+
+    `size` in m is a box's x, y, z; a cylinder's or capsule's radius and length; a sphere's radius; or a mesh's scale.
+    `mesh` is the file of a mesh; `rgba` is the colour, each part 0 to 1, None if not given.
     """
 
     kind: Literal["box", "cylinder", "sphere", "capsule", "mesh"]
@@ -58,7 +60,7 @@ class Geometry:
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """A rigid body: how it looks, where it collides, and its mass in kg (None where that is not told)."""
+    """A rigid body: its visual and collision shapes, and its mass in kg (None if not given)."""
 
     name: str
     visuals: Sequence[Geometry] = ()
@@ -68,11 +70,11 @@ class Link:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Of one joint: positions in rad (m for a prismatic one), `velocity` per s, `effort` in N m (N).
+    """Limits of one joint: positions in rad (m if prismatic), `velocity` per s, `effort` in N m (N).
 
-    A position is None where it has no bound, the others where the description does not tell them. Where a
-    `safety_controller` has soft limits, the positions are these. Where a bound is written that is no number, they are
-    not `known`, and both 0: nothing may rely on more.
+    A position is None if it has no limit, the others if the description does not give them. Soft limits of a
+    `safety_controller` apply if they are narrower. If a limit is written but is not a number, `known` is false and both
+    positions are 0, so that no motion is allowed.
     """
 
     lower: float | None = None
@@ -84,7 +86,7 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class Mimic:
-    """A joint that follows another: `multiplier` times its position, and `offset`."""
+    """A joint that follows another: `multiplier` times its position, plus `offset`."""
 
     joint: str
     multiplier: float = 1.0
@@ -93,7 +95,7 @@ class Mimic:
 
 @dataclass(frozen=True, slots=True)
 class Joint:
-    """Where `child` sits in `parent`, and about or along which `axis` (in the joint's frame) it moves."""
+    """The pose of `child` in `parent`, and the `axis` (in the joint's frame) about or along which it moves."""
 
     name: str
     kind: str
@@ -106,11 +108,11 @@ class Joint:
 
     @property
     def moves(self) -> bool:
-        """Whether it is moved on its own: not fixed, and following no other."""
+        """Whether it moves on its own: not fixed, and not a mimic of another joint."""
         return self.kind in MOVING and self.mimic is None
 
     def at(self, position: float) -> Mount:
-        """Where `child` sits in `parent` when the joint is at this position (of its `unit`)."""
+        """Return the pose of `child` in `parent` when the joint is at this position (in its `unit`)."""
         if self.kind == "prismatic":
             x, y, z = (part * position for part in self.axis)
             return self.mount.of(Mount((x, y, z)))
@@ -120,13 +122,13 @@ class Joint:
 
     @property
     def unit(self) -> str:
-        """Of its position."""
+        """The unit of its position."""
         return "m" if self.kind == "prismatic" else "rad"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Urdf:
-    """A robot's description. `root` is the link that has no parent; "" where several have none, or all have one."""
+    """A robot's description. `root` is the link without a parent; "" if there are several, or none."""
 
     name: str
     links: Mapping[str, Link]
@@ -138,15 +140,15 @@ class Urdf:
 
     @property
     def moving(self) -> Sequence[Joint]:
-        """The joints that are moved, in the order of the description."""
+        """The moving joints, in the order of the description."""
         return [joint for joint in self.joints.values() if joint.moves]
 
     def above(self, link: str) -> Joint | None:
-        """The joint that holds a link; None for a root."""
+        """Return the joint that holds a link; None for a root."""
         return next((joint for joint in self.joints.values() if joint.child == link), None)
 
     def mount(self, link: str, within: str = "", positions: Mapping[str, float] = NO_POSITIONS) -> Mount | None:
-        """Where a link sits in another one above it (default: the root); None if it is not below it.
+        """Return the pose of a link in another one above it (default: the root); None if it is not below that link.
 
         `positions` are those of joints by name, in their units; every other joint is at 0 (see `moved_by`).
         """
@@ -159,11 +161,11 @@ class Urdf:
         return mount
 
     def moved_by(self, link: str, within: str = "") -> Sequence[Joint]:
-        """The joints that move a link against another one above it (default: the root), the nearest to it first."""
+        """Return the joints that move a link relative to one above it (default: the root), the nearest first."""
         return [joint for joint in self._way(link, within) or () if joint.kind != "fixed"]
 
     def position(self, joint: Joint, positions: Mapping[str, float]) -> float | None:
-        """Where a joint is, which may follow another; None where that is not told, or is more than one number."""
+        """Return the position of a joint, also of a mimic; None if it is not given, or is more than one number."""
         if joint.kind in ("planar", "floating"):
             return None
         if joint.mimic is None or joint.name in positions:
@@ -172,11 +174,11 @@ class Urdf:
         return None if followed is None else joint.mimic.multiplier * followed + joint.mimic.offset
 
     def way_up(self, link: str) -> Sequence[Joint]:
-        """The joints from a link up to the root, moving or not, the nearest first."""
+        """Return the joints from a link up to the root, moving or not, the nearest first."""
         return self._way(link, "") or ()
 
     def _way(self, link: str, within: str) -> list[Joint] | None:
-        """The joints from a link up to another (default: the root); None where it is not below it."""
+        """Return the joints from a link up to another one (default: the root); None if the link is not below it."""
         way: list[Joint] = []
         for _ in range(_DEEPEST):
             joint = self.above(link)
@@ -189,7 +191,7 @@ class Urdf:
         return None
 
     def fixed_to(self, link: str) -> str:
-        """The link that this one is rigidly part of: the highest above it with nothing that moves between."""
+        """Return the link to which this one is rigidly attached: the highest one above it without a moving joint."""
         for _ in range(_DEEPEST):
             joint = self.above(link)
             if joint is None or joint.kind != "fixed":
@@ -199,11 +201,11 @@ class Urdf:
 
 
 def parse(text: str) -> Urdf:
-    """Reads a description.
+    """Parse a description.
 
     Raises:
-        BadData: if it is no URDF: no XML, with a document type (whose entities could grow without bound), too long, or
-            without a single link.
+        BadData: if it is not a URDF: invalid XML, with a document type (whose entities could grow without bound), too
+            long, or without any link.
     """
     if len(text) > MOST_BYTES:
         raise BadData(f"The robot description has {len(text)} characters; at most {MOST_BYTES} are read.")
@@ -256,7 +258,7 @@ def _link(element: ElementTree.Element, problems: list[str], colours: Mapping[st
 
 
 def _colour(visual: ElementTree.Element, colours: Mapping[str, Sequence[float]]) -> Sequence[float] | None:
-    """That of its own material, else of the one that it names."""
+    """Return the colour of the visual's own material, or of the one that it names."""
     material = visual.find("material")
     return None if material is None else _rgba(material) or colours.get(material.get("name", ""))
 
@@ -315,7 +317,7 @@ def _joint(element: ElementTree.Element, links: Mapping[str, Link], problems: li
 
 
 def _limits(element: ElementTree.Element, kind: str, name: str, problems: list[str]) -> Limits:
-    """A bound that is not written is 0, as the format says; a continuous joint has none."""
+    """Parse the limits of a joint. A missing bound is 0, by the format; a continuous joint has none."""
     limit, soft = element.find("limit"), element.find("safety_controller")
     if limit is None:
         if kind in ("revolute", "prismatic"):
@@ -380,7 +382,7 @@ def _float(word: str) -> float | None:
 
 
 def _matrix(rpy: Triple) -> Rotation:
-    """Rz(yaw) Ry(pitch) Rx(roll)."""
+    """Return the matrix Rz(yaw) Ry(pitch) Rx(roll)."""
     (a, b, c), (d, e, f) = map(math.sin, rpy), map(math.cos, rpy)
     return (
         (f * e, f * b * a - c * d, f * b * d + c * a),
@@ -390,7 +392,7 @@ def _matrix(rpy: Triple) -> Rotation:
 
 
 def _about(axis: Triple, angle: float) -> Rotation:
-    """The rotation about an axis, of any length but 0, by an angle in rad (Rodrigues)."""
+    """Return the rotation about an axis, of any length but 0, by an angle in rad (Rodrigues)."""
     length = math.hypot(*axis) or 1.0
     x, y, z = (part / length for part in axis)
     c, s, rest = math.cos(angle), math.sin(angle), 1.0 - math.cos(angle)
@@ -407,8 +409,8 @@ def _product(left: Rotation, right: Rotation) -> Rotation:
 
 
 def _angles(rotation: Rotation) -> Triple:
-    """Roll, pitch and yaw of a rotation; with the pitch at ±90° the roll is taken as 0."""
+    """Return roll, pitch and yaw of a rotation; with the pitch at ±90° the roll is 0."""
     pitch = math.atan2(-rotation[2][0], math.hypot(rotation[0][0], rotation[1][0]))
-    if math.hypot(rotation[0][0], rotation[1][0]) < 1e-9:  # yaw and roll turn about the same axis
+    if math.hypot(rotation[0][0], rotation[1][0]) < 1e-9:  # gimbal lock: yaw and roll turn about the same axis
         return 0.0, pitch, math.atan2(-rotation[0][1], rotation[1][1])
     return math.atan2(rotation[2][1], rotation[2][2]), pitch, math.atan2(rotation[1][0], rotation[0][0])

@@ -1,4 +1,4 @@
-"""The panels of a page: one module for each, found by itself."""
+"""The panels of a page: one module for each, discovered automatically."""
 
 from __future__ import annotations
 
@@ -12,7 +12,10 @@ from ros2_mcp.view.look import Panel
 
 @cache
 def panel_types() -> Sequence[type[Panel]]:
-    """All of them, by name. Their modules are imported when the first page opens: they need what draws pictures."""
+    """Return all panels, by name.
+
+    They are imported when the first page opens, because they need the drawing libraries.
+    """
     for found in pkgutil.iter_modules(__path__):
         import_module(f"{__name__}.{found.name}")
     return sorted(Panel.__subclasses__(), key=lambda kind: kind.name)

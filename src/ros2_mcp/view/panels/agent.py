@@ -1,4 +1,4 @@
-"""What the agent does: its commands and jobs, what moves, what waits for approval, the latch."""
+"""The agent's activity: its commands and jobs, driven topics, pending approvals, the latch."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from ros2_mcp.view.look import MOST_NAMED, Content, Look, PageContext, Panel
 from ros2_mcp.view.recorded_acts import RecordedActs
 
 _ASKED_EVERY_S = 0.5
-"""Servers are asked what they do: a person sees what has changed within a second."""
+"""Seconds between two requests to the servers: a person sees a change within a second."""
 _SETTLED_S = 2.0
 _MOST_ENDED = 20
-"""Jobs that have ended while the page was open: the audit has no line of their ends."""
+"""Ended jobs that are kept while the page is open: the audit has no line for their ends."""
 
 
 class AgentPanel(Panel):
-    """What the agent does now: commands, what moves, what waits for approval, the latch."""
+    """Shows the agent's activity: commands, driven topics, pending approvals, the latch."""
 
     name = "agent"
     period_s = 0.25
@@ -38,13 +38,13 @@ class AgentPanel(Panel):
         self._asked_at = 0.0
         self._servers: list[Mapping[str, Any]] = []
         self._waited: dict[str, float] = {}
-        """When each request was last among what waits."""
+        """The time at which each request was last seen waiting."""
         self._why = ""
         self._jobs: dict[str, Mapping[str, Any]] = {}
         self._ended: list[Mapping[str, Any]] = []
 
     async def show(self, look: Look) -> Content | None:
-        """The state of all servers that act now, and the newest acts; of a recording, those before what is shown."""
+        """Return the state of all acting servers and the newest audit entries (up to the time shown)."""
         if abs(self._now_s() - self._asked_at) > _ASKED_EVERY_S:
             self._asked_at, self._why = self._now_s(), ""
             self._servers = await _or_none(self._acting.servers, self._fail)
@@ -67,7 +67,7 @@ class AgentPanel(Panel):
         return {**content, "acts": acts[-MOST_ACTS:], "origin": origin}
 
     def _note_ended(self) -> None:
-        """Keeps which jobs run no more. Of a server that hangs it is not known."""
+        """Note jobs that no longer run. For a server that hangs this is not known."""
         if self._why:
             return
         running = {job["id"]: job for server in self._servers for job in server.get("jobs", ())}
@@ -78,9 +78,9 @@ class AgentPanel(Panel):
         self._jobs |= running
 
     def _waits_no_longer(self, act: Mapping[str, Any]) -> bool:
-        """Of a call that nobody has answered: it was asked too long ago, a stop ended it, or its server has ended.
+        """Return whether an unanswered call no longer waits: it is too old, a stop ended it, or its server has ended.
 
-        A moment passes until servers and audit tell the same; of a server that hangs it is not known.
+        Servers and audit agree only after a moment; for a server that hangs this is not known.
         """
         settled_s = self._now_s() - _SETTLED_S
         is_known = not self._why and all(server["answers"] for server in self._servers)
@@ -91,7 +91,7 @@ class AgentPanel(Panel):
         self._why = str(error)
 
     def words(self, content: Content) -> str:
-        """As the agent reads it."""
+        """Return the content in one line for the model."""
         servers: list[Mapping[str, Any]] = list(content.get("servers") or ())
         moves = sorted({str(name) for server in servers for name in server.get("moves", ())})
         waiting = sum(len(server.get("waiting", ())) for server in servers)
@@ -114,6 +114,6 @@ async def _or_none(
 
 
 def _ended(job: Row, now_s: float) -> Row:
-    """The end of a job as an act, when it was seen."""
+    """Return the end of a job as an entry, at the time at which it was noticed."""
     fields = {"name": job["id"], "verb": job["kind"], "reason": job.get("doing", ""), "duration_s": job.get("for_s")}
     return {"time": iso_time(round(now_s * 1e9)), "kind": "ended", "who": "", "seq": None, "value": None, **fields}

@@ -1,4 +1,4 @@
-"""The tree of frames, with who tells each edge, how often, how long ago, and what is wrong."""
+"""The tree of frames, with the publisher, rate, age and problems of each edge."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ _MOST_PROBLEMS = 20
 
 
 class FramesPanel(Panel):
-    """All coordinate frames, each below its parent; as `ros2_tf_tree` tells them."""
+    """Shows all coordinate frames, each below its parent, as `ros2_tf_tree` returns them."""
 
     name = "frames"
     period_s = 1.0
-    """Rates and ages are read, not watched."""
+    """Rates and ages are read now and then, not watched."""
 
     async def show(self, look: Look) -> Content | None:
-        """The tree as it is known by now: it fills within seconds, and nothing is waited for."""
+        """Return the tree as known by now: it fills within seconds, so there is no waiting."""
         tree = await tf_tree(look.source, duration_s=0.0, picture=False)
         left_out = len(tree.edges) - _MOST_EDGES
         notes = [tree.note] if tree.note else []
@@ -38,7 +38,7 @@ class FramesPanel(Panel):
         }
 
     def words(self, content: Content) -> str:
-        """As the agent reads it."""
+        """Return the content in one line for the model."""
         if "frames" not in content:
             return ""
         problems = [str(text) for text in content.get("problems") or ()]

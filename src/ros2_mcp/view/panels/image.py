@@ -1,4 +1,4 @@
-"""The newest picture of a camera."""
+"""The newest image of a camera."""
 
 from __future__ import annotations
 
@@ -18,28 +18,28 @@ from ros2_mcp.ops.results.results import silent
 from ros2_mcp.view.look import Content, Look, PageContext, Panel, Shown
 
 _BOUNDS = Bounds(max_side=800, max_bytes=120_000)
-"""A panel is some 600 pixels wide, and a chat host passes 130 kB on; JPEG of 640 × 480 has 40 to 90 kB."""
+"""A panel is some 600 pixels wide, and a chat host passes 130 kB on; a JPEG of 640 × 480 has 40 to 90 kB."""
 _MOST_DEPTHS = 15
-"""Depth images that are kept for who picks a box in one: those of the last second."""
+"""Depth images of the last second, kept for a box that the user picks in one of them."""
 
 
 class ImagePanel(Panel):
-    """What a camera, or a depth camera, sees."""
+    """Shows the image of a camera or depth camera."""
 
     name = "image"
     shows_types = (IMAGE, COMPRESSED_IMAGE)
     shows_kind = "image"
     period_s = 0.066
-    """15 pictures a second: more no panel of this size needs."""
+    """15 images a second, which is enough for a panel of this size."""
 
     def __init__(self, page: PageContext) -> None:
         super().__init__(page)
         self._shown = Shown()
         self._depths: deque[tuple[str, str, Any]] = deque(maxlen=_MOST_DEPTHS)
-        """Topic, time and message of those that were shown last."""
+        """Topic, time and message of the last depth images shown."""
 
     async def show(self, look: Look) -> Content | None:
-        """The newest picture of the chosen camera, else of the first one."""
+        """Return the newest image of the chosen camera, or of the first one."""
         topics = await look.source.publishing(IMAGE, COMPRESSED_IMAGE)
         topic = look.chosen or _preferred(topics)
         if not topic:
@@ -79,13 +79,13 @@ class ImagePanel(Panel):
         from ros2_mcp.pictures.images import may_be_depth
 
         if may_be_depth(message):
-            told_ns = round(at_ns / 1e9 * 1e9)  # as a page tells it again: its times are floats, some 100 ns off
+            told_ns = round(at_ns / 1e9 * 1e9)  # as the page sends it back: its times are floats, some 100 ns off
             self._depths.append((topic, iso_time(told_ns), message))
 
     async def depth_within(self, topic: str, at: str, box: Sequence[int]) -> tuple[float | None, str]:
-        """The depth in a box of a picture that was shown at that time; None, and words, where it is not known.
+        """Return the depth in a box of an image that was shown at that time; None, and a reason if known.
 
-        Where a slow page is about a picture that is no longer kept, it is that of the next one, which is said.
+        If that image is no longer kept, because the page is slow, the next one is used, and the text says so.
         """
         later = [(time, message) for name, time, message in self._depths if name == topic and time >= at]
         if not later:
@@ -108,7 +108,7 @@ async def _picture(kind: str, message: Any) -> Any:
 
 
 def _preferred(topics: list[str]) -> str:
-    """A camera in colour first: what is compressed or measures depth is chosen by who wants it."""
+    """Return the first colour camera; compressed and depth images only if there is no other."""
     plain = [name for name in topics if not name.endswith(("/compressed", "/compressedDepth")) and "depth" not in name]
     return next(iter([*plain, *topics]), "")
 

@@ -1,4 +1,4 @@
-"""What the robot's nodes log."""
+"""The log of the robot's nodes."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from ros2_mcp.view.look import Content, Look, Panel
 
 _MOST_LINES, _MOST_LINE_BYTES = 120, 40_000
 _BEFORE_NS = 60_000_000_000
-"""Of a recording's log: what was said in the minute before the time that is shown."""
+"""Part of a recording's log that is shown: the minute before the time shown."""
 
 
 class LogPanel(Panel):
-    """What the robot's nodes say."""
+    """Shows the log of the robot's nodes."""
 
     name = "log"
     period_s = 0.5
 
     async def show(self, look: Look) -> Content | None:
-        """The newest lines, the oldest first."""
+        """Return the newest lines, the oldest first."""
         request = log.LogRequest(level="info", limit=_MOST_LINES)
         if look.source.is_live:
             return {"lines": as_json(await self._live(look))}
@@ -45,12 +45,12 @@ class LogPanel(Panel):
         for sample in kept:
             try:
                 lines.append(log.line_of(robot, sample))
-            except RobotError:  # a line that cannot be decoded hides no other one
+            except RobotError:  # a line that cannot be decoded must not hide others
                 continue
         return lines
 
     def words(self, content: Content) -> str:
-        """As the agent reads it."""
+        """Return the content in one line for the model."""
         lines = content.get("lines") or ()
         if not lines:
             return "no line"

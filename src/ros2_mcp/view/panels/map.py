@@ -1,4 +1,4 @@
-"""The map: what `ros2_scene` draws, as numbers, for a page that draws it itself."""
+"""The map: the content of `ros2_scene` as numbers, for a page that draws it itself."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ if TYPE_CHECKING:
     from ros2_mcp.world.limbs import LimbSeen
 
 _MOST_CELLS = 4_000_000
-"""Of a grid: 2000 × 2000, which a page draws in some milliseconds."""
+"""Cells of a grid: 2000 × 2000, which a page draws in some milliseconds."""
 _MILLIMETRES = 3
 
 
 class MapPanel(Panel):
-    """What is around the robot, seen from above, in metres of one frame."""
+    """Shows the surroundings of the robot from above, in metres of one frame."""
 
     name = "map"
     shows_types = (OCCUPANCY_GRID,)
     period_s = 0.19
-    """A robot that drives 1 m/s has moved by less than its own length."""
+    """Seconds. A robot at 1 m/s moves by less than its own length in that time."""
 
     def __init__(self, page: PageContext) -> None:
         super().__init__(page)
         self._grid: tuple[object, Mapping[str, Any]] = (None, {})
 
     async def show(self, look: Look) -> Content | None:
-        """Everything that can be placed; what cannot stands in `missing`, with the reason."""
+        """Return everything that can be placed; `missing` has the reasons for the rest."""
         grids = await look.source.publishing(OCCUPANCY_GRID)
         request = SceneRequest(grid=look.chosen if look.chosen in grids else "")
         found = await gather(look.robot, look.source, request)
@@ -74,7 +74,7 @@ class MapPanel(Panel):
         }
 
     async def _packed(self, layer: GridLayer, topic: str) -> Mapping[str, Any]:
-        """What is to be known of the grid; its cells are asked for by the key, once."""
+        """Return the facts of the grid; the page fetches its cells once, by the key."""
         if self._grid[0] is not layer.grid:
             from ros2_mcp.pictures.palette import cost_colours
             from ros2_mcp.pictures.scene import packed
@@ -102,7 +102,7 @@ class MapPanel(Panel):
         }
 
     def words(self, content: Content) -> str:
-        """As the agent reads it."""
+        """Return the content in one line for the model."""
         parts: list[str] = []
         if grid := content.get("grid"):
             parts.append(named(str(grid["name"])))
@@ -118,8 +118,9 @@ class MapPanel(Panel):
 
 
 def _reckoned(found: Gathered) -> Mapping[str, float] | None:
-    """Where odometry alone has the robot: it drifts, but does not tremble as a localisation does, so that it tells how
-    the robot moves. None where nobody tells it, or it is that of the picture.
+    """Return the robot's pose by odometry alone, which drifts but does not jitter as localisation does.
+
+    None if there is no odometry, or the map is in its frame.
     """
     frame = next((name for name in found.tree.frames if name.rpartition("/")[2] == "odom" and name != found.frame), "")
     at = found.tree.newest(frame, found.tree.base) if frame and found.tree.base else None
@@ -134,7 +135,7 @@ def _rounded(points: Any) -> Sequence[Sequence[float]]:
 
 
 def _points(points: Any) -> str:
-    """x, y, x, y, … as little-endian 32-bit floats in base64: a page reads them without parsing numbers."""
+    """Encode x, y, x, y, … as little-endian 32-bit floats in base64: the page reads them without parsing numbers."""
     return base64.b64encode(points.astype("<f4").tobytes()).decode("ascii")
 
 
@@ -148,6 +149,6 @@ def _mark(mark: Mark) -> Mapping[str, Any]:
 
 
 def _told(layer: SceneLayer, found: Gathered) -> Mapping[str, Any]:
-    """A layer with the time that it is of, in place of its age: the page counts on."""
+    """Return a layer with its time instead of its age, so that the page can count on."""
     at_s = None if layer.age_s is None or not math.isfinite(layer.age_s) else found.at_ns / 1e9 - layer.age_s
     return {"kind": layer.kind, "name": layer.name, "at_s": at_s}

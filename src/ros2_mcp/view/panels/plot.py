@@ -1,4 +1,4 @@
-"""Numbers of one topic over time."""
+"""Plot numeric fields of one topic over time."""
 
 from __future__ import annotations
 
@@ -25,23 +25,24 @@ if TYPE_CHECKING:
     from ros2_mcp.values.select import FieldPath
 
 WINDOW_NS = 60_000_000_000
-"""Of a recording: what is shown before its time; the page keeps as much of what comes live."""
+"""The part of a recording that is shown before its time; the page keeps as much of live data."""
 _STEP_S = 0.025
-"""Between two messages that are drawn: a plot is a thousand pixels wide."""
+"""Least seconds between two messages that are drawn: a plot is a thousand pixels wide."""
 _RECORDED_STEP_NS = 50_000_000
 _GATHERED_S = 0.2
-"""What came in that time is told together."""
+"""Messages received in this time are sent together."""
 _OVERLAP_S = 2.0
-"""What was told before is told again for so long: what a slow page has not fetched is not lost."""
+"""Rows of this many seconds are sent repeatedly, so that a slow page does not miss any."""
 _MOST_CURVES = 24
 _MOST_ELEMENTS = 8
-"""Of a list, such as the positions of joints."""
+"""Elements of a list, such as joint positions."""
 
 
 @dataclass
 class _Rows:
-    """Times and values of one topic. `first` is the number of the first row that is kept; `units` has the unit of each
-    curve by its name, in order.
+    """Times and values of one topic.
+
+    `first` is the number of the first row that is kept; `units` has the unit of each curve by its name, in order.
     """
 
     topic: str = ""
@@ -54,7 +55,7 @@ class _Rows:
     values: deque[Sequence[float]] = field(default_factory=deque[Sequence[float]])
 
     def add(self, codec: Codec, sample: Sample) -> None:
-        """Takes a message in; where it has elements that those before had not, it begins anew."""
+        """Add a message; if it has curves that earlier messages lacked, begin anew."""
         from ros2_mcp.values.select import measurable
         from ros2_mcp.values.units import unit_of
 
@@ -74,15 +75,16 @@ class _Rows:
         self.values.append([found[name][1] if name in found else math.nan for name in self.units])
 
     def forget(self, before_s: float) -> None:
-        """Drops what is older."""
+        """Drop rows before that time (Unix time, s)."""
         while len(self.times) > 1 and self.times[0] < before_s:
             self.times.popleft()
             self.values.popleft()
             self.first += 1
 
     def told(self) -> Mapping[str, Any]:
-        """All of it: `bulk` has rows of the time and the values, as little-endian 64-bit floats; NaN:
-        not in that message.
+        """Return all rows: `bulk` has time and values of each as little-endian 64-bit floats.
+
+        NaN means that the message lacks the value, infinity that the value is not finite.
         """
         rows = [(at, *values) for at, values in zip(self.times, self.values, strict=True)]
         packed = b"".join(struct.pack(f"<{len(row)}d", *row) for row in rows)
@@ -98,7 +100,7 @@ class _Rows:
 
 
 class PlotPanel(Panel):
-    """The numbers of a topic; the page keeps what it has been told, and draws those that are chosen."""
+    """Plots numeric fields of a topic. The server sends only recent rows; the page accumulates and draws them."""
 
     name = "plot"
     shows_kind = "plot"
@@ -111,7 +113,7 @@ class PlotPanel(Panel):
         self._read_ns = (0, 0)
 
     async def show(self, look: Look) -> Content | None:
-        """What came of late, or of a recording the minute before the time that is shown."""
+        """Return recent rows, or for a recording the minute before the time shown."""
         topic = look.chosen or await first_topic(look.source)
         if not topic:
             raise NotFound("There is no topic to plot.")
@@ -156,7 +158,7 @@ class PlotPanel(Panel):
         if (self._rows.topic, self._rows.kind) != (topic, kind) or not read_from <= begin_ns <= read_to <= end_ns:
             await look.robot.values.learn(kind)
             self._rows, read_to = _Rows(topic, kind), begin_ns
-        self._read_ns = (0, 0)  # where this is cancelled on its way, it begins anew
+        self._read_ns = (0, 0)  # after a cancellation, reading begins anew
         last_ns, damaged = 0, 0
         async with look.source.part(read_to, end_ns).follow(topic, latched=False) as stream:
             async for batch in stream.batches:
@@ -178,8 +180,10 @@ class PlotPanel(Panel):
 
 
 def _numbers(paths: Sequence[FieldPath], message: object) -> Iterator[tuple[str, str, float]]:
-    """Name, path and value of each; elements of a list for which `name` has names are called so. What is no finite
-    number is told as infinite: a gap in the line.
+    """Yield name, path and value of each number.
+
+    Elements of a list take their names from the field `name`, if it has as many. Values that are not finite become
+    infinite, which is a gap in the line.
     """
     found: Any = getattr(message, "name", None)
     names = cast("list[str]", found) if isinstance(found, list) else []

@@ -1,4 +1,4 @@
-"""Which robot it is, and what there is to be looked at: the head of the page."""
+"""The head of the page: which robot it is, and its topics."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ _MOST_TOPICS = 1000
 
 
 class RobotPanel(Panel):
-    """Which robot it is, whether it is reached, and which topics there are."""
+    """Shows which robot it is, whether it is reachable, and its topics."""
 
     name = "robot"
     period_s = 1.0
 
     async def show(self, look: Look) -> Content | None:
-        """Its state; never raises, as it is what says why the others show nothing."""
+        """Return the robot's state. Never raises, because this panel shows why the others are empty."""
         content: dict[str, Any] = {"title": self._page.title, "live": look.source.is_live, "topics": []}
         if self._page.source.covers_ns:
             begin_ns, end_ns = self._page.source.covers_ns

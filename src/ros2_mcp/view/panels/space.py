@@ -1,4 +1,4 @@
-"""What is around the robot in three dimensions: clouds, scans, frames and the robot's shapes, each where it belongs."""
+"""The surroundings of the robot in 3D: clouds, scans, frames and the robot's shapes, each at its pose."""
 
 from __future__ import annotations
 
@@ -31,15 +31,16 @@ _CLOUD, _SCAN, _TEXT = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/LaserScan
 _MOST_FRAMES = 150
 _MOST_SCANS = 2
 _OUTLINE, _OUTLINE_M = "outline", 0.15
-"""What is drawn of a link whose mesh cannot be read, and that has no simpler shape. How large it is nobody knows."""
+"""An outline is drawn for a link whose mesh cannot be read and that has no simpler shape; the real size is not
+known."""
 _MOST_SHAPES = 500
 _MOST_REASONS = 3
 _DIGITS = 4
-"""Of metres and quaternions: a tenth of a millimetre."""
+"""Decimals of metres and quaternions: a tenth of a millimetre."""
 
 
 class SpacePanel(Panel):
-    """Everything that has a place. What is large, a cloud and the robot's shapes, is asked for by its key, once."""
+    """Shows everything with a pose. The page fetches large parts (a cloud, the robot's shapes) once, by their keys."""
 
     name = "space"
     shows_types = (_CLOUD,)
@@ -57,8 +58,8 @@ class SpacePanel(Panel):
         self._model: tuple[str, Mapping[str, Any]] = ("", {})
 
     async def show(self, look: Look) -> Content | None:
-        """What can be placed in one frame; what cannot stands in `missing`, with the reason."""
-        await load("ros2_mcp.values.cdr")  # with numpy: not before it is needed
+        """Return what can be placed in one frame; `missing` has the reasons for the rest."""
+        await load("ros2_mcp.values.cdr")  # imports numpy, only when needed
         source, missing = look.source, list[str]()
         clouds, scans, texts = await asyncio.gather(*(source.publishing(kind) for kind in (_CLOUD, _SCAN, _TEXT)))
         topic = look.chosen if look.chosen in clouds else next(iter(clouds), "")
@@ -100,7 +101,7 @@ class SpacePanel(Panel):
         }
 
     async def beside(self, robot: Robot) -> None:
-        """Listens to markers while they are looked at, and reads the meshes of a description that is new."""
+        """Subscribe to markers while a page shows them, and read the meshes of a new description."""
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(self._markers.run, robot)
             while True:
@@ -109,7 +110,7 @@ class SpacePanel(Panel):
                 await self._read()
 
     async def _packed(self, message: Any, topic: str, missing: list[str]) -> Mapping[str, Any] | None:
-        """What is to be known of a cloud, whose points are asked for by the key."""
+        """Return the facts of a cloud; the page fetches its points by the key."""
         if self._cloud[0] is not message:
             from ros2_mcp.world.thinned_clouds import packed
 
@@ -148,7 +149,7 @@ class SpacePanel(Panel):
         if isinstance(urdf, str):
             missing.append(f"The robot's description cannot be read: {urdf}")
             return None
-        if not self._is_read and not source.is_live:  # a recording is shown once; live the next look has them
+        if not self._is_read and not source.is_live:  # a recording is shown once; live, the next update has them
             await self._read()
         shapes = _shapes_of(urdf, self._meshes)
         missing += _without(urdf, self._meshes) if self._is_read else ["The robot's meshes are being read."]
@@ -169,7 +170,7 @@ class SpacePanel(Panel):
             self._meshes, self._is_read = found, True
 
     def words(self, content: Content) -> str:
-        """As the agent reads it."""
+        """Return the content in one line for the model."""
         if "frame" not in content:
             return ""
         cloud, model = content.get("cloud"), content.get("model")
@@ -203,14 +204,14 @@ async def _next(source: Source, topic: str, kind: str, missing: list[str]) -> Ne
 
 
 def _frame_of(tree: FrameTree, of_messages: Sequence[str]) -> str:
-    """The frame in which all is shown: the world's where there is one."""
+    """Return the frame in which everything is shown: a world frame if there is one."""
     standard = [name for name in WORLDS if name in tree.frames]
     top = tree.root_of(tree.base) if tree.base else next(iter(tree.roots), "")
     return next(iter([*standard, *filter(None, [top]), *(name.lstrip("/") for name in of_messages)]), "")
 
 
 def _located(tree: FrameTree, frame: str, header: Any, topic: str, missing: list[str]) -> Pose | None:
-    """Where the frame of a message was when it was made, or else is by what was told last."""
+    """Return the pose of a message's frame at its stamp, or from the newest transforms."""
     name = str(header.frame_id).lstrip("/")
     if name == frame:
         return Pose()
@@ -223,7 +224,7 @@ def _located(tree: FrameTree, frame: str, header: Any, topic: str, missing: list
 
 
 def _whence(name: str, one: Next, pose: Pose) -> Mapping[str, Any]:
-    """Which message this is, when it came, and where its frame is."""
+    """Return which message it is, when it was received, and the pose of its frame."""
     frame = str(one.message.header.frame_id).lstrip("/")
     return {"name": name, "frame": frame, "at_s": one.sample.received_ns / 1e9, "pose": _told(pose)}
 
@@ -239,12 +240,12 @@ def _frames(tree: FrameTree, frame: str) -> Sequence[Mapping[str, Any]]:
 
 
 def _told(pose: Pose) -> Sequence[float]:
-    """x, y, z and the quaternion x, y, z, w."""
+    """Return x, y, z and the quaternion x, y, z, w."""
     return [round(value, _DIGITS) for value in (*pose.translation, *pose.rotation)]
 
 
 def _scan(message: Any, topic: str, missing: list[str]) -> str:
-    """x, y, x, y, … of where the beams ended at something, as little-endian 32-bit floats in base64."""
+    """Encode x, y, x, y, … of a scan's obstacle points as little-endian 32-bit floats in base64."""
     from ros2_mcp.world.scans import scan_points
 
     try:
@@ -256,12 +257,12 @@ def _scan(message: Any, topic: str, missing: list[str]) -> str:
 
 
 def _named_meshes(urdf: Urdf) -> list[str]:
-    """Those of how it looks, and of what collides for who names none."""
+    """Return the meshes of visual shapes, or of collision shapes for links without visual ones."""
     return [one.mesh for link in urdf.links.values() for one in (link.visuals or link.collisions) if one.kind == "mesh"]
 
 
 def _without(urdf: Urdf, meshes: Mapping[str, Mapping[str, Any] | str]) -> list[str]:
-    """Which meshes are not drawn, and why."""
+    """Describe which meshes are not drawn, and why."""
     reasons = {name: why for name in _named_meshes(urdf) if isinstance(why := meshes.get(name), str)}
     told = [f"The mesh {named(name)} is not drawn: {why}" for name, why in list(reasons.items())[:_MOST_REASONS]]
     if len(reasons) > _MOST_REASONS:
@@ -270,7 +271,7 @@ def _without(urdf: Urdf, meshes: Mapping[str, Mapping[str, Any] | str]) -> list[
 
 
 def _shapes_of(urdf: Urdf, meshes: Mapping[str, Mapping[str, Any] | str]) -> Sequence[Mapping[str, Any]]:
-    """How each link looks: its shapes and meshes; where a mesh cannot be drawn, its simpler shapes for collisions."""
+    """Return the visual shapes of each link; collision shapes replace a mesh that cannot be drawn."""
     shapes: list[Mapping[str, Any]] = []
     for link in urdf.links.values():
         looks = link.visuals or link.collisions

@@ -12,15 +12,15 @@ from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.view.look import Content, Look, PageContext, Panel, Shown
 
 _FIRST = ("nav_msgs/msg/Odometry", "sensor_msgs/msg/JointState", "sensor_msgs/msg/BatteryState")
-"""What is shown where nothing is chosen: what moves, or else what there is."""
+"""Types of the topic that is shown by default: motion first."""
 _MOST_ARRAY, _MOST_STRING, _MOST_BYTES = 12, 400, 12_000
-"""Of one message: as much as a person looks at while it changes."""
+"""Limits of one message: as much as a person looks at while it changes."""
 _MOST_JOINTS = 64
-"""Of what has a row for each joint: a humanoid with both hands."""
+"""The limit for a message with a row for each joint: a humanoid with both hands."""
 
 
 class ValuesPanel(Panel):
-    """The newest message of a topic, with its rate."""
+    """Shows the newest message of a topic, with its rate."""
 
     name = "values"
     period_s = 0.2
@@ -30,8 +30,8 @@ class ValuesPanel(Panel):
         self._shown = Shown()
 
     async def show(self, look: Look) -> Content | None:
-        """The newest message of the chosen topic, else of one that tells how the robot moves."""
-        from ros2_mcp.values.render import RenderOptions  # numpy: not at the start
+        """Return the newest message of the chosen topic, or of one that shows how the robot moves."""
+        from ros2_mcp.values.render import RenderOptions  # imports numpy, only when needed
 
         topic = look.chosen or await first_topic(look.source)
         if not topic:
@@ -66,7 +66,7 @@ class ValuesPanel(Panel):
 
 
 async def first_topic(source: Source) -> str:
-    """What is shown where nothing is chosen; empty where there is none of that."""
+    """Return the topic that is shown by default; empty if there is none."""
     for kind in _FIRST:
         if found := await source.publishing(kind):
             return found[0]
