@@ -269,7 +269,7 @@ def timed(**ages: float) -> dict[str, Heard]:
     rows: dict[str, Heard] = {}
     for name, age_s in ages.items():
         rows |= heard(
-            f"/{name}", kinds[name], [f"/{name}_driver"], count=20, ages_s=[age_s, age_s + 0.02, age_s + 0.01]
+            f"/{name}", kinds[name], [f"/{name}_driver"], count=20, ages_s=[age_s, age_s + 0.02, age_s + 0.01] * 4
         )
     return rows
 
