@@ -269,7 +269,7 @@ def timed(**ages: float) -> dict[str, Heard]:
     rows: dict[str, Heard] = {}
     for name, age_s in ages.items():
         rows |= heard(
-            f"/{name}", kinds[name], [f"/{name}_driver"], count=20, ages_s=[age_s, age_s + 0.02, age_s + 0.01]
+            f"/{name}", kinds[name], [f"/{name}_driver"], count=20, ages_s=[age_s, age_s + 0.02, age_s + 0.01] * 4
         )
     return rows
 
@@ -279,7 +279,7 @@ def timed(**ages: float) -> dict[str, Heard]:
     [
         ({"scan": 0.02, "odom": 1.8, "imu": 0.01}, "/odom are 1.80 s behind the others"),
         ({"scan": -0.6, "odom": 0.01}, "/scan are 0.5"),
-        ({"scan": 0.3, "odom": 0.02}, ""),
+        ({"scan": 0.7, "odom": 0.02}, ""),
         ({"scan": 3.0, "odom": 3.0}, ""),
         ({"scan": -0.1, "odom": 0.02}, ""),
     ],

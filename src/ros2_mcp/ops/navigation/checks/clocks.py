@@ -9,12 +9,13 @@ from ros2_mcp.ops.navigation.checks.check import CLOCKS, NavCheck
 from ros2_mcp.ops.navigation.evidence import NavEvidence, NavFinding, is_tool
 
 _CLOCK = "/clock"
-_BEHIND_S, _AHEAD_S = 0.5, 0.2
+_BEHIND_S, _AHEAD_S = 1.0, 0.2
 """Beyond what networks and drivers delay; no delay stamps ahead, but for AMCL, which does so on purpose."""
 _STEADY_S = 0.4
 """A clock is off by the same each time; a delay varies."""
 _OTHER_TIME_S = 1e6
-_LEAST = 3
+_LEAST, _LEAST_MESSAGES = 3, 8
+"""Transforms, and messages of a topic: on a loaded machine a few may all be late."""
 _MOST_NAMES = 6
 _SYNC = "Synchronise the clocks of the robot's computers (chrony or NTP); if they agree, its driver stamps late."
 
@@ -93,7 +94,7 @@ def _follows(group: Mapping[str, float]) -> list[str]:
 
 def _of_topics(evidence: NavEvidence) -> Iterator[tuple[str, float]]:
     for topic, heard in (evidence.heard or {}).items():
-        if len(heard.ages_s) < _LEAST:
+        if len(heard.ages_s) < _LEAST_MESSAGES:
             continue
         least, most = min(heard.ages_s), max(heard.ages_s)
         # A machine with much to do delays some of them; a clock makes all of them old.
