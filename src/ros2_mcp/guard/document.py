@@ -82,7 +82,7 @@ class Document:
     """One policy. `origin` is its path, or `profile nav`; it is shown to the operator and never to a client.
 
     `robot` is the name under which the robot's state is kept ("": a name made from domain and host). `state` is the
-    folder for the state ("": the default).
+    parent of the robot's state folder ("": the default).
     """
 
     name: str
