@@ -1,8 +1,9 @@
 """Definitions of types that are not installed where the bridge runs, from the nodes that use them.
 
 Since Jazzy each node describes the messages of its topics (`~/get_type_description`, REP 2016) to clients that know the
-hash of the type, which discovery provides. A service is described only through the topic of its events, if its node has
-service introspection on: discovery provides the hash of the event type.
+hash of the type, which discovery provides. For a service discovery provides only the hash of the request, while the
+node requires the hash of the service. A service is therefore described only through the topic of its events, if its
+node has service introspection on.
 """
 
 from __future__ import annotations

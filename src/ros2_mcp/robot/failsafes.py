@@ -47,8 +47,8 @@ ZERO_S = 3.0
 """How long to wait for the reply about zeros, in s, beyond the two times above; a bridge that lives answers long
 before."""
 _STILL_S = 0.5
-"""How long the zero on a topic that this server does not drive is repeated, in s: its publisher is new, and subscribers
-match it within 0.2 s on one host."""
+"""How long the request for a zero on a topic that this server does not drive stays open, in s: its publisher is new,
+and subscribers match it within 0.2 s on one host."""
 _AGAIN_S = 1.0
 """How often another bridge is tried for the request while none can be started, in s. The link has its own pauses
 between attempts."""
