@@ -19,11 +19,12 @@ from ros2_mcp.model.commands import Principal
 from ros2_mcp.model.errors import ApprovalNeeded, BadInput, NotFound, Refused
 
 VALID_S = 60.0
-"""How long an approval is valid, in s: an agent that waits for it repeats its call within seconds."""
+"""The validity of an approval, in s: an agent that waits for it repeats its call within seconds."""
 PENDING_S = 600.0
-"""How long a request waits for a person, in s: an older request was made in a situation that has changed."""
+"""The lifetime of a waiting request, in s: an older request was made in a situation that has changed."""
 DENIED_S = 60.0
-"""How long a denied command is refused without asking again, in s: repeated questions must not wear a person down."""
+"""The time during which a denied command is refused without asking again, in s: repeated questions must not wear a
+person down."""
 MOST_GRANT_S = 600.0
 """The longest duration of a grant, in s, unless the policy sets another one."""
 MOST_PENDING = 8

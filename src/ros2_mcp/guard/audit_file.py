@@ -31,8 +31,8 @@ has 3 kB at most."""
 _HEAD_BYTES = 256
 """The fixed length of the head, in bytes: it is overwritten in place, which needs no space on a full disk."""
 _LOCK_S = 0.1
-"""How long to wait for another server to release the head, in s. Writing a line takes 50 µs; a suspended server must
-not block this one."""
+"""The time limit for another server to release the head, in s. Writing a line takes 50 µs; a suspended server must not
+block this one."""
 _LOCK_POLL_S = 0.005
 _FLAGS = os.O_CREAT | PLAIN
 
@@ -209,8 +209,8 @@ class AuditFile:
     # ── files ──────────────────────────────────────────────────────────────────────────────────────────────────────
 
     def _begin_after(self, head: Head, why: str) -> None:
-        """Begin a new file after damage. The damaged file is kept as evidence, and the first new line says what was
-        wrong.
+        """Begin a new file after damage. The damaged file is kept as evidence, and the first new line has the
+        reason.
         """
         self.head = head
         self._new_file()

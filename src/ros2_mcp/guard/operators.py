@@ -27,12 +27,12 @@ if sys.platform != "win32":
 GROUP = "ros2-operators"
 """If this group exists, its members and root are operators; otherwise the user of the server is."""
 SHOWN_S = 1.0
-"""How long a connection may take to send its secret, or, if it is no operator's, its request, in s: it must not keep
-operators out."""
+"""The time limit for a client to send its secret, or, if it is no operator, its request, in s: such a client must not
+keep operators out."""
 STRANGER = -1
 """The user id of a connection that sent no secret, or a wrong one."""
 _ANSWERED_S = 30.0
-"""How long to wait for an answer, in s: a stop takes some seconds; everything else is answered at once."""
+"""The time limit for an answer, in s: a stop takes some seconds; everything else is answered at once."""
 _LOOPBACK = "127.0.0.1"
 _CREDENTIALS = struct.Struct("3i")
 """pid, uid and gid, as Linux returns them."""

@@ -20,7 +20,7 @@ from ros2_mcp_common.files import PLAIN, replace
 
 _FILE = "spent.json"
 _KEPT_S = 120.0
-"""How long a use is kept, in s: the slowest rate is one in 100 s, and `per_minute` needs less."""
+"""The time for which a use is kept, in s: the slowest rate is one in 100 s, and `per_minute` needs less."""
 _MOST_TIMES = 1000
 """The most times that are kept for one name and bound: more uses in a minute are no budget."""
 _MOST_KEYS = 500

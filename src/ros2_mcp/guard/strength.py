@@ -1,4 +1,4 @@
-"""How far a policy binds an agent that tries to evade it; never overstated."""
+"""The strength of a policy against an agent that tries to evade it; never overstated."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ class Carrier(Protocol):
 
     @property
     def start_s(self) -> float:
-        """How long the bridge may take to send its hello after `open`, in s."""
+        """The time limit for the bridge's hello after `open`, in s."""
         ...
 
     async def open(self, received: Callable[[bytes], None], ended: Callable[[], None]) -> None:

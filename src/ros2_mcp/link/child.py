@@ -31,7 +31,7 @@ _WRITE_BUFFER_BYTES = 1024 * 1024
 _PIPE_BYTES = BATCH_BYTES
 # The polling period for the exit of the process: Popen cannot await it without a thread or a child watcher.
 _POLL_S = 0.01
-# How long error messages wait for the exit code: the pipe usually ends shortly before the code is available.
+# The time limit for the exit code in error messages: the pipe usually ends shortly before the code is available.
 _EXIT_CODE_S = 0.5
 # From SIGTERM to SIGKILL: on SIGTERM a bridge exits as at the end of its stdin, for which `close` has given it time.
 _TERMINATE_S = 0.3
@@ -214,7 +214,7 @@ class ErrorLines:
 
 
 class _Pipe(asyncio.Protocol):
-    """Pass on what arrives on a pipe, and its end. `writable` is set while the pipe accepts more."""
+    """Passes on the bytes from a pipe, and its end. `writable` is set while the pipe accepts more."""
 
     def __init__(self, on_bytes: Callable[[bytes], None], on_end: Callable[[], None] = lambda: None) -> None:
         self.writable = asyncio.Event()

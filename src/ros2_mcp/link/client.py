@@ -29,7 +29,7 @@ __all__ = ["Bridge", "Hello", "Posted", "Reply", "Subscription"]
 _PAUSES_S = (0.0, 0.5, 1.0, 2.0, 5.0, 10.0)
 # The shortest time between attempts that requests cause in an outage. ssh starts in a tenth of it.
 _AT_ONCE_S = 1.0
-# How long the bridge may take to exit: it gives up after 1.0 s (its GIVE_UP_AFTER_S), plus half a second.
+# The time limit for the bridge to exit: it gives up after 1.0 s (its GIVE_UP_AFTER_S), plus half a second.
 _LEAVE_S = 1.5
 # An additional wait, because `Connection.greet` gives up after `Carrier.start_s` and its error says more.
 _SETTLED_S = 1.0
@@ -38,7 +38,7 @@ _DRAIN_S = 0.005
 # The most reasons, lapses, outages and reports that are kept: a bridge that is lost repeatedly must not fill the
 # memory.
 _KEPT_REASONS = 100
-# As many as may run at once (`Repetition.most_running`).
+# The most repeats whose start is remembered: as many as may run at once (`Repetition.most_running`).
 _KEPT_REPEATS = 256
 _logger = logging.getLogger(__name__)
 
@@ -243,20 +243,20 @@ class Bridge:
 
     @property
     def silent_s(self) -> float:
-        """Time since the running bridge's last message, in s; infinite while there is none."""
+        """The time since the running bridge's last message, in s; infinite while there is none."""
         outcome = self._outcome.result() if self._outcome and self._outcome.done() else None
         return time.monotonic() - outcome.heard_at if isinstance(outcome, Connection) else math.inf
 
     @property
     def unheard_s(self) -> float:
-        """Time since the last message of any of the bridges, in s; infinite before the first."""
+        """The time since the last message of any of the bridges, in s; infinite before the first."""
         if math.isfinite(silent_s := self.silent_s):
             return silent_s
         return time.monotonic() - self._heard_at if self._heard_at else math.inf
 
     @property
     def age_s(self) -> float:
-        """How long the present bridge has been connected, in s; 0 while there is none."""
+        """The age of the present connection, in s; 0 while there is none."""
         return max(time.monotonic() - self._begun_at, 0.0)
 
     @property

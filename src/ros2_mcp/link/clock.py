@@ -7,9 +7,9 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
-# How long a round trip is used. Clocks of two machines drift apart by some 50 millionths, 3 ms in this time. A longer
-# time would add more error than a shorter, earlier round trip removes; and a longer route is noticed only after this
-# time.
+# The time for which a round trip is used. Clocks of two machines drift apart by some 50 millionths, 3 ms in this time.
+# A longer time would add more error than a shorter, earlier round trip removes; and a longer route is noticed only
+# after this time.
 _REMEMBERED_S = 60.0
 
 
@@ -83,7 +83,7 @@ class RobotClock:
 
     @property
     def offset_ns(self) -> int:
-        """How far the robot's clock is ahead of this machine's, in ns; 0 if the two cannot be told apart, as on one
+        """The lead of the robot's clock over this machine's, in ns; 0 if the two cannot be told apart, as on one
         machine.
         """
         best = self._best

@@ -20,8 +20,8 @@ from ros2_mcp_common.wire.packets import Packet, PacketError, PacketReader, pack
 from ros2_mcp_common.wire.pieces import Lanes
 from ros2_mcp_common.wire.protocol import PROTOCOL, Counts, Failure, Hello, Samples, Told
 
-# How much longer than the bridge's own time limit a request waits for its reply: for the transfer and for late turns of
-# the bridge.
+# The margin beyond the bridge's own time limit before a request times out: for the transfer and for late turns of the
+# bridge.
 MARGIN_S = 2.0
 _PING = 0
 _POLICY = -1
@@ -175,7 +175,7 @@ class Connection:
 
     @property
     def heard_at(self) -> float:
-        """When the bridge last sent something (monotonic, in s)."""
+        """The time of the bridge's last bytes (monotonic, in s)."""
         return self._heartbeat.heard_at
 
     async def run(self) -> LinkError:
@@ -247,7 +247,7 @@ class Connection:
         told: dict[str, Any] = {"lease_s": self.carrier.lease_s * next_s / PING_S, "epoch": self._stop_epoch()}
         told["sent_ns"] = self._clock.sending_ns()
         if self.carrier.is_remote:
-            # The bridge can tell from it how long this packet was in transit; see its LATE_S.
+            # From `heard_s` the bridge computes how long this packet was in transit; see its LATE_S.
             told |= {"heard_s": self._heard_s, **self._latch()}
         self._send({"id": _PING, "op": "ping", "window_bytes": self._window_bytes, **told})
 

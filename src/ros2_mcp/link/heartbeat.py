@@ -1,4 +1,6 @@
-"""Decide whether the bridge still lives, from what it sends. A delay of this process never counts against it."""
+"""Decide whether the bridge still lives, by the bytes that it sends. A delay of this process never counts
+against it.
+"""
 
 from __future__ import annotations
 
@@ -13,14 +15,14 @@ from ros2_mcp.link.carrier import Carrier
 PING_S = 0.25
 # The period while nothing waits for the bridge: a ping and its reply take 0.7 ms of processor time.
 PING_AT_REST_S = 1.0
-# How long a bridge may be silent. A healthy one can be silent for 1 to 3 s while Fast DDS waits for a mutex in shared
+# The longest silence of a bridge. A healthy one can be silent for 1 to 3 s while Fast DDS waits for a mutex in shared
 # memory that a killed process left locked; with 2.5 s, three of about 1,500 kills cost a healthy bridge (decision 12).
 SILENCE_S = 4.0
 # The limit for a suspended process, which does not resume on its own: a longer wait gains nothing (decision 12).
 STOPPED_S = 0.5
 # The limit on a machine that is short of processor time: a second more (decision 12).
 STARVED_S = 5.0
-# As SILENCE_S, for a bridge whose reading thread still replies while its ROS thread hangs in the middleware.
+# The same limit for the ROS thread, which may hang in the middleware while the reading thread still replies.
 ROS_IDLE_S = 4.0
 # If this process wakes up this much too late, the delay is not counted as silence of the bridge.
 _LATE_S = 0.05
@@ -50,7 +52,7 @@ class Heartbeat:
 
     @property
     def heard_at(self) -> float:
-        """When the last bytes arrived (monotonic, in s), plus delays of this process since then."""
+        """The arrival time of the last bytes (monotonic, in s), plus delays of this process since then."""
         return self._received_at
 
     def ponged(self, ros_idle_s: float) -> None:

@@ -55,7 +55,7 @@ class LocalBridge(Child):
 
     @property
     def origin(self) -> str:
-        """Why this installation was chosen."""
+        """The reason for choosing this installation."""
         return self.installation.why
 
     def describe(self) -> str:

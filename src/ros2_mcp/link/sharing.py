@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 _Key = tuple[object, ...]
 AtAnswer = Callable[[Mapping[str, Any]], None]
 """Called with a reply before later packets are processed."""
-# How long subscribing may take: creating an entity can block for up to 3 s inside Fast DDS after a peer was killed
+# The time limit for subscribing: creating an entity can block for up to 3 s inside Fast DDS after a peer was killed
 # (decision 12).
 _SUBSCRIBE_S = 5.0
-# How long the samples in transit may take, of which there are 64 MB at most.
+# The time limit for samples in transit, of which there are 64 MB at most.
 _COUNTS_S = 2.0
 
 

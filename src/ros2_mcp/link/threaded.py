@@ -17,7 +17,7 @@ _MOST_PIECES = 64
 
 
 class ThreadedReader(asyncio.ReadTransport):
-    """Passes on what arrives on a pipe, then its end, once."""
+    """Passes on the bytes from a pipe, then its end, once."""
 
     def __init__(self, pipe: IO[bytes], protocol: asyncio.Protocol) -> None:
         super().__init__()

@@ -17,7 +17,7 @@ from ros2_mcp.robot.prepared import Prepared
 from ros2_mcp_common.policy import stamps
 
 _REMEMBERED_S = 660.0
-"""How long a stamp is remembered, in s: an approval waits up to 600 s for a person, and is valid for 60 s
+"""The time for which a stamp is remembered, in s: an approval waits up to 600 s for a person, and is valid for 60 s
 (`guard.approvals`)."""
 _MOST = 256
 _NOTE = "The stamp of the trajectory was set to zero: it begins when it arrives."

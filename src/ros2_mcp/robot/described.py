@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 
 _SERVICE = "type_description_interfaces/srv/GetTypeDescription"
 _ANSWER_S = 2.0
-"""How long to wait for an answer, in s: a node that spins answers within milliseconds, also over a wireless network."""
+"""The time limit for an answer, in s: a node that spins answers within milliseconds, also over a wireless network."""
 _APPEAR_S = 1.0
-"""How long to wait for the service of a node that has just started, in s."""
+"""The time limit for the service of a node that has just started to appear, in s."""
 _ASKED_NODES = 3
 """The most nodes that are asked. All nodes with a type describe it alike; a second one is asked only because the first
 may hang, or be configured not to describe."""

@@ -1,4 +1,4 @@
-"""Fail-safes: what the bridge does on its own if this process dies.
+"""Fail-safes: actions of the bridge if this process dies.
 
 A fail-safe is a request that stays open and is written before the command that it belongs to. The bridge carries it out
 when the stream ends or the link lease lapses; cancelling the request withdraws it. This module also tracks the topics
@@ -36,22 +36,23 @@ if TYPE_CHECKING:
     from ros2_mcp.robot.values import Values
 
 MATCH_S = 0.2
-"""How long a zero waits for matching, in s: its publisher exists, because it published the command. Only a publisher
-whose endpoint had expired needs a moment."""
+"""The time limit for a zero to match subscribers, in s: its publisher exists, because it published the command. Only a
+publisher whose endpoint had expired needs a moment."""
 ACKNOWLEDGED_S = 0.5
-"""How long to wait for acknowledgement, in s. A reliable subscriber acknowledges a zero within milliseconds; later
+"""The time limit for acknowledgements, in s. A reliable subscriber acknowledges a zero within milliseconds; later
 acknowledgements are not counted."""
 _LOOK_S = 1.0
-"""How long to look up subscribers, in s: the bridge answers at once, unless discovery is still in progress."""
+"""The time limit for looking up subscribers, in s: the bridge answers at once, unless discovery is still in
+progress."""
 ZERO_S = 3.0
-"""How long to wait for the reply about zeros, in s, beyond the two times above; a bridge that lives answers long
-before."""
+"""The time limit for the reply about zeros, in s, beyond the matching and acknowledgement times; a bridge that lives
+answers long before."""
 _STILL_S = 0.5
-"""How long the request for a zero on a topic that this server does not drive stays open, in s: its publisher is new,
-and subscribers match it within 0.2 s on one host."""
+"""The duration of the request for a zero on a topic that this server does not drive, in s: its publisher is new, and
+subscribers match it within 0.2 s on one host."""
 _AGAIN_S = 1.0
-"""How often another bridge is tried for the request while none can be started, in s. The link has its own pauses
-between attempts."""
+"""The period of attempts to post the request again while no bridge can be started, in s. The link has its own pauses
+between starts."""
 _logger = logging.getLogger(__name__)
 
 

@@ -28,16 +28,16 @@ from ros2_mcp_common.policy.flight import BRAKE_MODES, DESCENT_MODES, SET_MODE, 
 
 STATE_TYPE = "mavros_msgs/msg/State"
 BRAKED_S = 3.0
-"""How long to wait for the brake mode in the vehicle's state, in s. MAVROS answers within milliseconds, and reports the
-new mode with the autopilot's next heartbeat, once per second."""
+"""The time limit for the brake mode to appear in the vehicle's state, in s. MAVROS answers within milliseconds, and
+reports the new mode with the autopilot's next heartbeat, once per second."""
 _CALL_S = 1.0
-"""How long to wait for the answer to one brake mode, in s."""
+"""The time limit for the answer to one brake mode, in s."""
 _EFFECT_S = 2.0
-"""How long after the answer to an order the state may lack its effect, in s: two heartbeats at 1 Hz."""
+"""The time after the answer to an order during which the state may lack its effect, in s: two heartbeats at 1 Hz."""
 _AGAIN_S = 1.0
 """The pause between attempts to subscribe to a vehicle's state, in s, if it has no publisher or the bridge was lost."""
 _CLOSE_S = 0.5
-"""How long unsubscribing may take, in s: a bridge that lives answers within milliseconds, and the end of the server
+"""The time limit for unsubscribing, in s: a bridge that lives answers within milliseconds, and the end of the server
 does not wait longer for another."""
 _MOST_STATES, _MOST_STATE_BYTES = 50, 100_000
 """Bounds on the waiting messages of the state: one arrives each second, and with each change."""

@@ -28,20 +28,20 @@ TERMINATED_GOAL = 3
 _AGAIN_S = 0.1
 """The pause between requests to cancel a goal that its server has not accepted yet, in s."""
 _FOLLOWED_AFTER_S = 1.0
-"""How long a goal runs before its status is subscribed to, in s: a shorter one needs no subscription."""
+"""The time after which a goal's status is subscribed to, in s: a shorter goal needs no subscription."""
 _MOST_FOLLOWED = 32
 """The most actions whose status is subscribed to, with one subscription each: more than a robot runs at a time."""
 _FOLLOW_AGAIN_S = 5.0
 """The period at which a goal checks whether to subscribe to its status, in s; also the pause after a lost bridge."""
 _CLOSE_S = 0.5
-"""How long unsubscribing may take, in s: a bridge that lives answers within milliseconds, and the end of the server
+"""The time limit for unsubscribing, in s: a bridge that lives answers within milliseconds, and the end of the server
 does not wait longer for another."""
 _MOST_STATES, _MOST_STATE_BYTES = 100, 1_000_000
 """Bounds on the waiting messages of one status topic. Each has all goals of the action, so the newest would do."""
 _STATUS_QOS = QoS(durability="transient_local", depth=1)
 """The QoS with which every action server publishes its status: a late subscriber gets the newest message."""
 CANCELLED_S = 3.0
-"""How long to wait for an action server to answer a cancel request, in s: a server that lives answers within
+"""The time limit for an action server's response to a cancel request, in s: a server that lives responds within
 milliseconds, and a disconnecting client does not wait longer for another."""
 _logger = logging.getLogger(__name__)
 

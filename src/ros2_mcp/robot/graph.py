@@ -41,10 +41,10 @@ if TYPE_CHECKING:
     from ros2_mcp.link.client import Bridge, Posted, Reply
 
 SETTLE_S = 4.0
-"""How long a query waits for discovery to settle, in s: slightly longer than the 3.5 s after which the bridge considers
-discovery complete (its `graph.py`)."""
+"""The time limit for discovery to settle before a query, in s: slightly longer than the 3.5 s after which the bridge
+considers discovery complete (its `graph.py`)."""
 REQUEST_S = 10.0
-"""How long to wait for a reply that the bridge gives from memory, in s. Only a hung bridge takes that long, and it is
+"""The time limit for a reply that the bridge gives from memory, in s. Only a hung bridge takes that long, and it is
 given up earlier."""
 NO_END_S = 1e9
 """32 years, in s: the time-out of requests that stay open, such as fail-safes and relays. Every request on the stream
@@ -118,7 +118,9 @@ class Graph:
         return cast("_Shape", reply.ok)  # server and bridge have the same release: the shape needs no check
 
     async def _settled(self, shape: type[_Shape], op: str, within_s: float | None = None, **arguments: Any) -> _Shape:
-        """Query as `query` once discovery has settled, or within a time limit with what is found by then."""
+        """Query once discovery has settled; with a time limit, answer with the present state of the graph when it is
+        nearly over.
+        """
         if within_s is None:
             return await self.query(shape, op, timeout_s=REQUEST_S + SETTLE_S, settle_s=SETTLE_S, **arguments)
         return await self.query(shape, op, timeout_s=within_s, settle_s=_SETTLING * within_s, **arguments)
@@ -201,12 +203,12 @@ class Graph:
 
     @property
     def silent_s(self) -> float:
-        """Time since the bridge's last message, in s; infinite while there is no bridge."""
+        """The time since the bridge's last message, in s; infinite while there is no bridge."""
         return self._bridge.silent_s
 
     @property
     def unheard_s(self) -> float:
-        """Time since the last message of any bridge of this robot, in s; infinite before the first."""
+        """The time since the last message of any bridge of this robot, in s; infinite before the first."""
         return self._bridge.unheard_s
 
     @property
@@ -216,7 +218,7 @@ class Graph:
 
     @property
     def bridge_age_s(self) -> float:
-        """How long the present bridge has been connected, in s; 0 while there is none."""
+        """The age of the present connection to a bridge, in s; 0 while there is none."""
         return self._bridge.age_s
 
     async def contact(self) -> Contact:
@@ -258,7 +260,8 @@ class Graph:
         return self._bridge.outages
 
     async def absence(self, within_s: float | None = None, found: Rows[NodeRow] | None = None) -> str:
-        """Return a sentence if no robot is present: the domain, and what was seen earlier; "" if a robot is present.
+        """Return a sentence if no robot is present, with the domain and the earlier observations; "" if a robot is
+        present.
 
         Servers like this one and the ROS command-line tools are not robots; a publisher without a node may be one. A
         caller that has just listed the nodes passes them as `found`.
@@ -319,17 +322,17 @@ class Graph:
 
     @property
     def last_loss(self) -> str:
-        """Why the last bridge was lost; "" if none was."""
+        """The reason for the last loss of a bridge; "" if there was none."""
         return self._bridge.restarts[-1] if self._bridge.restarts else ""
 
     @property
     def lapses(self) -> Sequence[float]:
-        """For each lapse of the link lease, how long this server had been silent, in s."""
+        """The durations of this server's silence at each lapse of the link lease, in s."""
         return self._bridge.lapses
 
     @property
     def lapsed_at(self) -> float:
-        """When the last lapse of the link lease was reported (monotonic, in s); 0 if there was none."""
+        """The time of the report of the last lapse of the link lease (monotonic, in s); 0 if there was none."""
         return self._bridge.lapsed_at
 
     @property
@@ -341,7 +344,7 @@ class Graph:
 
     @property
     def latched_at(self) -> float:
-        """When the last setting of the latch was reported (monotonic, in s)."""
+        """The time of the report of the last setting of the latch (monotonic, in s)."""
         return self._bridge.latched_at
 
     @property

@@ -60,7 +60,7 @@ class Job(ABC):
     needs_no_id: ClassVar[bool] = True
     """Whether a tool may be called without an id when this job is the only one of its kind."""
     patience_s: ClassVar[float] = 5.0
-    """How long `wind_down` and the end that it causes may take before the work is cancelled, in s."""
+    """The time limit for `wind_down` and the end that it causes, in s; after it the work is cancelled."""
 
     def __init__(self, *, owner: Principal, moves: Sequence[str] = (), job_id: str = "") -> None:
         # Random: the id of another client's job cannot be guessed, and after a restart of the server no id refers to
@@ -118,7 +118,7 @@ class Job(ABC):
 
     @property
     def elapsed_s(self) -> float:
-        """How long the job has run, or ran, in s."""
+        """The duration of the job so far, in s; after its end, the total."""
         return (self._ended_at or monotonic()) - self.started_at
 
     async def stop(self) -> None:

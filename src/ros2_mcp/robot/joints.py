@@ -23,13 +23,13 @@ DESCRIPTION, TEXT = "robot_description", "std_msgs/msg/String"
 MOST_DESCRIPTION_BYTES = 16_000_000
 """The largest description that is read, in bytes: one with embedded meshes; `world/urdf.py` accepts less."""
 _SAID_S = 4.0
-"""How long to wait for a description, in s. A latched message arrives on matching; a publisher that missed this
+"""The time limit for a description, in s. A latched message arrives on matching; a publisher that missed this
 subscriber's announcement is discovered 3 s later."""
 _KEPT_S = 10.0
-"""How long a description is kept, in s. It rarely changes; reading takes some hundredths of a second, and megabytes for
-a large one."""
+"""The time for which a description is reused, in s. It rarely changes; reading takes some hundredths of a second, and
+megabytes for a large one."""
 _MEASURED_S = 3.5
-"""How long to wait for the first joint states, in s, as in the bridge (`joint_states.MEASURED_S`)."""
+"""The time limit for the first joint states, in s, as in the bridge (`joint_states.MEASURED_S`)."""
 
 Listen = Callable[[str], AbstractAsyncContextManager[Listening]]
 

@@ -28,7 +28,7 @@ _LEVEL_AT = 12
 """The offset of the level in rcl_interfaces/msg/Log: after 4 bytes of CDR header and 8 bytes of stamp."""
 _QOS = QoS("reliable", "transient_local", depth=1000)
 _CHECK_EVERY_S = 1.0
-"""How often to check, in s, whether a bridge is connected again: the log of an unreachable robot is not urgent."""
+"""The period of checks whether a bridge is connected again, in s: the log of an unreachable robot is not urgent."""
 _logger = logging.getLogger(__name__)
 
 LineListener = Callable[[int, Sample], None]

@@ -19,7 +19,7 @@ from ros2_mcp_common.policy.velocity import HOLD_TYPES, MOTION_TYPES
 from ros2_mcp_common.wire import protocol
 
 _HEARD_S = 6.0
-"""How long the first messages that a motion receives may take, in s; the bridge waits 5 s (`motion.FIRST_HEARD_S`)."""
+"""The time limit for the first messages that a motion receives, in s; the bridge waits 5 s (`motion.FIRST_HEARD_S`)."""
 
 
 async def publish(core: Core, prepared: Prepared[Publish]) -> Sent:

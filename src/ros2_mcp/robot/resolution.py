@@ -23,13 +23,13 @@ _LISTED = "ros2_interface_list shows what is there."
 _MOST_TOLD = 6
 """The most endpoints that the error for a topic with several types names."""
 _SEEN_S = 1.0
-"""How long a topic's endpoints are assumed unchanged after a message was sent, in s: a fast publisher then queries the
-graph once instead of before each message. A subscriber that appears meanwhile may miss one message. Not measured."""
+"""The time for which a topic's endpoints are assumed unchanged after a message was sent, in s: a fast publisher then
+queries the graph once instead of before each message. A subscriber that appears meanwhile may miss one message. Not
+measured."""
 _MOST_SEEN = 256
 """The most topics whose endpoints are remembered: more than are published on at a time."""
 _APPEARING_S = 1.0
-"""How long a publication without a type waits for a topic that is about to appear, in s; discovery on one machine takes
-less."""
+"""The time limit for a topic to appear when a publication gives no type, in s; discovery on one machine takes less."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""What was seen of the robot in this session, and what has disappeared since.
+"""The nodes and topics of the robot that were seen in this session, and those that have disappeared since.
 
 Servers like this one and the ROS command-line tools are not part of a robot.
 """
@@ -106,7 +106,9 @@ class Seen:
         return [topic for topic, type_name in self._types.items() if type_name in types]
 
     def left(self, nodes: Collection[str], topics: Mapping[str, TopicEndpoints]) -> Left:
-        """Return what has disappeared, given the present nodes, and the topics with their present endpoints."""
+        """Return the nodes and topics that have disappeared, given the present nodes, and the topics with their present
+        endpoints.
+        """
         published = {
             name for name, found in topics.items() if any(is_of_robot(one.node) for one in found.publishers)
         }  # fmt: skip

@@ -31,26 +31,26 @@ LISTENS = {TF: QoS("reliable", "volatile", depth=100), TF_STATIC: QoS("reliable"
 """The QoS of the robot's own nodes (`tf2_ros::TransformListener`): transforms that do not reach this subscriber do not
 reach them either."""
 _IDLE_S = 60.0
-"""How long the subscriptions last after the last query, in s: an agent queries again within seconds, and /tf has a
+"""The lifetime of the subscriptions after the last query, in s: an agent queries again within seconds, and /tf has a
 cost."""
 _TURN_S = 5.0
-"""How often to check whether the subscriptions are still needed, in s, while nothing arrives."""
+"""The period of checks whether the subscriptions are still needed, in s, while nothing arrives."""
 _MAX_WAITING, _MAX_BYTES = 5_000, 8_000_000
 """Bounds on the waiting messages: ten seconds of the busiest robot."""
 _DRAIN_S = 0.01
-"""How long a message may wait in the bridge, in s: poses are not read more often."""
+"""The longest wait of a message in the bridge, in s: poses are not read more often."""
 _SEEN_S = 3.0
-"""How often the publishers are queried, in s: they rarely change, and a lookup should cost no more than its
+"""The period of queries for publishers, in s: they rarely change, and a lookup should cost no more than its
 arithmetic."""
 _ROLES_S = 30.0
-"""How often the other topics of these nodes are queried, in s: they change even less."""
+"""The period of queries for other topics of these nodes, in s: they change even less."""
 _ROLES = {
     "odometry": frozenset({"nav_msgs/msg/Odometry"}),
     "localisation": frozenset({"geometry_msgs/msg/PoseWithCovarianceStamped", "nav_msgs/msg/OccupancyGrid"}),
     "description": frozenset({"std_msgs/msg/String"}),
 }
 _AGAIN_S = 3.0
-"""How long latched messages may take to reach a new subscription, in s: its publishers are known, and a slow network
+"""The time limit for latched messages to reach a new subscription, in s: its publishers are known, and a slow network
 takes a second."""
 _logger = logging.getLogger(__name__)
 
@@ -119,7 +119,7 @@ class TransformListener:
 
     @property
     def listened_s(self) -> float:
-        """How long it has been subscribed, in s; 0 while it is not."""
+        """The duration of the subscription so far, in s; 0 while not subscribed."""
         return 0.0 if self.since is None else monotonic() - self.since
 
     def now_ns(self) -> int:
