@@ -24,7 +24,7 @@ class Feedback:
 
     `path` is the field of the message that has `linear` and `angular`. `still` are the speeds in m/s and rad/s below
     which the robot counts as stationary. The robot is stopped if it still moves `within_s` seconds after its zero, if
-    it is faster than a limit on its velocity times `over`, or if no message arrived for `max_age_s` while it is driven.
+    its speed exceeds `over` times a limit on its velocity, or if no message arrived for `max_age_s` while it is driven.
     During a goal the robot's own controllers drive it: then `goals` (m/s, rad/s) replaces the limits; if empty, its
     speed is not checked.
     """

@@ -121,7 +121,9 @@ class Policy:
         return next((document.robot for document in self.documents if document.robot), "")
 
     def ruling(self, command: Command[Any]) -> Ruling | None:
-        """Return the ruling on a command, before its value is checked; None without a policy."""
+        """Return the ruling on a command, before its value is checked; None without a policy, and for the black box's
+        recording.
+        """
         if self.rules is None or _is_own_record(command):
             return None
         if isinstance(command, ServiceBorne):

@@ -37,7 +37,8 @@ class LocalBridge(Child):
     start_s = 20.0
 
     lease_s = 1.0
-    """Four pings, each of which takes less than a millisecond over a pipe: a process that is this late hangs."""
+    """The link lease, in s: four pings, each of which takes less than a millisecond over a pipe. A process that is this
+    late hangs."""
 
     def __init__(
         self, installation: RosInstallation, options: Sequence[str] = (), *, pass_stderr: bool = False

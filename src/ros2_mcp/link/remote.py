@@ -109,7 +109,8 @@ class RemoteBridge(Child):
     start_s = 40.0
 
     lease_s = 2.0
-    """Eight pings. Measured over 100 ms, with 15 % loss or a camera at 5 Mbit/s: at most 1.0 s between two of them."""
+    """The link lease, in s: eight pings. Measured over 100 ms, with 15 % loss or a camera at 5 Mbit/s: at most 1.0 s
+    between two of them."""
 
     def __init__(self, settings: Settings, env: Mapping[str, str], options: Sequence[str]) -> None:
         """Start the program that reaches the robot, without waiting for anything.

@@ -66,7 +66,7 @@ class Flight(Job):
 
     kind = "flight"
     most_running = 16
-    """More vehicles than one MAVROS and one server are used for."""
+    """The most vehicles at a time: more than one server is used for."""
     ends_elsewhere = True
 
     def __init__(self, *, owner: Principal, vehicle: str, core: Core) -> None:

@@ -58,7 +58,7 @@ class Goal(Job):
 
     kind = "goal"
     most_running = 1000
-    """Goals that no caller follows to their end would otherwise be kept without limit."""
+    """The most running goals that are kept: those whose end is never observed must not accumulate."""
     most_kept = 1000
     is_displaced = True
     ends_elsewhere = True
