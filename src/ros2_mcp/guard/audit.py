@@ -55,7 +55,7 @@ class CallOfTool:
     program: str = ""
 
 
-_call: ContextVar[CallOfTool] = ContextVar("call", default=CallOfTool())  # noqa: B039  - shared, but never read
+_call: ContextVar[CallOfTool] = ContextVar("call", default=CallOfTool())  # noqa: B039 - shared, but never read
 
 Line = Future[Head]
 """The future of a line that is being written; its result is the head after it."""
@@ -246,7 +246,7 @@ class Audit:
             with self._file.held():
                 for one in running:
                     self._write(self._file, *one)
-        except Exception as error:  # noqa: BLE001  - whatever the error is, the waiters must get it
+        except Exception as error:  # noqa: BLE001 - whatever the error is, the waiters must get it
             for line, *_ in running:
                 if not line.done():
                     line.set_exception(error)

@@ -86,8 +86,7 @@ class ExactCommand:
             policy: the hash of the policies in force.
             epoch: the stop epoch in which the command was accepted.
             told: further sentences about the value for the person who approves, such as the extremes of a trajectory;
-                they
-                are not part of what is approved.
+                they are not part of what is approved.
         """
         value = command.value if value is None else value
         of = body or canonical(value).encode()

@@ -132,8 +132,7 @@ class Guard:
         Args:
             command: the command in its resolved meaning.
             find_facts: called once the command may be allowed and the decision depends on facts. Its arguments are the
-                ruling,
-                and whether the value is needed in any case, because an approval covers it.
+                ruling, and whether the value is needed in any case, because an approval covers it.
             stops: whether the command ends something that this server began.
 
         Raises:

@@ -218,7 +218,7 @@ async def _follow(core: Core, goal: Goal) -> None:
             goal.is_followed = True
             try:
                 await _take_states(core, goal.action)
-            except Exception as error:  # noqa: BLE001  - a goal that cannot be followed goes on, and must stay known
+            except Exception as error:  # noqa: BLE001 - a goal that cannot be followed goes on, and must stay known
                 _logger.debug("the status of %s cannot be followed: %s", goal.action, error)
             finally:
                 goal.is_followed = False

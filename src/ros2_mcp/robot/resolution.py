@@ -67,8 +67,7 @@ class Types:
 
         Args:
             requested: a full name, a name without its kind, or the last part alone. Short names are looked up in the
-                types
-                `in_use`, and then in all types that are installed where the bridge runs.
+                types `in_use`, and then in all types that are installed where the bridge runs.
             kind: `msg`, `srv` or `action`; "" is any, in this order.
             in_use: the types that the topic, service or action has.
 

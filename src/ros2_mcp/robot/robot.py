@@ -318,8 +318,7 @@ class Robot(Core):
             keep: `all` waiting samples, or only the `latest`.
             max_samples: bound on the waiting samples; the oldest are dropped and counted.
             max_bytes: bound on their bytes. Without it, 64 MB here and, over a network, 1 MB in the bridge, so that
-                samples
-                arrive fresh; with it, the same bound in the bridge.
+                samples arrive fresh; with it, the same bound in the bridge.
             head_bytes: only this many of the first bytes of each sample are transferred (0: all).
             every_n: only every n-th sample is transferred; the others stay on the robot, and count as received.
             newest_of_old: of the samples that a latched topic replays, only the newest is transferred.
