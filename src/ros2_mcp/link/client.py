@@ -60,12 +60,13 @@ class Bridge:
     the state of the latch for pings to a remote bridge.
 
     Received from the bridge: `frame_ids` has the frame of the last command on each velocity topic. `lapses` are the
-    times of silence of this server in s, one for each lapse of the link lease; `lapsed_at` is when the last one was
-    reported (monotonic, in s; 0 before). `on_latched` is called with the originator and the reason when the latch was
-    set; `latched_by` has both in words, and `latched_at` the time of the report. `relays_ended` has the last counts of
-    cancelled relays, by name, `repeats_begun` the time of the report that a repeat has sent its first message
-    (monotonic, in s), and `motions` the last report of each motion, by name. `on_spent` is called with name, type and
-    bound of each use of the policy's budgets.
+    durations of this server's silence in s, one for each lapse of the link lease; `lapsed_at` is the time of the report
+    of the last one (monotonic, in s; 0 before). `on_latched` is called when the latch was set, with the originator, the
+    reason, and whether only the bridge's own latch is set so far; `latched_by` has originator and reason in words,
+    `latched_at` the time of the report. `relays_ended` has the last counts of cancelled relays, by name,
+    `repeats_begun` the time of the report that a repeat has sent its first message (monotonic, in s), and `motions` the
+    last report of each motion, by name. `on_spent` is called with name, type and bound of each use of the policy's
+    budgets.
     """
 
     def __init__(self, start_carrier: Callable[[], Carrier]) -> None:
