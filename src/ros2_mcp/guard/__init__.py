@@ -1,1 +1,1 @@
-"""May I, and how fast? Decides, never acts."""
+"""Decide whether and how fast a command may be carried out: policy, approvals, latch, budgets and audit."""

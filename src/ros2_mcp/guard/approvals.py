@@ -1,7 +1,7 @@
-"""Approvals: a person allows one act, exactly that one, once; or grants a kind of act for a time (decision 31).
+"""Approvals: a person consents to exactly one command, once, or grants one kind of command for a time (decision 31).
 
-The model takes no part: it makes a call, is told that a person has to approve it, and makes the same call again. All is
-kept in memory: a restart forgets what was approved.
+The model takes no part in an approval: its call is rejected until a person has approved it, and the model then repeats
+the same call. Requests, approvals and grants are kept in memory only: a restart discards them.
 """
 
 from __future__ import annotations
@@ -19,19 +19,21 @@ from ros2_mcp.model.commands import Principal
 from ros2_mcp.model.errors import ApprovalNeeded, BadInput, NotFound, Refused
 
 VALID_S = 60.0
-"""From the approval to the call: an agent that waits for it calls within seconds."""
+"""The validity of an approval, in s: an agent that waits for it repeats its call within seconds."""
 PENDING_S = 600.0
-"""How long a request waits for a person: what is older was asked in another situation."""
+"""The lifetime of a waiting request, in s: an older request was made in a situation that has changed."""
 DENIED_S = 60.0
-"""How long the same act is refused without asking again: a person must not be worn down by the same question."""
+"""The time during which a denied command is refused without asking again, in s: repeated questions must not wear a
+person down."""
 MOST_GRANT_S = 600.0
-"""Unless the policy says otherwise."""
+"""The longest duration of a grant, in s, unless the policy sets another one."""
 MOST_PENDING = 8
-"""Of one client: more than a person would read. What is more is refused; nothing that waits is pushed out."""
+"""The most waiting requests of one client: more than a person would read. A further request is refused; no waiting
+request is dropped in its favour."""
 _MOST_PENDING = 64
-"""Of all clients."""
+"""The most waiting requests of all clients together."""
 _ID_LETTERS = "ABCDEFGHJKMNPQRSTUVWXYZ23456789"
-"""Without those that are taken for another one when they are read aloud."""
+"""Characters of an id: without I, L, O, 0 and 1, which are mistaken for one another when an id is read aloud."""
 _ID_LENGTH = 4
 
 State = Literal["waiting", "approved", "denied"]
@@ -39,10 +41,11 @@ State = Literal["waiting", "approved", "denied"]
 
 @dataclass(slots=True, kw_only=True)
 class Request:
-    """An act that waits for a person, or has its answer. `nonce` is what an answer must name beside the short `id`.
+    """A request for approval of one command: waiting, approved or denied.
 
-    `until` is when it lapses, on the clock of `Approvals`; `bounds` the sentence about what the policy bounds of it;
-    `by` is who answered.
+    `nonce` identifies the request beyond its short `id`, so that an answer applies only to the request that the
+    operator has read. `until` is the expiry time on the clock of `Approvals`, in s. `bounds` is a sentence about how
+    the policy bounds the command. `by` is the operator who answered.
     """
 
     id: str
@@ -55,17 +58,17 @@ class Request:
     by: str = ""
 
     def summary(self) -> list[str]:
-        """What a person reads of it."""
+        """Return the lines about the request that an operator reads."""
         *told, client = self.exact.summary()
         return [*told, *filter(None, [self.bounds]), client]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Grant:
-    """Acts of one kind that need no approval for a time: those of one client, with one verb, name and type.
+    """Permission for one kind of command for a time, without further approval: one client, one verb, name and type.
 
-    `most` bounds the size of what is at a path: the length of a vector, the largest of a list, all numbers below. It
-    can only be narrower than the policy, which is asked first.
+    `most` maps the path of a value to its largest allowed size: the absolute value of a number, the length of a vector,
+    the largest element of a list. A grant can only narrow the policy, which is evaluated first.
     """
 
     id: str
@@ -75,20 +78,20 @@ class Grant:
     most: Mapping[str, float] = field(default_factory=dict[str, float])
 
     def covers(self, exact: ExactCommand) -> bool:
-        """Whether this act needs no other approval."""
+        """Return whether the grant covers this command."""
         if exact.subject != self.exact.subject or exact.epoch != self.exact.epoch:
             return False
         return all(_size_at(exact.value, path.split(".")) <= most for path, most in self.most.items())
 
     def in_words(self) -> str:
-        """What it allows."""
+        """Return a description of the commands that the grant allows."""
         exact = self.exact
         bounds = "".join(f", {word(path)} at most {number(most)}" for path, most in self.most.items())
         return f"{exact.verb} {word(exact.name)} ({word(exact.type)}){bounds}"
 
 
 class Approvals:
-    """What waits for a person, what was approved and not used yet, and what is granted. Use it on one event loop."""
+    """The waiting requests, the approvals that were not used yet, and the grants. Use it on one event loop only."""
 
     def __init__(
         self,
@@ -99,8 +102,9 @@ class Approvals:
         epoch: Callable[[], str] = str,
         changed: Callable[[str, Mapping[str, Any]], None] = lambda _, __: None,
     ) -> None:
-        """`changed` is told of everything that happens, for the audit: a kind and the fields of its line. What was
-        asked, approved or granted lapses with its `epoch`: after a stop a person begins anew.
+        """`changed` is called for the audit at each change, with a kind and the fields of the audit line. `epoch`
+        returns the present epoch. Requests, approvals and grants lapse when it changes, so that after a stop each
+        command needs a new approval.
         """
         self._valid_s = valid_s
         self._most_grant_s = most_grant_s
@@ -113,13 +117,13 @@ class Approvals:
     # ── asked by the guard ─────────────────────────────────────────────────────────────────────────────────────────
 
     def require(self, exact: ExactCommand, bounds: str = "") -> str:
-        """Uses up the approval of exactly this act, or a grant that covers it; returns its id.
+        """Consume the approval of exactly this command, or find a grant that covers it; return the id of either.
 
-        `bounds` is the sentence about what the policy bounds of it, for the person who is asked.
+        `bounds` is a sentence about how the policy bounds the command, shown to the person who is asked.
 
         Raises:
-            ApprovalNeeded: if there is none yet; a person can see it now.
-            Refused: if it was denied a moment ago, or too many wait.
+            ApprovalNeeded: if there is neither; the request now waits for a person.
+            Refused: if a person has just denied the command, or too many requests wait.
         """
         self._forget_lapsed()
         for grant in self._grants.values():
@@ -127,7 +131,7 @@ class Approvals:
                 return grant.id
         request = self._requests.get(exact.key)
         if request and request.state == "approved":
-            del self._requests[exact.key]  # before anything is sent: no other call can use it, too
+            del self._requests[exact.key]  # before anything is sent, so that no other call can use it as well
             return request.id
         if request and request.state == "denied":
             raise Refused(
@@ -159,7 +163,7 @@ class Approvals:
         return request
 
     def leave(self, principal: Principal) -> None:
-        """Forgets what waits of a client that has gone."""
+        """Withdraw the waiting requests of a client that has disconnected."""
         for key, one in [*self._requests.items()]:
             if one.exact.principal == principal and one.state == "waiting":
                 del self._requests[key]
@@ -168,28 +172,28 @@ class Approvals:
     # ── asked by an operator ───────────────────────────────────────────────────────────────────────────────────────
 
     def waiting(self) -> Sequence[Request]:
-        """What waits for a person, the oldest first."""
+        """Return the requests that wait for a person, oldest first."""
         self._forget_lapsed()
         return [one for one in self._requests.values() if one.state == "waiting"]
 
     def grants(self) -> Sequence[Grant]:
-        """What is granted now."""
+        """Return the grants in force."""
         self._forget_lapsed()
         return [*self._grants.values()]
 
     def seconds_left(self, one: Request | Grant) -> float:
-        """How long a request or a grant still holds."""
+        """Return how long the request or grant remains valid, in s."""
         return max(0.0, one.until - self._clock())
 
     def age_s(self, request: Request) -> float:
-        """How long ago it was asked."""
+        """Return how long ago the request was made, in s."""
         return self._clock() - request.asked_at
 
     def find(self, request_id: str, nonce: str = "") -> Request:
-        """The request of that id that waits; with a `nonce`, only the very one that an operator has read.
+        """Return the waiting request with this id; with a `nonce`, only if the nonce matches as well.
 
         Raises:
-            NotFound: if none waits under that id.
+            NotFound: if no such request waits.
         """
         for request in self.waiting():
             if request.id == request_id.upper() and (not nonce or secrets.compare_digest(request.nonce, nonce)):
@@ -197,14 +201,16 @@ class Approvals:
         raise NotFound(f"No request {word(request_id)} waits: it was answered, has lapsed, or a stop ended it.")
 
     def approve(self, request_id: str, nonce: str = "", *, by: str) -> Request:
-        """Allows it, once, from now on for the time that approvals are valid. Raises `NotFound`."""
+        """Approve the request: its command may be sent once, within the time that approvals are valid. Raises
+        `NotFound`.
+        """
         request = self.find(request_id, nonce)
         request.state, request.by, request.until = "approved", by, self._clock() + self._valid_s
         self._changed("approved", {"approval": request.id, "by": by, "digest": request.exact.digest})
         return request
 
     def deny(self, request_id: str, nonce: str = "", *, by: str) -> Request:
-        """Refuses it, and the same act for a while. Raises `NotFound`."""
+        """Deny the request, and refuse the same command for a while. Raises `NotFound`."""
         request = self.find(request_id, nonce)
         request.state, request.by, request.until = "denied", by, self._clock() + DENIED_S
         self._changed("denied", {"approval": request.id, "by": by, "digest": request.exact.digest})
@@ -213,18 +219,19 @@ class Approvals:
     def grant(
         self, request_id: str, for_s: float, most: Mapping[str, float] | None = None, *, nonce: str = "", by: str
     ) -> Grant:
-        """Allows what waits, and its kind for a time, as far as the policy allows it.
+        """Approve the waiting command and grant its kind for a time, within the policy.
 
         Args:
-            request_id: of what waits.
-            for_s: seconds from now on.
-            most: path of a value → its largest size.
-            nonce: as `find` takes it.
-            by: who grants it.
+            request_id: the id of the waiting request.
+            for_s: the duration of the grant, in s.
+            most: maps the path of a value to its largest size.
+            nonce: the nonce of the request, as in `find`.
+            by: the operator who grants it.
 
         Raises:
-            NotFound: if none waits under that id.
-            BadInput: if it lasts too long, or a bound is no number or does not allow what waits.
+            NotFound: if no such request waits.
+            BadInput: if the duration is too long, or if a bound is no number, names no number, or excludes the waiting
+                command.
         """
         request = self.find(request_id, nonce)
         if not 0 < for_s <= self._most_grant_s:
@@ -246,7 +253,7 @@ class Approvals:
         return grant
 
     def revoke(self, grant_id: str, *, by: str) -> Grant:
-        """Ends a grant. Raises `NotFound`."""
+        """End a grant. Raises `NotFound`."""
         self._forget_lapsed()
         grant = self._grants.pop(grant_id.upper(), None)
         if grant is None:
@@ -272,16 +279,18 @@ class Approvals:
 
 
 def _boot_time() -> float:
-    """A steady clock that also counts while the machine sleeps: an approval must not wake up with it."""
+    """Return the time of a monotonic clock that also runs while the machine sleeps, in s: an approval must not survive
+    a sleep.
+    """
     if sys.platform == "linux":
         return time.clock_gettime(time.CLOCK_BOOTTIME)
-    if sys.platform == "darwin":  # where this one counts it, and Python's own does not
+    if sys.platform == "darwin":  # where CLOCK_MONOTONIC counts sleep, and time.monotonic() does not
         return time.clock_gettime(time.CLOCK_MONOTONIC)
     return time.monotonic()
 
 
 def _size_at(value: Any, path: Sequence[str]) -> float:
-    """The size of what is at a path; infinite where there is nothing, or something that is no number."""
+    """Return the size of the value at a path; infinite if there is no value, or it has no size."""
     for part in path:
         if not isinstance(value, Mapping) or part not in value:
             return math.inf

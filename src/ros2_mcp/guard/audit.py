@@ -1,7 +1,7 @@
-"""The audit: what was asked, decided and done, written before and after each act (decision 31).
+"""The audit: the requests, decisions and outcomes of commands, written before and after each command (decision 31).
 
-What is done under a policy is not done unless its line is written. Without a policy the line is written beside the act,
-and a disk that takes nothing is told once in the log. What stops never waits for a line.
+Under a policy that requires the audit, a command is carried out only once its line is written. Without a policy the
+line is written concurrently, and a disk that cannot be written to is logged once. A stop never waits for a line.
 """
 
 from __future__ import annotations
@@ -28,44 +28,47 @@ from ros2_mcp.model.errors import Refused, RobotError
 from ros2_mcp.model.times import iso_time
 
 _ASKED = ("act", "waits", "refused", "refused part")
-"""Kinds of lines about what a client has asked for."""
+"""Kinds of lines about a client's request."""
 VALUE_CHARACTERS = 1000
-"""Of the value in a line. A longer one is cut; its digest stands for all of it."""
+"""The longest value in a line, in characters of JSON. A longer value is cut; its digest covers all of it."""
 _TEXT_CHARACTERS = 300
-"""Of any other text in a line, such as the reason of a refusal."""
+"""The longest text in any other field, such as the reason of a refusal, in characters."""
 COPIED_EVERY_S = 60.0
-"""Under a policy the head is copied so often to the log, which of a service is the journal: out of reach of who can
-write in the folder of the audit. Lines before a copy cannot be cut off or written anew unseen."""
+"""Under a policy, how often the head is copied to the log, in s. For a service the log is the journal, out of reach of
+users who can write in the audit's folder. Lines before a copied head cannot be removed or rewritten unnoticed."""
 MOST_QUEUED = 10_000
-"""Lines that wait for a disk that hangs, 30 MB at most; what comes then is counted, and not written."""
+"""The most lines, 30 MB at most, that wait for a disk that hangs. Further lines are counted, and not written."""
 TOGETHER_S = 0.02
-"""How long a line that nobody waits for may wait for others: ten programs that react at once hold this process up less.
-Without a policy; a kill takes lines of that time with it. Chosen."""
+"""Without a policy, how long a line that no caller awaits waits for further lines, so that ten programs that act at
+once delay this process less. A kill loses the lines of that time. Not measured."""
 _logger = logging.getLogger(__name__)
 
 
 @dataclass(slots=True)
 class CallOfTool:
-    """A call of a tool, where in a program it is made (`program_0f3a9c21, line 3`), and whether a line tells of it."""
+    """One call of a tool: the tool, the place in a program where it was called (`program_0f3a9c21, line 3`), and
+    whether the audit has a line about it.
+    """
 
     tool: str = ""
     has_line: bool = False
     program: str = ""
 
 
-_call: ContextVar[CallOfTool] = ContextVar("call", default=CallOfTool())  # noqa: B039 - of none, which is never read
+_call: ContextVar[CallOfTool] = ContextVar("call", default=CallOfTool())  # noqa: B039 - shared, but never read
 
 Line = Future[Head]
-"""A line that is being written: its result is the head after it."""
+"""The future of a line that is being written; its result is the head after it."""
 _Queued = tuple[Line, Mapping[str, Any], int, Line | None]
-"""A line in the queue: what it says, the room that it needs on the disk, and the line of the act that it is about."""
+"""A queued line: its future, its fields, the free space that it requires on the disk in bytes, and, for an outcome, the
+line of its command."""
 Listener = Callable[[int, Mapping[str, Any]], None]
-"""Is told of each entry: when it was made (UNIX time in ns), and what it says. Must neither wait nor raise."""
+"""Is called with each entry and the time when it was made (UNIX time in ns). Must neither block nor raise."""
 
 
 @contextmanager
 def called_through(tool: str, program: str = "") -> Generator[CallOfTool, None, None]:
-    """While it is entered, what is done is done by a call of this tool: its audit lines say so."""
+    """Attribute the audit lines made in this context to this call of a tool."""
     token = _call.set(call := CallOfTool(tool, program=program))
     try:
         yield call
@@ -74,12 +77,12 @@ def called_through(tool: str, program: str = "") -> Generator[CallOfTool, None, 
 
 
 class Audit:
-    """The audit of one robot. Without a folder nothing is written, and only listeners are told.
+    """The audit of one robot. Without a folder nothing is written, and entries only reach the listeners.
 
-    `folder` gives the folder, made if it was not there; it is called when the first line is written.
-    `path` is where that is, to read it.
-    `required`: an act is refused if its line cannot be written. `failed` says why the last line could not be, and is
-    empty while all is well; `head` is the end of the chain, as far as this server has written it.
+    `folder` returns the folder, and creates it if necessary; it is called when the first line is written. `path` is the
+    same folder, for reading. `required`: a command is refused if its line cannot be written. `failed` is the reason why
+    the last line could not be written, "" if it was. `head` is the end of the chain as far as this server has written
+    it.
     """
 
     def __init__(
@@ -102,7 +105,8 @@ class Audit:
         self._folder = folder
         self._open = partial(AuditFile, file_bytes=file_bytes, keep_bytes=keep_bytes)
         self._file: AuditFile | None = None
-        # One thread: lines leave in the order in which they were made, and a slow disk never holds up the event loop.
+        # One thread: lines are written in the order in which they were made, and a slow disk does not block the event
+        # loop.
         self._writer = ThreadPoolExecutor(1, "audit")
         self._syncer = ThreadPoolExecutor(1, "audit-sync")
         self._syncing: Future[None] | None = None
@@ -113,7 +117,7 @@ class Audit:
 
     @property
     def head(self) -> Head:
-        """The end of the chain, as far as this server knows it; before its first line, what others have written."""
+        """The end of the chain as far as this server knows it; before its first line, the head found on disk."""
         if self._file:
             return self._file.head
         try:
@@ -122,10 +126,13 @@ class Audit:
             return Head()
 
     async def before(self, fields: Mapping[str, Any], *, stops: bool = False) -> Line | None:
-        """Writes what will be done, and gives the line, for `after`. Under a policy it is waited for, unless it stops.
+        """Write the line of a command that is about to be carried out, and return it, for `after`.
+
+        Under a policy this waits until the line is written, unless `stops`: a stop never waits. None if nothing is
+        written.
 
         Raises:
-            Refused: if it cannot be written and must be.
+            Refused: if the line cannot be written and the audit is required.
         """
         line = self._queue("act", fields, 0 if stops else ROOM_BYTES)
         if self._folder is None or stops or not (self.required or self._policy):
@@ -144,21 +151,21 @@ class Audit:
         return line
 
     def after(self, line: Line | None, outcome: str, **more: Any) -> None:
-        """Queues what became of the act of that line; does not wait for it."""
+        """Queue the outcome of the command with that line; do not wait for the write."""
         self._queue("outcome", {"of": _number_of(line), "outcome": outcome, **more}, of=line)
 
     def note(self, kind: str, **fields: Any) -> None:
-        """Queues one line about what happened, such as a stop or an approval; does not wait for it."""
+        """Queue one line about an event, such as a stop or an approval; do not wait for the write."""
         self._queue(kind, fields)
 
     async def written(self) -> None:
-        """Waits until what is queued now is written, or was given up."""
-        with suppress(RuntimeError):  # it is closed, and all is written
+        """Wait until the lines that are queued now are written or have failed."""
+        with suppress(RuntimeError):  # the audit is closed, and everything is written
             await asyncio.wrap_future(self._writer.submit(lambda: None))
 
     @contextmanager
     def listened(self, listener: Listener) -> Generator[None, None, None]:
-        """While it is entered, `listener` is told of every entry, written or not."""
+        """Pass every entry, written or not, to `listener` in this context."""
         self._listeners.append(listener)
         try:
             yield
@@ -166,7 +173,7 @@ class Audit:
             self._listeners.remove(listener)
 
     def close(self) -> None:
-        """Writes what is queued, and has the disk keep it. What comes later is not written."""
+        """Write and sync the queued lines, and close the file. Later lines are not written."""
         with self._queue_lock:
             self._is_closed = True
         self._writer.shutdown()
@@ -190,7 +197,7 @@ class Audit:
         return entry
 
     def _queue(self, kind: str, fields: Mapping[str, Any], room_bytes: int = 0, of: Line | None = None) -> Line | None:
-        """The line in the queue of the thread; None where it is not written."""
+        """Append a line to the queue of the writing thread, and return it; None if it will not be written."""
         entry = self._entry(kind, fields)
         if self._folder is None:
             return None
@@ -208,7 +215,7 @@ class Audit:
         return line
 
     def _note_outcome(self, line: Line) -> None:
-        if line.cancelled():  # with the call that waited for it: nothing is done
+        if line.cancelled():  # the call that waited for it was cancelled: nothing was sent
             return
         error = line.exception()
         if isinstance(error, (OSError, RobotError)):
@@ -226,7 +233,7 @@ class Audit:
     # ── in the threads ─────────────────────────────────────────────────────────────────────────────────────────────
 
     def _write_queued(self) -> None:
-        """Writes all that is in the queue."""
+        """Write all queued lines."""
         if not (self.required or self._policy):
             time.sleep(TOGETHER_S)
         with self._queue_lock:
@@ -239,18 +246,18 @@ class Audit:
             with self._file.held():
                 for one in running:
                     self._write(self._file, *one)
-        except Exception as error:  # noqa: BLE001 - whatever it is, who waits for a line is told
+        except Exception as error:  # noqa: BLE001 - whatever the error is, the waiters must get it
             for line, *_ in running:
                 if not line.done():
                     line.set_exception(error)
         if self._file and (self._syncing is None or self._syncing.done()):
-            # One at a time: what comes meanwhile is synced with the next.
+            # One sync at a time: lines written meanwhile are synced by the next one.
             self._syncing = self._syncer.submit(partial(_fsync, self._file.descriptor()))
 
     def _write(self, file: AuditFile, line: Line, entry: Mapping[str, Any], room_bytes: int, of: Line | None) -> None:
         if of:
             entry = {**entry, "of": _number_of(of)}
-        if self._unwritten:  # of acts that were done when the disk had become full: their outcomes are missing
+        if self._unwritten:  # the disk was full: the outcomes of that many commands are missing
             entry = {**entry, "unwritten_before": self._unwritten}
         try:
             head = file.append(entry, room_bytes)
@@ -269,12 +276,12 @@ class Audit:
 
 
 def _number_of(line: Line | None) -> int:
-    """The number of a line; 0 as long as it is not written."""
+    """Return the sequence number of a line; 0 until it is written."""
     return line.result().seq if line and line.done() and not line.exception() else 0
 
 
 def _bounded(name: str, value: Any) -> Any:
-    """A field as it is written: what is long is cut, and says so."""
+    """Return a field as it is written: a long text or value is cut and marked as cut."""
     if isinstance(value, str):
         return value if len(value) <= _TEXT_CHARACTERS else f"{value[: _TEXT_CHARACTERS - 1]}…"
     if name != "value":

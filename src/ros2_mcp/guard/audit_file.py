@@ -1,7 +1,7 @@
-"""Writes the audit: one line at a time, whole or not at all, in a chain that goes on over rotation, kill and restart.
+"""Append to the audit: whole lines only, in one hash chain that continues across rotation, kill and restart.
 
-Everything here blocks; `audit.py` calls it in a thread. Several servers may write to one audit: the head is locked for
-each line.
+Everything here blocks; `audit.py` calls it in a thread. Several servers may write to one audit: each locks the head
+while it writes.
 """
 
 from __future__ import annotations
@@ -22,21 +22,23 @@ from ros2_mcp.guard.chain import HEAD, Head, file_name, files_of, follows, line_
 from ros2_mcp_common.files import PLAIN, give_lock, read_at, take_lock, write_at
 
 FILE_BYTES = 64_000_000
-"""Of one file: about 100,000 lines, which `verify` reads in a second."""
+"""The size at which a new file begins, in bytes: about 100,000 lines, which `verify` reads in a second."""
 KEEP_BYTES = 1_000_000_000
-"""Of all files: over a million acts. The oldest file gives way."""
+"""The size of all files together, in bytes: over a million commands. The oldest files are deleted first."""
 ROOM_BYTES = 262_144
-"""Must be free on the disk before an act, so that its outcome can be written, too: a line has 3 kB at most."""
+"""The free space required on the disk before a command, in bytes, so that its outcome can be written as well. A line
+has 3 kB at most."""
 _HEAD_BYTES = 256
-"""The head is always as long as that: it is overwritten in place, which needs no room on a full disk."""
+"""The fixed length of the head, in bytes: it is overwritten in place, which needs no space on a full disk."""
 _LOCK_S = 0.1
-"""How long another server may hold the head: a line takes it 50 µs. One that is stopped must not hold up this one."""
+"""The time limit for another server to release the head, in s. Writing a line takes 50 µs; a suspended server must not
+block this one."""
 _LOCK_POLL_S = 0.005
 _FLAGS = os.O_CREAT | PLAIN
 
 
 class AuditFile:
-    """The files of one audit in `folder`, which is there."""
+    """The files of one audit in `folder`, which must exist."""
 
     def __init__(self, folder: Path, *, file_bytes: int = FILE_BYTES, keep_bytes: int = KEEP_BYTES) -> None:
         self._folder = folder
@@ -50,14 +52,14 @@ class AuditFile:
         self.head = Head()
 
     def append(self, fields: Mapping[str, Any], room_bytes: int = 0) -> Head:
-        """Writes one line and gives the head after it. On an error nothing of the line stays in the file.
+        """Append one line and return the head after it. After an error no part of the line remains in the file.
 
         Args:
-            fields: what it says, as JSON values.
-            room_bytes: what must be free on the disk, or it is not written.
+            fields: the content of the line, as JSON values.
+            room_bytes: the free space required on the disk, in bytes.
 
         Raises:
-            OSError: as the system says, among them that the disk is full.
+            OSError: if the line cannot be written, for example because the disk is full.
         """
         if not self._is_held:
             with self.held():
@@ -71,7 +73,10 @@ class AuditFile:
 
     @contextmanager
     def held(self) -> Generator[None, None, None]:
-        """While it is entered no other server writes: of several lines each costs less. Raises as `append`."""
+        """Hold the lock in this context, so that no other server writes and each of several lines costs less.
+
+        Raises as `append`.
+        """
         with self._locked():
             self._catch_up()
             self._is_held, self._free = True, None
@@ -81,11 +86,11 @@ class AuditFile:
                 self._is_held = False
 
     def descriptor(self) -> int | None:
-        """A duplicate of the descriptor of the current file, to sync it; None if nothing was written."""
+        """Return a duplicate of the descriptor of the current file, for a sync; None if nothing was written."""
         return os.dup(self._fd) if self._fd >= 0 else None
 
     def close(self) -> None:
-        """Closes the files."""
+        """Close the files."""
         for fd in (self._fd, self._head_fd):
             if fd >= 0:
                 os.close(fd)
@@ -95,7 +100,7 @@ class AuditFile:
     # ── one line ───────────────────────────────────────────────────────────────────────────────────────────────────
 
     def _free_bytes(self) -> int:
-        """What is free on the disk, looked up once while it is held, less what was written since."""
+        """Return the free space on the disk in bytes: queried once per lock, less the bytes written since."""
         if self._free is None:
             self._free = shutil.disk_usage(self._folder).free
         return self._free
@@ -136,7 +141,7 @@ class AuditFile:
     # ── after a start, or when another server has written ────────────────────────────────────────────────────────────
 
     def _catch_up(self) -> None:
-        """Finds where the chain ends: as this process left it, as another one did, or as a kill did."""
+        """Find the end of the chain, which another server may have moved or a kill may have left incomplete."""
         data = read_at(self._head_fd, _HEAD_BYTES, 0)
         found = parse_head(data)
         if self._open_name and found == self.head and self._is_in_place():
@@ -146,7 +151,7 @@ class AuditFile:
         self._open(found)
 
     def _is_in_place(self) -> bool:
-        """Whether the open file is still the one of that name, and as long as it was left."""
+        """Return whether the open file is still the one with that name, and has the expected length."""
         try:
             named = (self._folder / self._open_name).lstat()
         except OSError:
@@ -155,7 +160,7 @@ class AuditFile:
         return (named.st_ino, named.st_dev) == (ours.st_ino, ours.st_dev) and ours.st_size == self.head.bytes
 
     def _rebuilt(self, had_head: bool) -> Head:
-        """The head of files that have none, from their last whole line; a new audit where there are no files."""
+        """Rebuild the head from the last whole line, and begin a new file; without any files, return an empty head."""
         files = files_of(self._folder)
         if not files and not had_head:
             return Head()
@@ -174,7 +179,9 @@ class AuditFile:
         return self.head
 
     def _open(self, head: Head) -> None:
-        """Goes on behind this head; a line that a kill left without its head is taken over, half a line is cut off."""
+        """Continue after this head. Whole lines that follow it in the chain (their server was killed before it wrote
+        the head) are accepted; an incomplete line is cut off.
+        """
         self.head = head
         if not head.file:
             return
@@ -202,13 +209,15 @@ class AuditFile:
     # ── files ──────────────────────────────────────────────────────────────────────────────────────────────────────
 
     def _begin_after(self, head: Head, why: str) -> None:
-        """A new file after damage: what is damaged stays as it is, to be seen, and the new file says so."""
+        """Begin a new file after damage. The damaged file is kept as evidence, and the first new line has the
+        reason.
+        """
         self.head = head
         self._new_file()
         self._write({"kind": "damage", "time": time.time(), "what": why})
 
     def _begin_file(self) -> None:
-        """The next file, with a first line that says which ones have given way to it."""
+        """Begin the next file. Its first line names the last of the old lines that are deleted."""
         dropped = self._to_drop()
         is_first = not self.head.seq
         self._new_file()
@@ -222,7 +231,7 @@ class AuditFile:
     def _new_file(self) -> None:
         name = file_name(self.head.seq + 1)
         fd = os.open(self._folder / name, os.O_RDWR | os.O_APPEND | _FLAGS, 0o600)
-        if os.fstat(fd).st_size:  # lines that nobody of us wrote, under the number that comes next
+        if os.fstat(fd).st_size:  # lines of another writer, under the next number
             os.close(fd)
             (self._folder / name).rename(self._folder / f"{name}.foreign-{time.time_ns()}")
             fd = os.open(self._folder / name, os.O_RDWR | os.O_APPEND | os.O_EXCL | _FLAGS, 0o600)
@@ -235,7 +244,7 @@ class AuditFile:
         self._fd, self._open_name = fd, name
 
     def _to_drop(self) -> list[tuple[Path, int]]:
-        """The oldest files that are too many, each with the number of its last line."""
+        """Return the oldest files beyond the size limit, each with the number of its last line."""
         files = files_of(self._folder)
         total = sum(path.stat().st_size for path in files)
         dropped: list[tuple[Path, int]] = []

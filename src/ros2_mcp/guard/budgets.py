@@ -1,4 +1,4 @@
-"""How much work that acts may be under way at once, for one principal and in total. Stopping counts nowhere."""
+"""Limits on the commands in progress at once, for each principal and in total. A stop is never counted."""
 
 from __future__ import annotations
 
@@ -11,29 +11,30 @@ from ros2_mcp.model.commands import Principal
 from ros2_mcp.model.errors import Refused
 
 MOST_ACTS = 512
-"""Commands of one principal that are under way. Chosen: twice as many as may be repeats (`Repetition.most_running`)."""
+"""The most commands in progress of one principal: twice as many as the most repeats (`Repetition.most_running`)."""
 MOST_ACTS_IN_TOTAL = 1024
-"""Of all of them. Chosen: two principals can take all that there is, and each of them leaves the other its half."""
+"""The most commands in progress in total: two principals can use all of it, and each leaves half to the other."""
 MOST_HZ = 5_000.0
-"""The sum of the rates of what one principal repeats and relays at a rate. The bridge publishes one message in about
-0.05 ms, so that this keeps a quarter of its ROS thread busy."""
+"""The largest sum of the rates of one principal's repeats, motions and relays, in Hz. The bridge publishes a message in
+about 0.05 ms, so this occupies a quarter of its ROS thread."""
 MOST_HZ_IN_TOTAL = 10_000.0
-"""Of all of them: half of its ROS thread. Then a stop, which goes before all that waits, still has room."""
+"""The largest sum of rates of all principals, in Hz: half of the bridge's ROS thread, which leaves time for a stop. A
+stop also precedes everything that waits."""
 
 
 @dataclass(slots=True)
 class Budgets:
-    """What is under way now; bounds so that nobody can keep the bridge from stopping, or from others."""
+    """The commands in progress, and limits: no principal can keep the bridge from stopping, or block the others."""
 
     _acts: Counter[str] = field(default_factory=Counter[str])
     _hz: dict[str, float] = field(default_factory=dict[str, float])
 
     @contextmanager
     def work(self, principal: Principal, rate_hz: float = 0.0) -> Generator[None, None, None]:
-        """Around one command, until it is answered.
+        """Count one command while it is in progress.
 
         Raises:
-            Refused: if it would be too much, for this principal or in total; nothing was sent.
+            Refused: if a limit of this principal or of all would be exceeded; nothing was sent.
         """
         owner = principal.counted_as
         self._check("commands", self._acts[owner], self._acts.total(), (MOST_ACTS, MOST_ACTS_IN_TOTAL), 1)

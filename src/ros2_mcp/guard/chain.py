@@ -1,9 +1,9 @@
-"""The lines of the audit and the chain of hashes over them: made by one function, judged by another.
+"""The lines of the audit and the chain of hashes over them: one function makes a line, another verifies the chain.
 
 A line is a JSON object that begins with its number and the hash of the line before, and ends with its own hash, which
-is SHA-256 over all that stands before it. So no line can be changed, left out, added or moved unseen, but the last
-ones; of those the head (`audit.head`) knows how many there are. Who can write both files can make a new chain: a head
-that was copied elsewhere (`ros2_status` shows it) tells that, too.
+is SHA-256 over everything before that hash. A line therefore cannot be changed, removed, inserted or moved unnoticed,
+except for the last lines; the head (`audit.head`) records how many lines there are. A user who can write both can make
+a new chain: only a copy of the head that is kept elsewhere (`ros2_status` shows the head) reveals that.
 """
 
 from __future__ import annotations
@@ -18,21 +18,23 @@ from typing import Any, cast
 
 HEAD = "audit.head"
 GENESIS = "0" * 64
-"""Stands for the hash of the line before the first."""
+"""The hash that the first line names as its predecessor."""
 _LINE = re.compile(rb'(\{"seq":(\d+),"prev":"([0-9a-f]{64})",[^\n]*),"hash":"([0-9a-f]{64})"\}\n')
 _HASH = b',"hash":"'
 _TAIL = len(_HASH) + 64 + 3
 _DIGEST = slice(-67, -3)
-"""Where the hash is in a line: 64 characters before `"}` and the new line."""
+"""The position of the hash in a line: the 64 characters before `"}` and the newline."""
 _FILE = re.compile(r"audit-(\d{12})\.jsonl")
 _DROPPED, _DAMAGED = b'"dropped_to":', b'"kind":"damage"'
 _MOST_FAULTS = 20
-"""Somebody who sees that many knows; one changed file may have thousands."""
+"""The most faults that are reported: one changed file may have thousands."""
 
 
 @dataclass(frozen=True, slots=True)
 class Head:
-    """The end of the chain: number and hash of the last line, the file that it is in, and where that ended then."""
+    """The end of the chain: number and hash of the last line, the name of its file, and the length of that file in
+    bytes.
+    """
 
     seq: int = 0
     hash: str = GENESIS
@@ -41,13 +43,13 @@ class Head:
 
     @property
     def short(self) -> str:
-        """What a person copies and compares: `1234:3f2a91c077ab1234`."""
+        """A short form that a person can copy and compare: `1234:3f2a91c077ab1234`."""
         return f"{self.seq}:{self.hash[:16]}"
 
 
 @dataclass(slots=True)
 class Verdict:
-    """What `verify` has found: `faults` say what was changed, `notes` what a killed server leaves behind."""
+    """The result of `verify`: `faults` are signs of changes, `notes` the harmless traces of a killed server."""
 
     lines: int = 0
     files: int = 0
@@ -57,7 +59,7 @@ class Verdict:
 
 
 def line_of(seq: int, prev: str, fields: Mapping[str, Any]) -> tuple[bytes, str]:
-    """One line as it is written, and its hash. It is ASCII: nothing in it can hide."""
+    """Return one line as it is written, and its hash. The line is ASCII, so that no character in it is invisible."""
     text = json.dumps(fields, ensure_ascii=True, separators=(",", ":"), default=str)
     body = f'{{"seq":{seq},"prev":"{prev}",{text[1:-1]}'.encode()
     digest = hashlib.sha256(body).hexdigest()
@@ -65,17 +67,17 @@ def line_of(seq: int, prev: str, fields: Mapping[str, Any]) -> tuple[bytes, str]
 
 
 def file_name(first_seq: int) -> str:
-    """The name of the file that begins with this line."""
+    """Return the name of the file whose first line has this number."""
     return f"audit-{first_seq:012d}.jsonl"
 
 
 def files_of(folder: Path) -> list[Path]:
-    """The files of an audit, the oldest first."""
+    """Return the files of an audit, oldest first."""
     return sorted(path for path in folder.glob("audit-*.jsonl") if _FILE.fullmatch(path.name))
 
 
 def read_head(folder: Path) -> Head | None:
-    """The head; None if there is none, or it cannot be read."""
+    """Return the head; None if it is missing or cannot be read."""
     try:
         return parse_head((folder / HEAD).read_bytes())
     except OSError:
@@ -83,7 +85,7 @@ def read_head(folder: Path) -> Head | None:
 
 
 def parse_head(data: bytes) -> Head | None:
-    """The head that these bytes are; None if they are none."""
+    """Parse the head; None if the bytes are no head."""
     try:
         found = json.loads(data)
         return Head(int(found["seq"]), str(found["hash"]), str(found["file"]), int(found["bytes"]))
@@ -92,7 +94,9 @@ def parse_head(data: bytes) -> Head | None:
 
 
 def follows(line: bytes, head: Head) -> Head | None:
-    """The head after this whole line, if it is the next one of the chain; the file and its size are left to others."""
+    """Return the head after this whole line; None if the line is not the next of the chain. The caller sets `file` and
+    `bytes`.
+    """
     match = _LINE.fullmatch(line)
     if not match or int(match[2]) != head.seq + 1 or match[3].decode() != head.hash:
         return None
@@ -101,12 +105,12 @@ def follows(line: bytes, head: Head) -> Head | None:
 
 
 def verify(folder: Path, copied: str = "", most: int = _MOST_FAULTS) -> Verdict:
-    """Judges a whole audit.
+    """Verify a whole audit and return the verdict.
 
     Args:
-        folder: where its files are.
-        copied: a head that was copied earlier (`1234:3f2a91c077ab1234`): that line must still be there.
-        most: faults after which it ends.
+        folder: the folder of the audit.
+        copied: a head that was copied earlier (`1234:3f2a91c077ab1234`); the line with that hash must still exist.
+        most: the number of faults after which verification ends.
     """
     verdict = Verdict()
     files = files_of(folder)
@@ -122,7 +126,7 @@ def verify(folder: Path, copied: str = "", most: int = _MOST_FAULTS) -> Verdict:
 
 
 class _Chain:
-    """The state of one `verify`."""
+    """The state of one verification."""
 
     def __init__(self, verdict: Verdict, copied: str, most: int) -> None:
         self._verdict = verdict
@@ -135,7 +139,7 @@ class _Chain:
         self._ends: dict[int, str] = {}
 
     def read(self, path: Path) -> None:
-        """Judges the lines of one file, each by the one before it."""
+        """Verify the lines of one file, each against the line before it."""
         verdict, number = self._verdict, 0
         with path.open("rb") as file:
             for number, line in enumerate(file, 1):
@@ -162,7 +166,7 @@ class _Chain:
             and hashlib.sha256(body).hexdigest().encode() == digest
             and not (begins or _DROPPED in body or _DAMAGED in body)
             and str(last.seq + 1) != self._copied_seq
-        ):  # as nearly all are; the rest of this finds out what is wrong with the others
+        ):  # nearly all lines take this fast path; the code below finds the fault in the others
             verdict.lines += 1
             verdict.head = Head(last.seq + 1, digest.decode())
             return
@@ -191,7 +195,9 @@ class _Chain:
         verdict.head = Head(seq, digest)
 
     def _note_event(self, body: bytes, place: str) -> None:
-        """What the writer itself said of the files; an act whose text only looks like it says nothing."""
+        """Evaluate a line of the writer about its files. A line of another kind that only contains such text is
+        ignored.
+        """
         entry = _entry(body + b"}")
         if entry.get("kind") == "rotation":
             self._dropped |= {int(last) for last in [entry.get("dropped_to", 0)] if isinstance(last, int)}
@@ -199,7 +205,7 @@ class _Chain:
             self._verdict.faults.append(f"{place}: the server found damage when it went on: {entry.get('what')}.")
 
     def judge_ends(self, head: Head | None, any_file: bool) -> None:
-        """Judges what no chain shows: its beginning and its end."""
+        """Check the beginning and the end, which the chain itself does not protect."""
         verdict, last = self._verdict, self._verdict.head
         if verdict.lines and self._first_seq - 1 not in self._dropped:
             verdict.faults.append(f"It begins with number {self._first_seq}: what was before is missing.")
@@ -225,7 +231,7 @@ def _gap(last: int, seq: int) -> str:
 
 
 def _entry(line: bytes) -> Mapping[str, Any]:
-    """What a line says; nothing if it is no JSON object: that is left to `verify`."""
+    """Parse a line; an empty mapping if it is no JSON object, which `verify` reports."""
     try:
         entry = json.loads(line)
     except (ValueError, RecursionError):
@@ -234,20 +240,22 @@ def _entry(line: bytes) -> Mapping[str, Any]:
 
 
 def entries(folder: Path) -> Iterator[Mapping[str, Any]]:
-    """Every line that can be read, the oldest first."""
+    """Yield every readable line, oldest first."""
     for path in files_of(folder):
         with path.open("rb") as file:
             yield from filter(None, map(_entry, file))
 
 
 def newest(folder: Path) -> Iterator[Mapping[str, Any]]:
-    """The same, the newest first. Reads a whole file at a time."""
+    """Yield every readable line, newest first. Reads a whole file at a time."""
     for path in reversed(files_of(folder)):
         yield from filter(None, map(_entry, reversed(path.read_bytes().splitlines())))
 
 
 def tail(folder: Path, most_bytes: int) -> list[Mapping[str, Any]]:
-    """The last lines, the oldest first, of the newest file that has some, as far as they are in so many bytes."""
+    """Return the last lines, oldest first, from the last `most_bytes` bytes of the newest file that has readable lines
+    there.
+    """
     for path in reversed(files_of(folder)):
         with path.open("rb") as file:
             file.seek(0, 2)

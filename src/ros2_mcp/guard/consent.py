@@ -1,4 +1,4 @@
-"""What the guard asks of approvals and of the audit: acts on their way, as exact commands."""
+"""The guard's interface to approvals and the audit: turns commands in progress into exact commands."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ AUDIT = "audit"
 
 
 class Consent:
-    """A person's consent: the mode that the operator has chosen, and what was approved."""
+    """A person's consent: the mode that the operator has set, and the approvals."""
 
     def __init__(self, approvals: Approvals, modes: Modes, policy: Policy) -> None:
         self.approvals = approvals
@@ -34,28 +34,29 @@ class Consent:
 
     @property
     def mode(self) -> Mode:
-        """What the operator has chosen."""
+        """The mode that the operator has set."""
         return self.modes.now
 
     async def require(self, act: Act) -> str:
-        """The id of the approval that fits, used up now. Raises `ApprovalNeeded` or `Refused`."""
+        """Consume the approval for this command, and return its id. Raises `ApprovalNeeded` or `Refused`."""
         ruling = self._policy.ruling(act.command)
         exact = exact_of(act, self._policy.digest, self.approvals.epoch())
         return self.approvals.require(exact, words.bounds(ruling) if ruling else "")
 
     def is_waiting(self, request_id: str) -> bool:
-        """Whether nobody has answered that request yet."""
+        """Return whether that request still waits for an answer."""
         return any(one.id == request_id for one in self.approvals.waiting())
 
     def leave(self, principal: Principal) -> None:
-        """Nobody is asked any more for a client that has gone."""
+        """Withdraw the waiting requests of a client that has disconnected."""
         self.approvals.leave(principal)
 
 
 class Auditing:
-    """The audit of what passes the guard: a line before each act, one after it, and one for each refusal.
+    """The audit of the commands that pass the guard: a line before each command, one after it, and one for each
+    refusal.
 
-    Messages of a relay or playback have no lines of their own: it was written down when it began.
+    Single messages of a relay or playback have no lines: the start of the relay or playback has.
     """
 
     def __init__(self, log: Audit, policy: str, epoch: Callable[[], str]) -> None:
@@ -64,15 +65,15 @@ class Auditing:
         self._epoch = epoch
 
     def note(self, kind: str, **fields: Any) -> None:
-        """Something else has happened; does not wait for it to be written."""
+        """Queue a line about any other event; do not wait for the write."""
         self.log.note(kind, **fields)
 
     def close(self) -> None:
-        """Writes what is left, and closes the file."""
+        """Write the queued lines, and close the file."""
         self.log.close()
 
     def refused(self, act: Act, error: Exception) -> None:
-        """It does not happen, and why not, or waits for a person."""
+        """Record that a command was refused, or waits for a person, and the reason."""
         exact = exact_of(act, self._policy, self._epoch())
         line = exact.line(rule=act.decision.rule, reason=f"{type(error).__name__}: {error}")
         if isinstance(error, ApprovalNeeded):
@@ -81,7 +82,11 @@ class Auditing:
             self.log.note("refused part" if act.is_part else "refused", **line)
 
     async def before(self, act: Act) -> None:
-        """It is about to happen. Raises `Refused` where it cannot be written and must be; what stops does not wait."""
+        """Record a command that is about to be carried out. A stop does not wait for the write.
+
+        Raises:
+            Refused: if the line cannot be written and the audit is required.
+        """
         if act.is_part:
             return
         exact = exact_of(act, self._policy, self._epoch())
@@ -89,13 +94,13 @@ class Auditing:
         act.line = await self.log.before(line, stops=act.stops)
 
     def after(self, act: Act, error: BaseException | None) -> None:
-        """It has happened, or failed."""
+        """Record the outcome of a command."""
         if not act.is_part:
             self.log.after(act.line, _outcome(error, act.ended_by))
 
 
 def exact_of(act: Act, policy: str, epoch: str) -> ExactCommand:
-    """The exact command of an act."""
+    """Return the exact command that is approved and audited."""
     return ExactCommand.of(act.command, act.facts.value, policy=policy, epoch=epoch, told=act.facts.told)
 
 
@@ -108,12 +113,13 @@ def _outcome(error: BaseException | None, ended_by: str) -> str:
 
 
 def with_consent(guard: Guard, folder: StateFolder, epoch: Callable[[], str]) -> Consent:
-    """Gives a guard its approvals and its audit.
+    """Attach approvals and an audit to a guard, and return the consent.
 
     Args:
-        guard: with its policy.
-        folder: the state folder; it is made when something is first written.
-        epoch: in which stop epoch and at which latch the robot is: what was approved in another one has lapsed.
+        guard: the guard, with its policy.
+        folder: the state folder; it is created at the first write.
+        epoch: returns an identifier of the present stop epoch and state of the latch; approvals of another one have
+            lapsed.
     """
     policy: Policy = guard.policy
     documents = policy.documents
@@ -122,7 +128,7 @@ def with_consent(guard: Guard, folder: StateFolder, epoch: Callable[[], str]) ->
         path=folder.path / AUDIT,
         policy=policy.digest,
         required=any(document.audit.on_failure == "refuse" for document in documents),
-        # The most that one of them wants: who adds a policy must not make room for what was done by dropping it.
+        # The largest of the sizes: otherwise adding a policy could delete lines about earlier commands.
         keep_bytes=max((kept for document in documents if (kept := document.audit.keep_bytes)), default=KEEP_BYTES),
     )
     approvals = Approvals(
@@ -138,7 +144,7 @@ def with_consent(guard: Guard, folder: StateFolder, epoch: Callable[[], str]) ->
 
 
 def audit_folder(state: StateFolder) -> Path:
-    """The folder of the audit, made if it was not there. Raises `StateUnusable` or `OSError`."""
+    """Return the folder of the audit, and create it if necessary. Raises `StateUnusable` or `OSError`."""
     folder = state.make() / AUDIT
     folder.mkdir(mode=0o700, exist_ok=True)
     return folder

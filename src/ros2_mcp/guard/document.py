@@ -1,4 +1,4 @@
-"""One policy as it was read: its rules, and what else it says of the robot (`docs/reference/policy-file.md`)."""
+"""One parsed policy: its rules, and its other settings about the robot (`docs/reference/policy-file.md`)."""
 
 from __future__ import annotations
 
@@ -9,22 +9,24 @@ from typing import Any, Literal
 from ros2_mcp_common.policy.rules import RuleSet
 
 Mode = Literal["observe", "confirm", "autonomous"]
-"""`observe`: only reading and stopping. `confirm`: what acts waits for a person, but where a rule says `never`.
-`autonomous`: what the rules allow is done, and only what a rule says `each` of waits."""
+"""`observe`: only reading and stopping. `confirm`: every command needs an approval, unless its rule has the consent
+`never`. `autonomous`: allowed commands are carried out, and only those whose rule has the consent `each` need an
+approval."""
 
 
 ODOMETRY = "nav_msgs/msg/Odometry"
-"""The type in which a robot tells its own speed, where a policy names no other."""
+"""The default message type of a robot's own velocity."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Feedback:
-    """Where the robot's own speed is read, and what of it stops the robot.
+    """The topic of the robot's measured velocity, and the thresholds at which the watchdog stops the robot.
 
-    `path` is the field of the message with `linear` and `angular`, `still` the lengths in m/s and rad/s below which the
-    robot counts as standing. It is stopped when it still moves `within_s` after its zero, when it is `over` times
-    faster than a limit on its velocity, and when nothing was heard for `max_age_s` while it is driven. While a goal
-    runs it drives itself, and `goals` (m/s, rad/s) holds instead of the limits; empty: its speed is not judged then.
+    `path` is the field of the message that has `linear` and `angular`. `still` are the speeds in m/s and rad/s below
+    which the robot counts as stationary. The robot is stopped if it still moves `within_s` seconds after its zero, if
+    its speed exceeds `over` times a limit on its velocity, or if no message arrived for `max_age_s` while it is driven.
+    During a goal the robot's own controllers drive it: then `goals` (m/s, rad/s) replaces the limits; if empty, its
+    speed is not checked.
     """
 
     topic: str
@@ -39,10 +41,10 @@ class Feedback:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pose:
-    """Where the robot's place is read, and the zone that it may not leave while it is driven; empty: none.
+    """The topic of the robot's pose, and the zone that the robot must not leave while it is driven ("": none).
 
-    `brake_mps2` is how hard it brakes: it is stopped so early that it stands before the edge. `frame_id` is that of the
-    zone: a place in another frame is not known.
+    `brake_mps2` is the robot's deceleration in m/s²: the robot is stopped early enough to come to rest inside the zone.
+    `frame_id` is the frame of the zone: a pose in another frame counts as unknown.
     """
 
     topic: str
@@ -56,9 +58,10 @@ class Pose:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Consent:
-    """Who approves: `operator` in the terminal (`ros2-mcp operate`), or also the client's user by `elicitation`.
+    """The way of approval: by an `operator` in the terminal (`ros2-mcp operate`), or by `elicitation`, also by the
+    client's user.
 
-    An approval holds for `valid_s`; a grant at most for `grants_s` (0: there are none).
+    An approval is valid for `valid_s` seconds; a grant for at most `grants_s` seconds (0: no grants).
     """
 
     how: Literal["operator", "elicitation"] = "operator"
@@ -68,7 +71,7 @@ class Consent:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Auditing:
-    """How much of the audit is kept (None: as usual), and what happens to a command that cannot be written down."""
+    """The size limit of the audit (None: the default), and whether a command that cannot be recorded is refused."""
 
     keep_bytes: int | None = None
     on_failure: Literal["refuse", "warn"] = "refuse"
@@ -76,10 +79,10 @@ class Auditing:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Document:
-    """One policy. `origin` is where it came from, for the operator and never for a client: a path, or `profile nav`.
+    """One policy. `origin` is its path, or `profile nav`; it is shown to the operator and never to a client.
 
-    `robot` is the robot's name, for which state is kept; empty: that of the domain and host. `state` is the folder for
-    it; empty: the usual one.
+    `robot` is the name under which the robot's state is kept ("": a name made from domain and host). `state` is the
+    parent of the robot's state folder ("": the default).
     """
 
     name: str
@@ -96,7 +99,7 @@ class Document:
 
     @property
     def form(self) -> Mapping[str, Any]:
-        """The canonical form, of which the digest is made: what it says, and not where or in which lines."""
+        """The canonical form, from which the digest is computed: the content without file name and line numbers."""
         form = {name: value for name, value in asdict(self).items() if name != "origin"}
         for entries in (form["rules"][key] for key in ("allow", "forbid", "limits")):
             for entry in entries:

@@ -1,4 +1,4 @@
-"""How clients come in over HTTP: where is listened, under which names, with which login. Checked before the start."""
+"""The HTTP endpoint: its address, accepted host names and login, checked before the start."""
 
 from __future__ import annotations
 
@@ -19,14 +19,15 @@ NO_LOGIN = (
 )
 _EVERYWHERE = ("0.0.0.0", "::")
 _USUAL_PORTS = {"http": 80, "https": 443}
-"""Which nobody writes."""
+"""Default ports, which URLs omit."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Entrance:
-    """What was asked for, checked. `tokens` are None without a login; `told` is what a person has to know at the start.
+    """The checked settings of the HTTP endpoint.
 
-    `hosts` and `origins` are the values of these headers that are accepted.
+    `tokens` is None without a login; `told` is the message for the person who starts the server. `hosts` and `origins`
+    are the accepted values of the headers Host and Origin.
     """
 
     url: str
@@ -37,10 +38,10 @@ class Entrance:
 
 
 def entrance_of(settings: Settings) -> Entrance:
-    """How clients come in, with the token of the server made if it is the first start.
+    """Return the HTTP endpoint for these settings; create the server's own token at the first start.
 
     Raises:
-        BadInput: for a combination of settings that would let in strangers, and tokens that cannot be used.
+        BadInput: for settings that would admit strangers, or tokens that cannot be used.
     """
     _check(settings)
     if settings.no_login:
@@ -63,18 +64,18 @@ def entrance_of(settings: Settings) -> Entrance:
 
 
 def check_tls(settings: Settings) -> None:
-    """Tells before the start whether TLS can be spoken.
+    """Check before the start that TLS works with the configured certificate and key.
 
     Raises:
-        BadInput: for a certificate and a key with which it cannot.
+        BadInput: if they cannot be used.
     """
     if not settings.tls_cert or not settings.tls_key:
         return
-    import ssl  # of no use to stdio
+    import ssl  # stdio does not need it
 
     certificate, key = settings.tls_cert.expanduser(), settings.tls_key.expanduser()
     try:
-        # With no password given, OpenSSL would ask for one at the terminal.
+        # Without a password, OpenSSL would prompt for one at the terminal.
         ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(certificate, key, password=lambda: b"")
     except OSError as error:
         reason = "OpenSSL does not take them" if isinstance(error, ssl.SSLError) else error.strerror
@@ -85,12 +86,12 @@ def check_tls(settings: Settings) -> None:
 
 
 def warnings_of(settings: Settings) -> list[str]:
-    """What `ros2_status` says of it."""
+    """Return the warnings about the endpoint that `ros2_status` shows."""
     return [NO_LOGIN] if settings.no_login and settings.is_http else []
 
 
 def url_of(settings: Settings) -> str:
-    """Where clients find this server."""
+    """Return the URL of this server for clients."""
     if settings.public_url:
         url = settings.public_url.rstrip("/")
         return url if urlsplit(url).path else f"{url}/mcp"
@@ -100,7 +101,7 @@ def url_of(settings: Settings) -> str:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this machine can reach that address."""
+    """Return whether the address can only be reached from this machine."""
     try:
         return ipaddress.ip_address(host.strip("[]").partition("%")[0]).is_loopback
     except ValueError:
@@ -130,18 +131,18 @@ def _check(settings: Settings) -> None:
 
 
 def _hosts(settings: Settings) -> tuple[str, ...]:
-    """As clients write this machine's own names and the address that is listened on."""
+    """Return the accepted Host values for this machine's own names and for the address that the server listens on."""
     names = ["127.0.0.1", "localhost", "[::1]"]
     host = settings.host.strip("[]")
     if host not in _EVERYWHERE:
         written = f"[{host}]" if ":" in host else host
-        names += [written, written.lower()]  # browsers write names in lower case
+        names += [written, written.lower()]  # browsers send names in lower case
     at = [f"{name}:{settings.port}" for name in dict.fromkeys(names)]
     return (*at, *(names if settings.port == _USUAL_PORTS[_scheme(settings)] else ()))
 
 
 def _as_written(netloc: str, scheme: str) -> tuple[str, ...]:
-    """The ways to write where a public address leads: its usual port may be written."""
+    """Return the spellings of a public address: with and without the default port."""
     usual = f":{_USUAL_PORTS[scheme]}"
     bare = netloc.removesuffix(usual)
     return (netloc,) if urlsplit(f"//{bare}").port else (bare, bare + usual)
@@ -164,7 +165,7 @@ def _told_of_own(folder: Path, new_token: str, settings: Settings) -> str:
 
 
 def _config_command(settings: Settings) -> str:
-    """With the options that decide how clients reach this server."""
+    """Return the command that configures a client, with the options that decide how clients reach this server."""
     words, usual = ["ros2-mcp"], Settings()
     for name in ("host", "port", "tls_cert", "tls_key", "behind_proxy", "public_url"):
         value = getattr(settings, name)

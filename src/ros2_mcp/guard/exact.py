@@ -1,7 +1,7 @@
-"""One act as the audit writes it down, as approvals are bound to it, and as an operator reads it.
+"""A resolved command in the exact form that the audit records, that an approval covers, and that an operator reads.
 
-The sentences are fixed. What comes from a model or a robot stands in them as a name that can only be a name, as a
-number, or within «» as ASCII: nothing in it can look like a sentence of ours.
+The sentences for the operator are fixed. Text from a model or a robot appears in them only as a valid name, as a
+number, or within «» as ASCII, so that it cannot pass for a sentence of this server.
 """
 
 from __future__ import annotations
@@ -33,23 +33,24 @@ _NOT_BOUND = frozenset({"principal", "name", "type", "value", "rate_hz", "durati
 _NOT_SAID = frozenset(
     {"messages", "goal_id", "repeat_id", "motion_id", "relay_id", "wait_match_s", "wait_ack_s", "timeout_s", "wait_s"}
 )
-"""Fields of commands that are bound by themselves, are made anew for each call, or say how long one waits. Every other
-field, also one that somebody adds, is part of what was approved."""
+"""Fields of commands that have a field of their own in `ExactCommand` (`_NOT_BOUND`), or are new for each call or only
+limit waiting (`_NOT_SAID`). Every other field, including one added later, is part of what was approved."""
 _SHOWN = 12
-"""Values in a summary, which is read in a second; `operate show` has all."""
+"""The most values in a summary, so that a person reads it within a second; `operate show` lists all."""
 _TEXT = 80
-"""Characters of a text within a summary: about a line."""
+"""The most characters of a text within a summary: about a line."""
 _ROW = 8
-"""Longer lists of numbers are told by their bounds."""
+"""A longer list of numbers is summarised by its smallest and largest number."""
 _DIGEST_GROUPS = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExactCommand:
-    """A command, resolved: what is approved is exactly this. `value` is decoded in full, with no default left out.
+    """A resolved command: an approval covers exactly this. `value` is decoded in full, including defaults.
 
-    `digest` is SHA-256 over the type and the bytes (CDR) that are sent, `more` the other fields of the command that say
-    what happens, `policy` the hash of the policies, `epoch` the stop epoch in which it was asked for.
+    `digest` is SHA-256 over the type and the CDR bytes that are sent, or, where `of` got no bytes, over the type and
+    the value as canonical JSON. `more` are the other fields of the command that affect its outcome, `policy` is the
+    hash of the policies, `epoch` the stop epoch of the request, `told` further sentences for the person who approves.
     """
 
     principal: Principal
@@ -76,15 +77,16 @@ class ExactCommand:
         epoch: str = "",
         told: Sequence[str] = (),
     ) -> ExactCommand:
-        """The act that a command is.
+        """Return the exact form of a command.
 
         Args:
-            command: as it was resolved (`robot/translation.py`).
-            value: its value, decoded in full from what is sent; without it, what the command has.
-            body: its bytes; without them, the digest is of the value as JSON, which says the same.
+            command: the resolved command (`robot/translation.py`).
+            value: its value, decoded in full from the bytes that are sent; without it, the command's own value.
+            body: the bytes; without them, the digest is computed from the value as JSON, which is equivalent.
             policy: the hash of the policies in force.
-            epoch: the stop epoch in which it was accepted.
-            told: what else a person reads of its value, such as the extremes of a trajectory; nothing is bound to it.
+            epoch: the stop epoch in which the command was accepted.
+            told: further sentences about the value for the person who approves, such as the extremes of a trajectory;
+                they are not part of what is approved.
         """
         value = command.value if value is None else value
         of = body or canonical(value).encode()
@@ -110,7 +112,9 @@ class ExactCommand:
 
     @property
     def subject(self) -> str:
-        """What a grant is for: who does what with what, but for value, rate and duration."""
+        """The part that a grant covers: principal, verb, name, type, policies and other fields, without value, rate and
+        duration.
+        """
         parts = [
             self.principal.transport,
             self.principal.name,
@@ -124,12 +128,12 @@ class ExactCommand:
 
     @property
     def key(self) -> str:
-        """All of it: two acts are the same one if they have the same key."""
+        """A hash of all that an approval covers: two commands are the same if their keys are equal."""
         parts = [self.subject, self.digest, self.rate_hz, self.duration_s, self.epoch]
         return hashlib.sha256(canonical(parts).encode()).hexdigest()
 
     def line(self, **more: Any) -> dict[str, Any]:
-        """The fields of its line in the audit, and these others."""
+        """Return the fields of the audit line of this command, with `more` added."""
         return {
             "principal": self.principal.name,
             "transport": self.principal.transport,
@@ -150,7 +154,7 @@ class ExactCommand:
         }
 
     def summary(self) -> list[str]:
-        """For an operator, in fixed sentences of printable ASCII and «»: what it does, with what, for whom; digest."""
+        """Return sentences of printable ASCII and «» for an operator: effect, values, client and digest."""
         groups = [self.digest[4 * place : 4 * place + 4] for place in range(_DIGEST_GROUPS)]
         return [
             f"{self._effect()}{self._type()}, {self._often()}.",
@@ -185,7 +189,7 @@ class ExactCommand:
         if parameters is None:
             leaves = [(path, leaf) for path, leaf in leaves_of(self.value) if not is_default(leaf)]
             others, none = "every other value is 0 or empty", "Every value is 0 or empty."
-        else:  # all of them: what is switched off or emptied becomes so by this
+        else:  # parameters: all are shown, because a default value is set as well
             leaves = [
                 leaf for name, value in parameters.items() for leaf in [*leaves_of(value, name)] or [(name, None)]
             ]
@@ -197,7 +201,9 @@ class ExactCommand:
         return f"{told}, and {rest} more." if rest > 0 else f"{told}; {others}."
 
     def _motion(self) -> list[str]:
-        """That a motion sends no more than these values, and what decides about it."""
+        """Return a sentence about a motion by feedback: its values are maxima, and these are its controller's
+        settings.
+        """
         controller: Mapping[str, Any] | None = self.more.get("controller")
         if not controller:
             return []
@@ -219,14 +225,14 @@ class ExactCommand:
 
 
 class _Given(dict[str, str]):
-    """Fields of a sentence; what is not given is said so."""
+    """The fields of a sentence; a missing field is shown as `(no NAME)`."""
 
     def __missing__(self, name: str) -> str:
         return f"(no {name})"
 
 
 def canonical(value: Any) -> str:
-    """A JSON value as the one text that stands for it: keys in order, ASCII, nothing between."""
+    """Return the canonical JSON text of a value: sorted keys, ASCII, no spaces."""
     return json.dumps(value, sort_keys=True, ensure_ascii=True, separators=(",", ":"), default=_plain)
 
 
@@ -235,17 +241,17 @@ def _plain(value: Any) -> Any:
 
 
 def word(name: str) -> str:
-    """A name as it is where it can only be a name, else as quoted ASCII."""
+    """Return a valid name unchanged, and any other text as quoted ASCII."""
     return name if is_name(name) else _text(name)
 
 
 def number(value: float) -> str:
-    """A number with all its digits: two that differ by the last bit are shown as two."""
+    """Return a number with all its digits, so that two numbers that differ in the last bit are shown as different."""
     return repr(value)
 
 
 def leaves_of(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """Paths and values below; a long list of numbers is one leaf."""
+    """Yield the path and the value of each leaf; a long list of numbers counts as one leaf."""
     if isinstance(value, Mapping):
         for name, below in cast("Mapping[str, Any]", value).items():
             yield from leaves_of(below, f"{path}.{name}" if path else name)
@@ -261,7 +267,7 @@ def leaves_of(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def is_default(leaf: Any) -> bool:
-    """Whether a leaf is what ROS has where nothing is given."""
+    """Return whether a leaf has the default value of its field in ROS."""
     return leaf is None or leaf is False or leaf == "" or (isinstance(leaf, (int, float)) and leaf == 0)
 
 
@@ -277,6 +283,6 @@ def _unit(type_name: str, path: str) -> str:
 
 
 def _text(text: str) -> str:
-    """Any text within «», as ASCII on one line, cut where it is long."""
+    """Return any text within «», as ASCII on one line, cut if it is long."""
     inner = json.dumps(text[: 2 * _TEXT], ensure_ascii=True)[1:-1].replace("\x7f", "\\u007f")
     return f"«{inner}»" if len(inner) <= _TEXT and len(text) <= 2 * _TEXT else f"«{inner[: _TEXT - 3]}...»"

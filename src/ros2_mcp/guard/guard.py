@@ -1,4 +1,4 @@
-"""The one place through which everything that acts has to pass: `Robot.do` alone enters it."""
+"""The guard that every command passes before it is carried out. Only `Robot.do` calls it."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ FindFacts = Callable[[Ruling | None, bool], Awaitable[Facts]]
 
 @dataclass(slots=True, kw_only=True)
 class Act:
-    """One command on its way through the guard. `ruling` is what the rules say about it whatever its value.
+    """One command in the guard. `ruling` is the part of the policy's ruling that does not depend on the value.
 
-    `stops` is what ends something that this server began: it is never held, only audited. `approval` is the id of the
-    approval that it used up, `line` its line in the audit. `notes` are sentences for the result, `ended_by` is what
-    ended it before its time.
+    `stops` marks a command that ends something that this server began: it is audited and never held back. `approval` is
+    the id of the approval that was consumed, `line` the command's line in the audit, `notes` are sentences for the
+    result, and `ended_by` is the reason if the command ended early.
     """
 
     command: Command[Any]
@@ -40,60 +40,66 @@ class Act:
 
     @property
     def is_part(self) -> bool:
-        """Whether it is part of what was decided, approved and audited before: messages for an open relay."""
+        """Whether the command, messages for an open relay, belongs to one that was decided, approved and audited
+        before.
+        """
         return isinstance(self.command, Feed)
 
 
 class Approvals(Protocol):
-    """What persons have approved."""
+    """A person's approvals, as the guard uses them."""
 
     @property
     def mode(self) -> Mode:
-        """What the operator has chosen; it can only be stricter than the policy's own."""
+        """The mode that the operator has set; it can only be stricter than the policy's own."""
         ...
 
     async def require(self, act: Act) -> str:
-        """The id of the approval that fits, used up now; raises `ApprovalNeeded` where there is none."""
+        """Consume the approval for this command, and return its id; raises `ApprovalNeeded` if there is none."""
         ...
 
     def is_waiting(self, request_id: str) -> bool:
-        """Whether nobody has answered that request yet."""
+        """Return whether that request still waits for an answer."""
         ...
 
     def leave(self, principal: Principal) -> None:
-        """Takes back what a client that has gone has asked for."""
+        """Withdraw the waiting requests of a client that has disconnected."""
         ...
 
 
 class Audit(Protocol):
-    """Writes down what was asked, decided and done."""
+    """The audit of requests, decisions and outcomes, as the guard uses it."""
 
     def note(self, kind: str, **fields: Any) -> None:
-        """Something else has happened, such as a stop; does not wait for it to be written."""
+        """Record any other event, such as a stop; do not wait for the write."""
         ...
 
     def refused(self, act: Act, error: Exception) -> None:
-        """It does not happen; does not wait for it to be written."""
+        """Record that a command was refused; do not wait for the write."""
         ...
 
     async def before(self, act: Act) -> None:
-        """It is about to happen. Raises `Refused` where it cannot be written and the policy says so."""
+        """Record a command that is about to be carried out.
+
+        Raises:
+            Refused: if the line cannot be written and the policy requires it.
+        """
         ...
 
     def after(self, act: Act, error: BaseException | None) -> None:
-        """It has happened, or failed; does not wait for it to be written."""
+        """Record that a command has ended or failed; do not wait for the write."""
         ...
 
     def close(self) -> None:
-        """Writes what is left, and closes the file."""
+        """Write the queued lines, and close the file."""
         ...
 
 
 class Guard:
-    """The policy, and around it all that can hold a command back. Whatever is None holds nothing back.
+    """The policy and everything else that can hold a command back. A part that is None holds nothing back.
 
-    Who builds one of these sets it where the guard is made (`compose/robot.py`). Without a state folder the latch is
-    kept in memory, and no other server is looked for.
+    The parts are set where the guard is made (`compose/robot.py`). Without a state folder the latch is kept in memory,
+    and other servers are not looked for.
     """
 
     def __init__(
@@ -120,17 +126,17 @@ class Guard:
         *,
         stops: bool = False,
     ) -> AsyncGenerator[Act, None]:
-        """Around a command that is carried out. What stops something is only audited; what only reads passes.
+        """A context manager around the execution of a command. A command that stops something is only audited; a
+        command that only reads passes unchecked.
 
         Args:
-            command: as it is meant.
-            find_facts: asked once it is known that the command may be allowed, and that facts matter. It is told
-                what the rules say, and whether the value is needed whatever they are about: what a person approves is
-                bound to it.
-            stops: whether it ends something that this server began.
+            command: the command in its resolved meaning.
+            find_facts: called once the command may be allowed and the decision depends on facts. Its arguments are the
+                ruling, and whether the value is needed in any case, because an approval covers it.
+            stops: whether the command ends something that this server began.
 
         Raises:
-            Refused: if the policy forbids it, it waits for an approval, the latch is set, or a budget is used up.
+            Refused: if the policy forbids the command, it needs an approval, the latch is set, or a budget is used up.
             BadValue: if the value does not fit its definition.
         """
         act = Act(command=command, ruling=self.policy.ruling(command), stops=stops)
@@ -157,10 +163,10 @@ class Guard:
             self._after(act, None)
 
     async def foresee(self, command: Command[Any], find_facts: FindFacts) -> Decision:
-        """What would be decided about a command now. Nobody is asked, and nothing is used up or written.
+        """Return the decision about a command now, without asking a person, consuming an approval or writing a line.
 
         Raises:
-            Refused: where the latch or another server would hold it.
+            Refused: if the latch or another server would hold the command back.
             BadValue: if the value does not fit its definition.
         """
         act = Act(command=command, ruling=self.policy.ruling(command))
@@ -169,8 +175,8 @@ class Guard:
         return act.decision
 
     def check_keeping(self, what: str) -> None:
-        """Before something is kept on this machine, such as a place or a program. It moves nothing, and what is made of
-        it is decided then: the mode alone decides.
+        """Check whether something, such as a place or a program, may be saved on this machine. Saving moves nothing,
+        and a later use is decided then, so only the mode matters.
 
         Raises:
             Refused: in the mode observe.
@@ -184,21 +190,23 @@ class Guard:
 
     @property
     def mode(self) -> Mode:
-        """What holds now: the stricter one of the policy's mode and the operator's."""
+        """The mode in force: the stricter of the policy's mode and the operator's."""
         chosen = self.approvals.mode if self.approvals else self.policy.mode
         return strictest(self.policy.mode, chosen)
 
     def _check_state(self, act: Act) -> None:
-        """Raises `Latched` or `Refused` where the latch or another server holds it. Recording sends nothing."""
+        """Raise `Latched` or `Refused` if the latch or another server holds the command back. A recording sends nothing
+        and passes.
+        """
         if isinstance(act.command, Record):
             return
-        if not isinstance(act.command, CancelGoals):  # ends something, whoever began it
+        if not isinstance(act.command, CancelGoals):  # a cancellation passes the latch, whoever sent the goal
             self.latch.check(act.command)
         if note := self.server_lock.check():
             act.notes.append(note)
 
     async def _decide(self, act: Act, find_facts: FindFacts | None) -> None:
-        """Raises `Refused` unless the policy allows it, or somebody has approved it."""
+        """Raise `Refused` unless the policy allows the command, and `ApprovalNeeded` if it lacks an approval."""
         command = act.command
         waits = await self._rule(act, find_facts)
         if act.decision.verdict == "refused":
@@ -209,11 +217,13 @@ class Guard:
             act.approval = await self.approvals.require(act)
 
     async def _rule(self, act: Act, find_facts: FindFacts | None) -> bool:
-        """Notes what the policy decides, with the facts that it needs; whether a person has to approve it."""
+        """Set the decision of the policy, with the facts that it needs; return whether the command needs an
+        approval.
+        """
         ruling = act.ruling
         matter = ruling is not None and not act.is_part and (ruling.needs_value or ruling.needs_publishers)
         has_facts, has_value = not matter, False
-        while True:  # each time with what is known by now, and in the mode that an operator may have chosen meanwhile
+        while True:  # decide again with each new fact, in the mode of that moment: an operator may have changed it
             act.decision = self.policy.judge(act.command, ruling, act.facts if has_facts else None, self.mode)
             waits = act.decision.verdict == "consent" and not act.is_part
             is_known = has_facts and (has_value or not waits)
@@ -228,5 +238,7 @@ class Guard:
 
 
 def _rate_hz(command: Command[Any]) -> float:
-    """How many messages a second the bridge will publish for it; 0 where that is not known, or it is once."""
+    """Return the rate at which the bridge will publish for the command, in Hz; 0 if unknown, or for a single
+    message.
+    """
     return command.rate_hz or 0.0 if isinstance(command, Repeat | Move | Relay) else 0.0

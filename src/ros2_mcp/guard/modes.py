@@ -1,4 +1,4 @@
-"""The mode in which acting is allowed: set by the policy, changed by an operator, kept over restarts."""
+"""The mode in force: set by the policy, changed by an operator, kept across restarts."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ _BY_NAME: Mapping[str, Mode] = {mode: mode for mode in MODES}
 
 
 class Modes:
-    """The mode of one robot. `most` is the policy's: an operator may set a stricter one, and take that back.
+    """The mode of one robot. `most` is the policy's mode: an operator may set a stricter one and return to `most`.
 
-    The operator's choice is kept with the policy's hash: another policy begins with its own mode.
+    The operator's choice is stored with the policy's hash: under another policy it no longer applies.
     """
 
     def __init__(self, folder: StateFolder, *, most: Mode = "autonomous", policy: str = "") -> None:
@@ -31,10 +31,10 @@ class Modes:
             self.now = strictest(kept, most)
 
     def set(self, mode: str) -> Mode:
-        """Changes the mode; returns the one before.
+        """Change the mode; return the former one.
 
         Raises:
-            BadInput: if there is no such mode, the policy does not allow it, or it cannot be kept.
+            BadInput: if there is no such mode, the policy does not allow it, or it cannot be stored.
         """
         if not self._policy:
             raise BadInput("No policy is in force, and without one there are no modes.", "Start the server with one.")
@@ -64,7 +64,7 @@ class Modes:
         except FileNotFoundError:
             return None
         except (OSError, ValueError):
-            return "observe"  # what an operator chose is not known: the least
+            return "observe"  # the operator's choice is unknown: assume the strictest mode
         if not isinstance(kept, dict) or kept.get("policy") != self._policy:  # pyright: ignore[reportUnknownMemberType]
             return None
         return kept["mode"] if kept.get("mode") in MODES else "observe"  # pyright: ignore

@@ -1,7 +1,7 @@
-"""The operator's way in: a socket in the state folder, with a line of JSON for each request and each answer.
+"""The operator's access to a server: a socket in the state folder, with one line of JSON per request and answer.
 
-Who may come in says `operators.py`. An agent has no way to it but a shell of the same user: then the server says that
-its policy is advisory.
+`operators.py` decides who is an operator. An agent can only reach the socket through a shell of the same user; in that
+case the server reports its policy as advisory.
 """
 
 from __future__ import annotations
@@ -30,16 +30,18 @@ from ros2_mcp_common.latch import Latch, ResetRefused
 RESET = "The latch is reset: what acts may act again. Nothing was started."
 _PREFIX, _SUFFIX = "operate-", ".sock"
 _LINE_BYTES = 65_536
-"""Of a request; the longest of ours has some hundred."""
+"""The longest request, in bytes; ours have some hundred."""
 _MOST_CLIENTS = 16
-"""Terminals and scripts at a time: an operator has one or two."""
+"""The most connections at a time: an operator has one or two terminals or scripts."""
 _logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
 class StopAnswer:
-    """What was observed of a stop, in words; `is_doubted` where it is not confirmed that all it knows of stands, and
-    `is_observed_still` where the robot's own sensors told afterwards that it stands.
+    """The observed result of a stop, in words.
+
+    `is_doubted`: not everything that this server moves is confirmed to be stopped. `is_observed_still`: the robot's own
+    sensors reported afterwards that it is stationary.
     """
 
     done: str
@@ -49,10 +51,11 @@ class StopAnswer:
 
 @dataclass(frozen=True, kw_only=True)
 class Operated:
-    """What an operator works on. `stop` stops the robot on behalf of a name, and says what was observed.
+    """The parts of a server that an operator works on. `stop` stops the robot on behalf of a name, and returns the
+    result.
 
-    `status` has what else the list says: `moves`, the topics and actions that this server moves the robot by now, and
-    `jobs`, what runs and is no command, such as a recording.
+    `status` returns further entries of the list: `moves`, the topics and actions by which this server moves the robot
+    now, and `jobs`, the running work that is no command, such as a recording.
     """
 
     robot: str
@@ -69,9 +72,10 @@ class Operated:
 async def operating(
     folder: StateFolder, operated: Operated, usual: StateFolder | None = None
 ) -> AsyncGenerator[None, None]:
-    """While it is entered, operators can connect. Where that cannot be, it is logged, and the robot works without.
+    """A context manager in which operators can connect. If the socket cannot be opened, this is logged, and the robot
+    works without.
 
-    `usual` is the folder where an operator looks who names no policy: a link to the socket is there, too.
+    `usual` is the folder in which an operator looks who names no policy: a link to the socket is put there as well.
     """
     path: Path | None = None
     link: Path | None = None
@@ -97,7 +101,7 @@ async def operating(
 
 
 def _linked(path: Path, usual: StateFolder) -> Path | None:
-    """The link to a socket in the usual folder; None where it cannot be made, which is logged."""
+    """Create a link to the socket in the usual folder; None, with a log entry, if that fails."""
     try:
         link = usual.make() / path.name
         link.symlink_to(path.absolute())
@@ -108,20 +112,22 @@ def _linked(path: Path, usual: StateFolder) -> Path | None:
 
 
 def sockets_of(folder: Path) -> list[Path]:
-    """The sockets of servers that may be there, and links to those of robots with a folder of their own."""
+    """Return the paths of operator sockets in a folder, and of links to those of robots with a state folder of their
+    own.
+    """
     return sorted(folder.glob(f"{_PREFIX}*{_SUFFIX}"))
 
 
 def _clear(own: Collection[Path | None], folders: Collection[Path]) -> None:
-    """Removes the sockets of servers that were killed, and links to them; those that listen stay."""
+    """Remove sockets whose server was killed, and links to them; keep sockets in use."""
     for path in (each for folder in folders for each in sockets_of(folder) if each not in own):
         if is_left_behind(path):
-            with suppress(OSError):  # of another user, or removed by another server meanwhile
+            with suppress(OSError):  # another user's, or another server has just removed it
                 path.unlink()
 
 
 class _Clients:
-    """Answers operators' requests."""
+    """The connected operators, and the answers to their requests."""
 
     def __init__(self, operated: Operated, at: OperatorSocket) -> None:
         self._operated = operated
@@ -129,14 +135,14 @@ class _Clients:
         self._serving: dict[asyncio.Task[None], asyncio.StreamWriter] = {}
 
     async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """One connection, until it is closed."""
+        """Serve one connection until it is closed."""
         peer: socket.socket = writer.get_extra_info("socket")
         task = cast("asyncio.Task[None]", asyncio.current_task())
         self._serving[task] = writer
         try:
             uid = await self._socket.user(reader, peer)
             if not may_operate(uid):
-                with suppress(asyncio.TimeoutError):  # what is closed with a request unread loses its answer
+                with suppress(asyncio.TimeoutError):  # closing a socket with an unread request discards the answer
                     await asyncio.wait_for(reader.readline(), SHOWN_S)
                 self._operated.audit.note("operator refused", by=name_of(uid), uid=uid)
                 await _send(writer, {"ok": False, "error": f"{name_of(uid)} is no operator of this robot."})
@@ -151,7 +157,7 @@ class _Clients:
             writer.close()
 
     async def end(self) -> None:
-        """Ends all connections."""
+        """Close all connections."""
         tasks = [*self._serving]
         for writer in self._serving.values():
             writer.close()
@@ -189,7 +195,7 @@ class _Clients:
         return await self._change(request, by)
 
     async def _change(self, request: Mapping[str, Any], by: str) -> Mapping[str, Any]:
-        """What concerns the whole robot."""
+        """Carry out a request about the whole robot: mode, stop or reset."""
         operated, what = self._operated, request["do"]
         if what == "mode":
             before = operated.modes.set(str(request["mode"]))

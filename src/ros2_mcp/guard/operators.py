@@ -1,7 +1,7 @@
-"""Who operates, and where: at a Unix socket in the state folder; on Windows at a port of this machine.
+"""Identify operators, and open the socket for them: a Unix socket in the state folder, or a local port on Windows.
 
-Who connects at a Unix socket is known by the kernel, not by what they say. Windows tells that of nobody: there a file
-stands in the place of the socket, with the port and a secret, and who can read it is the user of the server.
+The kernel reports the user at the other end of a Unix socket, so no login is needed. Windows does not: there a file in
+place of the socket has the port and a secret, and only the user of the server can read it.
 """
 
 from __future__ import annotations
@@ -25,32 +25,32 @@ if sys.platform != "win32":
     import pwd
 
 GROUP = "ros2-operators"
-"""Where this group exists, its members operate, and root; elsewhere the user of the server does."""
+"""If this group exists, its members and root are operators; otherwise the user of the server is."""
 SHOWN_S = 1.0
-"""How long somebody may take for their secret, or for their request where they are no operator: they must not keep
-operators out."""
+"""The time limit for a client to send its secret, or, if it is no operator, its request, in s: such a client must not
+keep operators out."""
 STRANGER = -1
-"""In place of the number of a user: somebody who has shown no secret, or a wrong one."""
+"""The user id of a connection that sent no secret, or a wrong one."""
 _ANSWERED_S = 30.0
-"""For an answer: a stop takes some seconds; everything else is answered at once."""
+"""The time limit for an answer, in s: a stop takes some seconds; everything else is answered at once."""
 _LOOPBACK = "127.0.0.1"
 _CREDENTIALS = struct.Struct("3i")
-"""pid, uid and gid, as Linux gives them."""
+"""pid, uid and gid, as Linux returns them."""
 _XUCRED = struct.Struct("=II")
-"""Of `struct xucred` of macOS: its version, and the user."""
+"""The first two fields of macOS's `struct xucred`: version and user id."""
 _LOCAL_PEERCRED, _XUCRED_BYTES = 1, 128
-"""The option of `SOL_LOCAL`, 0, that gives it, and room for it."""
+"""The macOS socket option (at the level `SOL_LOCAL`, which is 0) that returns it, and the size of the buffer."""
 
 
 @dataclass(frozen=True, slots=True)
 class OperatorSocket:
-    """Where operators reach a server. `secret` is what they show where the kernel does not tell who they are."""
+    """The listening socket for operators. `secret` is required from clients where the kernel does not identify them."""
 
     listener: socket.socket
     secret: str = ""
 
     async def user(self, reader: asyncio.StreamReader, connection: socket.socket) -> int:
-        """The user who has connected, by number; with a secret 0, or `STRANGER`."""
+        """Return the user id of the client. On sockets with a secret: 0 if the client sent it, otherwise `STRANGER`."""
         if not self.secret:
             return uid_of(connection)
         shown = b""
@@ -60,12 +60,12 @@ class OperatorSocket:
 
 
 def listen_at(path: Path, warn: Callable[[str], None], *, by_secret: bool = sys.platform == "win32") -> OperatorSocket:
-    """A socket at that path, which is not there yet. Raises `OSError`.
+    """Open a socket at this path, which must not exist yet. Raises `OSError`.
 
     Args:
-        path: of the socket, or of the file in its place.
-        warn: is told why the group of operators cannot come in.
-        by_secret: whether it is a port, as on Windows.
+        path: the path of the socket, or of the file in its place.
+        warn: called with the reason if the operators' group cannot be given access.
+        by_secret: whether to use a local port and a secret, as on Windows.
     """
     if by_secret:
         return _port(path)
@@ -81,11 +81,11 @@ def listen_at(path: Path, warn: Callable[[str], None], *, by_secret: bool = sys.
         finally:
             os.umask(before)
         listener.listen()
-        hidden.replace(path)  # by its name it always listens: another server takes one that does not for left behind
+        hidden.replace(path)  # renamed once it listens: another server removes a socket that does not
         if (group := _group()) is not None:
             os.chown(path, -1, group.gr_gid)
             os.chown(path.parent, -1, group.gr_gid)
-            path.parent.chmod(0o750)  # to find the socket; what else is there only its owner can read
+            path.parent.chmod(0o750)  # lets the group find the socket; all other files are readable by their owner only
             path.chmod(0o660)
     except OSError as error:
         if error.filename is None or not path.exists():
@@ -96,7 +96,7 @@ def listen_at(path: Path, warn: Callable[[str], None], *, by_secret: bool = sys.
 
 
 def is_left_behind(path: Path) -> bool:
-    """Whether the server has ended that made this socket, or what this link leads to. It is not waited for."""
+    """Return whether the server of this socket, or of the socket that this link leads to, has ended. Does not block."""
     try:
         if stat.S_ISREG(path.stat().st_mode):
             connected(path).close()
@@ -104,7 +104,7 @@ def is_left_behind(path: Path) -> bool:
         if sys.platform == "win32":
             return False
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe, _Short(path) as short:
-            probe.setblocking(False)  # one that hangs has no room for connections, and is not left behind
+            probe.setblocking(False)  # a hung server has no room for connections, but still runs
             probe.connect(short)
     except (ConnectionRefusedError, FileNotFoundError):
         return True
@@ -114,7 +114,7 @@ def is_left_behind(path: Path) -> bool:
 
 
 def connected(path: Path) -> socket.socket:
-    """A connection to the server that listens there. Raises `OSError`."""
+    """Connect to the server that listens at this path. Raises `OSError`."""
     if stat.S_ISREG(path.stat().st_mode):
         port, secret = path.read_text("ascii").split()
         connection = socket.create_connection((_LOOPBACK, int(port)), timeout=_ANSWERED_S)
@@ -134,19 +134,19 @@ def connected(path: Path) -> socket.socket:
 
 
 def own_uid() -> int:
-    """The user of this process; 0 on Windows, which has no numbers for users."""
+    """Return the user id of this process; 0 on Windows, which has no numeric ids."""
     return 0 if sys.platform == "win32" else os.geteuid()
 
 
 def uid_of(connection: socket.socket) -> int:
-    """The user at the other end of a Unix socket, as the kernel tells."""
+    """Return the user id of the process at the other end of a Unix socket, as the kernel reports it."""
     if sys.platform == "linux":
         return _CREDENTIALS.unpack(connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size))[1]
     return _XUCRED.unpack_from(connection.getsockopt(0, _LOCAL_PEERCRED, _XUCRED_BYTES))[1]
 
 
 def may_operate(uid: int) -> bool:
-    """Whether this user is an operator."""
+    """Return whether this user is an operator."""
     if uid == 0:
         return True
     if sys.platform == "win32":
@@ -161,7 +161,7 @@ def may_operate(uid: int) -> bool:
 
 
 def name_of(uid: int) -> str:
-    """The name of a user, or the number of one without a name."""
+    """Return the name of a user, or the number if there is no name."""
     if sys.platform == "win32":
         return getpass.getuser() if uid == 0 else "somebody without the secret"
     with suppress(KeyError, OverflowError):
@@ -170,7 +170,7 @@ def name_of(uid: int) -> str:
 
 
 class _Short:
-    """A path to a socket that fits into an address, which has 108 bytes: through its open folder, where Linux is."""
+    """A path to a socket that fits into a socket address of 108 bytes: on Linux by way of the opened folder."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -195,7 +195,7 @@ def _port(path: Path) -> OperatorSocket:
         descriptor = os.open(written, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
         with os.fdopen(descriptor, "w", encoding="ascii") as file:
             file.write(f"{listener.getsockname()[1]} {secret}\n")
-        written.replace(path)  # whole: who looks there connects at once
+        written.replace(path)  # a complete file: a reader connects at once
     except OSError:
         listener.close()
         raise

@@ -1,4 +1,4 @@
-"""What this server allows: one place that decides, and never acts."""
+"""The policy: decides about commands, and never acts."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from ros2_mcp_common.policy.velocity import VELOCITY_TYPES
 from ros2_mcp_common.policy.verbs import Verb, meaning
 
 MODES: Sequence[Mode] = ("observe", "confirm", "autonomous")
-"""From the strictest to the one that asks least."""
+"""From the strictest mode to the most permissive."""
 VERBS: Sequence[Verb] = ("publish", "relay", "play", "call", "goal", "cancel", "set", "transition", "record")
-"""What rules are about, as policy files write it; reading is always allowed."""
+"""The verbs of rules, as policy files spell them; reading is always allowed."""
 _ALL_TOPICS = "/…" * 9
-"""Stands for every topic of a recording: no pattern that anybody writes fits it but `/**`."""
+"""A name that represents every topic of a recording: in practice only the pattern `/**` matches it."""
 _MOST_NAMED = 5
-"""Names in one sentence; the tool that tells of the policy has all."""
+"""The most names in one sentence; `ros2_policy` lists all."""
 _MILDEST = ("never", "", "each")
 _TOLD_BY_POLICY = "ros2_policy shows what is allowed."
 _DOING: Mapping[Verb, str] = {
@@ -47,17 +47,17 @@ _VERBS: Mapping[type[Command[Any]], Sequence[Verb]] = {
     commands.Feed: ("relay", "play"),
     commands.Record: ("record",),
 }
-"""What those are that are no requests to services; of those `meaning` tells it."""
+"""The verbs of the commands that are no service requests; `meaning` returns the verb of those."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Facts:
-    """What a decision needs besides the command itself.
+    """The facts that a decision needs besides the command itself.
 
-    `value` is the full value as it will be sent, defaults filled in: the message, the request, the goal; of parameters
-    their values by their names. None where no rule asks. `publishers` are the robot's own nodes that publish that type
-    on the topic. `joints` tells how those of a trajectory move now. `told` are sentences about the value for the person
-    who approves it, in the words of `exact`.
+    `value` is the full value as it will be sent, including defaults: the message, the request, the goal, or the
+    parameters' values by name. None if no rule checks it. `publishers` are the robot's own nodes that publish the type
+    on the topic. `joints` returns the measured states of a trajectory's joints. `told` are sentences about the value
+    for the person who approves it, worded as in `exact`.
     """
 
     value: object = None
@@ -71,10 +71,10 @@ NO_FACTS = Facts()
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Decision:
-    """What a policy says to a command.
+    """The policy's decision about a command.
 
-    `rule` is the rule that decided, as people find it in the file. Of a refusal `reason` says why, and `instead` what
-    would be allowed; empty otherwise.
+    `rule` names the deciding rule and its place in the file. For a refusal, `reason` says why and `instead` what is
+    allowed; otherwise both are "".
     """
 
     verdict: Literal["allowed", "refused", "consent"]
@@ -88,10 +88,10 @@ ALLOWED = Decision(verdict="allowed")
 
 @dataclass(frozen=True, slots=True)
 class Policy:
-    """The rules that hold for every command. `recorded`: a recording stands for the robot.
+    """The rules for all commands. `recorded`: a recording stands for the robot.
 
-    `documents` are the policies in force, of which each has to allow a command; without any, all is allowed that is not
-    read-only. `rules` are theirs, compiled.
+    `documents` are the policies in force: each has to allow a command. Without any, everything is allowed unless
+    `read_only`. `rules` are their compiled rules.
     """
 
     read_only: bool = False
@@ -106,48 +106,50 @@ class Policy:
 
     @property
     def digest(self) -> str:
-        """The SHA-256 of the policies in force, in their canonical form; empty without one."""
+        """The SHA-256 of the policies in force in their canonical form; "" without a policy."""
         return self.rules.digest if self.rules else ""
 
     @property
     def mode(self) -> Mode:
-        """The strictest of the modes; `autonomous` without a policy."""
+        """The strictest of the policies' modes; `autonomous` without a policy."""
         modes: list[Mode] = [document.mode for document in self.documents]
         return strictest(*modes)
 
     @property
     def robot(self) -> str:
-        """The robot's name, as the first policy that says one has it; empty where none does."""
+        """The robot's name in the first policy that gives one; "" if none does."""
         return next((document.robot for document in self.documents if document.robot), "")
 
     def ruling(self, command: Command[Any]) -> Ruling | None:
-        """What the rules say about it, whatever its value; None without a policy."""
+        """Return the ruling on a command, before its value is checked; None without a policy, and for the black box's
+        recording.
+        """
         if self.rules is None or _is_own_record(command):
             return None
         if isinstance(command, ServiceBorne):
             return self.rules.service(command.service, command.service_type)
         if isinstance(command, commands.Record):
             rulings = [self.rules.ruling("record", topic, "") for topic in command.topics]
-            if command.patterns or not command.topics:  # what will fit a pattern is not known before
+            if command.patterns or not command.topics:  # the topics that will match are not known yet
                 every = self.rules.ruling("record", _ALL_TOPICS, "")
                 rulings.append(replace(every, problem=every.problem and "recording all topics is not allowed"))
             return next((ruling for ruling in rulings if ruling.problem), rulings[0])
         return self.rules.topic(command.name, command.type, _VERBS[type(command)])
 
     def forbids_recording(self, topic: str) -> str:
-        """Why one of the topics that a recording finds is left out; empty where it is recorded."""
+        """Return why a topic that a recording has found is omitted; "" if it is recorded."""
         ruling = self.rules.ruling("record", topic, "") if self.rules else None
         return f"The policy: {ruling.problem} ({ruling.rule})." if ruling and ruling.problem else ""
 
     def decide(self, command: Command[Any], facts: Facts | None = None, mode: Mode = "autonomous") -> Decision:
-        """Decides about a command, pure.
+        """Decide about a command. Has no side effects.
 
-        Without facts it is decided as far as name, type, rate and duration tell. `mode` is what holds now.
+        Without facts, only name, type, rate and duration are checked. `mode` is the mode in force.
         """
         return self.judge(command, self.ruling(command), facts, mode)
 
     def judge(self, command: Command[Any], ruling: Ruling | None, facts: Facts | None, mode: Mode) -> Decision:
-        """As `decide`, where the ruling is known; about commands that somebody gave, called by `Guard` alone."""
+        """Decide as `decide`, with a ruling that is known already. For commands of clients, and for trials."""
         if self.read_only:
             reason = f"{command.act} is refused: this server is read-only."
             return Decision(verdict="refused", reason=reason, instead="Start it without --read-only to allow it.")
@@ -164,14 +166,14 @@ class Policy:
         judged = ruling.judge(value, facts.joints, _terms(command, facts.publishers))
         if judged.problem:
             return _refused(command, judged.problem, judged.rule)
-        # The mildest one counts, so that the order of the rules does not matter.
+        # The mildest of the fitting rules applies, so that the order of the rules does not matter.
         chosen = [min(fitting, key=lambda entry: _MILDEST.index(entry.consent)) for fitting in judged.allowances]
         rule = "; ".join(entry.rule for entry in chosen)
         waits = any(entry.consent == "each" or (mode == "confirm" and not entry.consent) for entry in chosen)
         return Decision(verdict="consent" if waits else "allowed", rule=rule)
 
     def _allowed_instead(self, verb: Verb) -> str:
-        """Which names the policies allow for a verb, as far as each allows them."""
+        """Return a sentence with the names that each policy allows for a verb."""
         names = [
             ", ".join(_names(document.rules, verb)) for document in self.documents if not document.rules.allows_all
         ]
@@ -181,7 +183,7 @@ class Policy:
 
 
 def _names(rules: RuleSet, verb: Verb) -> Sequence[str]:
-    """The first names under which a policy allows a verb."""
+    """Return the first names for which a policy allows a verb."""
     found = list(dict.fromkeys(name for entry in rules.allow if entry.verb == verb for name in entry.names))
     return [*found[:_MOST_NAMED], *(["…"] if len(found) > _MOST_NAMED else [])]
 
@@ -192,7 +194,7 @@ def _refused(command: Command[Any], problem: str, rule: str, instead: str = "") 
 
 
 def _terms(command: Command[Any], publishers: Sequence[str]) -> Terms:
-    """What a command asks for beside its value; messages for a relay that is open ask for nothing more."""
+    """Return the checked properties of a command besides its value; none for messages to an open relay."""
     if isinstance(command, commands.Feed):
         return NO_TERMS
     lasts = isinstance(command, commands.Repeat | commands.Move | commands.Relay | commands.Play)
@@ -208,24 +210,24 @@ def _terms(command: Command[Any], publishers: Sequence[str]) -> Terms:
 
 
 def strictest(*modes: Mode) -> Mode:
-    """The mode among these that allows least; of none the one that allows most."""
+    """Return the strictest of these modes; without any, the most permissive one."""
     return MODES[min((MODES.index(mode) for mode in modes), default=len(MODES) - 1)]
 
 
 def verb_of(command: Command[Any]) -> Verb:
-    """What a command does, in the policies' words."""
+    """Return the verb of a command."""
     if isinstance(command, ServiceBorne):
         return meaning(command.service, command.service_type).verb
     return _VERBS[type(command)][0]
 
 
 def _is_own_record(command: Command[Any]) -> bool:
-    """The black box is the operator's own setting."""
+    """Return whether this is the recording of the black box, which is the operator's own setting."""
     return isinstance(command, commands.Record) and command.principal == SERVER
 
 
 def bounded(name: str, value: float, low: float, high: float, unit: str) -> float:
-    """`value` if it lies within the limits, which end users can rely on.
+    """Return `value` if it lies within the limits.
 
     Raises:
         BadValue: naming the limits.

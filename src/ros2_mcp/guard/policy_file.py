@@ -1,4 +1,6 @@
-"""Policies in YAML: found, opened once and safely, and compiled to rules (`docs/reference/policy-file.md`)."""
+"""Read policies in YAML: find them, open each once and safely, and compile the rules
+(`docs/reference/policy-file.md`).
+"""
 
 from __future__ import annotations
 
@@ -31,16 +33,16 @@ SYSTEM_POLICY = (
     if sys.platform == "win32"
     else Path("/etc/ros2-mcp/policy.yaml")
 )
-"""It holds for every server on this machine, whatever a client's configuration says."""
+"""The policy for every server on this machine, whatever a client's configuration says."""
 PROFILES: Mapping[str, Path] = {path.stem: path for path in sorted((Path(__file__).parent / "profiles").glob("*.yaml"))}
-"""Policies that come with this package, each named as its file."""
+"""The policies in this package, by the name of their file."""
 _TYPED = ("publish", "relay", "play", "call", "goal")
-"""Verbs whose rules have to say the type: a name alone says little about what a message does."""
+"""The verbs whose rules must give the type: a name alone says little about a message."""
 _MAX_BYTES = 1_000_000
-"""Of a policy file: more than 10,000 rules. What is larger is another file."""
+"""The largest policy file, in bytes: more than 10,000 rules. A larger file is no policy."""
 _KINDS = ("msg", "srv", "action", "*")
 _BY_PATH = ("norm", "range", "one_of", "count", "zone", "pace", "curve")
-"""Kinds of checks, as `Checks` has them."""
+"""The kinds of checks, as `Checks` names them."""
 _NAME = re.compile(r"/?(?:\*\*|\*|[A-Za-z_]\w*)(?:/(?:\*\*|\*|[A-Za-z_]\w*))*", re.ASCII)
 _MESSAGE = re.compile(r"[a-z]\w*/msg/[A-Z]\w*", re.ASCII)
 _PATH = re.compile(r"[A-Za-z]\w*(?:\[\])*(?:\.[A-Za-z]\w*(?:\[\])*)*", re.ASCII)
@@ -50,10 +52,10 @@ _PATH = re.compile(r"[A-Za-z]\w*(?:\[\])*(?:\.[A-Za-z]\w*(?:\[\])*)*", re.ASCII)
 
 
 def policy_for(settings: Settings) -> Policy:
-    """The policy that the settings name, read once: whoever asks again gets the same.
+    """Return the policy that the settings name. Each combination of settings is read only once per process.
 
     Raises:
-        PolicyFileError: naming file, line, and what would be right.
+        PolicyFileError: with file, line, and the correct form.
     """
     return _policy(settings.policy, settings.read_only)
 
@@ -65,10 +67,10 @@ def _policy(chosen: tuple[str, ...], read_only: bool) -> Policy:
 
 
 def read_policies(chosen: Sequence[str], system: Path | None = None) -> list[Document]:
-    """The policies in force: that of the system, if there is one, and those that were chosen, each a file or a profile.
+    """Read the policies in force: the system's, if there is one, and each chosen file or profile.
 
     Raises:
-        PolicyFileError: naming file, line, and what would be right.
+        PolicyFileError: with file, line, and the correct form.
     """
     system = system or SYSTEM_POLICY
     documents = [read_policy(str(system))] if os.path.lexists(system) else []
@@ -79,7 +81,7 @@ def read_policies(chosen: Sequence[str], system: Path | None = None) -> list[Doc
 
 
 def _check_said_once(key: str, documents: Sequence[Document]) -> None:
-    """Raises where a second policy watches the robot in another way: only the first one's would be in force."""
+    """Raise an error if two policies differ in how the robot is watched: only the first would be in force."""
     for document in documents[1:]:
         first = documents[0]
         zones = [one.pose and one.rules.zones.get(one.pose.zone) for one in (first, document)]
@@ -89,8 +91,8 @@ def _check_said_once(key: str, documents: Sequence[Document]) -> None:
 
 
 def read_policy(choice: str) -> Document:
-    """One policy: a profile, or the file of that name where there is no such profile. Raises `PolicyFileError`."""
-    if choice in PROFILES:  # first: whatever lies in the working folder must not stand for it
+    """Read one policy: the profile with that name, otherwise the file. Raises `PolicyFileError`."""
+    if choice in PROFILES:  # first: a file in the working folder must not replace a profile
         return document_of(PROFILES[choice].read_text("utf-8"), f"profile {choice}")
     if re.fullmatch(r"[a-z0-9-]+", choice) and not os.path.lexists(choice):
         hint = did_you_mean(choice, list(PROFILES), f"Profiles: {', '.join(PROFILES)}; or give a file.")
@@ -99,11 +101,11 @@ def read_policy(choice: str) -> Document:
 
 
 def opened(path: Path) -> str:
-    """The text of a policy file that nobody else can change: a regular file, no link, it and its folder writable by
-    its owner alone, who is root or we ourselves.
+    """Read a policy file that no other user can change: a regular file and no link, and it and its folder are writable
+    only by their owner, who is root or the user of this process.
 
     Raises:
-        PolicyFileError: if it is not so.
+        PolicyFileError: if this does not hold, or the file cannot be read.
     """
     path, origin = path.expanduser(), str(path)
     try:
@@ -125,7 +127,7 @@ def opened(path: Path) -> str:
 
 
 def _opened(path: Path, origin: str) -> int:
-    if sys.platform == "win32":  # a folder cannot be opened there
+    if sys.platform == "win32":  # Windows cannot open a folder
         return os.open(path, os.O_RDONLY | PLAIN)
     folder_fd = os.open(path.parent, os.O_RDONLY)
     try:
@@ -144,7 +146,7 @@ def _check_owner(status: os.stat_result, origin: str, what: str) -> None:
 
 
 def compiled(documents: Sequence[Document]) -> Rules:
-    """The rules of these policies together."""
+    """Compile the rules of all policies."""
     form = json.dumps([document.form for document in documents], sort_keys=True, allow_nan=False)
     digest = hashlib.sha256(form.encode()).hexdigest()
     return Rules(digest, tuple(document.rules for document in documents))
@@ -154,7 +156,7 @@ def compiled(documents: Sequence[Document]) -> Rules:
 
 
 def document_of(text: str, origin: str) -> Document:
-    """The policy that a YAML text is. Raises `PolicyFileError`."""
+    """Parse a policy in YAML. Raises `PolicyFileError`."""
     top = parse(text, origin)
     top.require("policy")
     if top.number("policy") != 1:
@@ -188,7 +190,9 @@ def document_of(text: str, origin: str) -> Document:
 
 
 def _state(top: Section) -> str:
-    """The folder for state. In another working folder a relative one would be another, without the latch in it."""
+    """Return the state folder. A relative path is an error: from another working folder it would be another folder,
+    without the latch.
+    """
     folder = top.text("state")
     if folder and not folder.startswith(("/", "~/")):
         raise top.error_at("state", f"{folder!r} is relative.", "Write the whole path: /var/lib/ros2-mcp.")
@@ -235,7 +239,7 @@ def _allowance(section: Section, policy: str, zones: dict[str, Zone]) -> Allowan
 
 
 def _verb(section: Section) -> tuple[Any, tuple[str, ...]]:
-    """The verb of a rule, and the names under it."""
+    """Return the verb of a rule, and its names."""
     found = [verb for verb in VERBS if section.has(verb)]
     if len(found) == 1:
         return found[0], _names(section, found[0])
@@ -247,7 +251,7 @@ def _verb(section: Section) -> tuple[Any, tuple[str, ...]]:
 
 
 def _names(section: Section, key: str) -> tuple[str, ...]:
-    """Names or patterns of names, all absolute."""
+    """Return names or patterns of names, all absolute."""
     found = section.texts(key)
     for name in found:
         if not name.startswith("/") or not _NAME.fullmatch(name):
@@ -259,14 +263,15 @@ def _names(section: Section, key: str) -> tuple[str, ...]:
 
 
 def _types(section: Section) -> tuple[str, ...]:
-    """Full types or patterns of types."""
+    """Return full types or patterns of types."""
     if section.has("type") and section.has("types"):
         raise section.error_at("types", "give 'type' or 'types', not both.")
     key = "types" if section.has("types") else "type"
     found = section.texts(key)
     for name in found:
         parts = name.split("/")
-        # A type has three parts: what cannot fit one would be without effect, also where it forbids or limits.
+        # A type has three parts. A pattern that cannot match one would have no effect, and silently forbid or limit
+        # nothing.
         fits = len(parts) - parts.count("**") <= 3 if "**" in parts else len(parts) == 3 and parts[1] in _KINDS
         if name.startswith("/") or not (fits and _NAME.fullmatch(name)):
             hint = (
@@ -321,7 +326,7 @@ def _check_path(section: Section, path: str) -> str:
 
 
 def _checks_by_kind(section: Section, zones: dict[str, Zone]) -> Checks:
-    """Of a limit: `norm: {linear: 0.2}`, each kind with the paths below it."""
+    """Return the checks of a limit, written as `norm: {linear: 0.2}`: the kind first, paths below it."""
 
     def below(key: str) -> Section | None:
         found = section.section(key)
@@ -346,7 +351,7 @@ def _checks_by_kind(section: Section, zones: dict[str, Zone]) -> Checks:
 
 
 def _checks_by_path(fields: Section, zones: dict[str, Zone]) -> Checks:
-    """Of a rule of allow: `fields: {linear: {norm: 0.2}}`, each path with the kinds below it."""
+    """Return the checks of an allowance, written as `fields: {linear: {norm: 0.2}}`: the path first, kinds below it."""
     found: dict[str, dict[str, Any]] = {
         kind: {} for kind in ("norm", "range", "one_of", "count", "zone", "pace", "curve")
     }
@@ -399,7 +404,7 @@ def _pace(section: Section) -> Pace:
 
 
 def _curve(section: Section) -> CurveLimits:
-    """What the whole curve of a trajectory may do."""
+    """Return the limits on the whole curve of a trajectory."""
     joints = section.section("joints")
     limits = CurveLimits(
         speed=section.number("speed", low=0.0),
@@ -434,7 +439,7 @@ def _zone(section: Section) -> Zone:
 
 
 def _told_on(section: Section, usual: Feedback | Pose) -> dict[str, str]:
-    """The topic on which the robot tells something of itself, its type, and the path of what is read of it."""
+    """Return the topic of the robot's velocity or pose, its type, and the path of the field that is read."""
     section.require("topic")
     (topic, *more), kind = _names(section, "topic"), section.text("type", usual.type)
     if more or "*" in topic:
@@ -448,7 +453,7 @@ def _told_on(section: Section, usual: Feedback | Pose) -> dict[str, str]:
 
 
 def _speeds(section: Section, key: str) -> Mapping[str, float]:
-    """Speeds by the parts of a velocity, in m/s and rad/s; none without the key."""
+    """Return speeds by part of a velocity, in m/s and rad/s; empty without the key."""
     found = section.section(key)
     if found is None:
         return {}

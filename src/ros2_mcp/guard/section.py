@@ -1,6 +1,6 @@
-"""Strict reading of YAML: each value is asked for by its key; what nobody asked for is an error that names its line.
+"""Read YAML strictly: values are requested by key, and a key that is never requested is an error with its line.
 
-Nodes are read, not values: nothing in the YAML can act, and every part knows its line.
+The node tree is read without constructing objects: YAML tags cannot run code, and every node has its line number.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from ros2_mcp.model.names import did_you_mean
 
 _TAG = "tag:yaml.org,2002:"
 _MAX_DEPTH = 20
-"""Of lists and mappings in each other: a policy has 5."""
+"""The deepest nesting of lists and mappings; a policy has 5 levels."""
 
 
 class PolicyFileError(BadInput):
-    """What is wrong with a policy, and where: `origin` is its file, `line` counts from 1."""
+    """An error in a policy: `origin` is its file, `line` counts from 1 (0: no line)."""
 
     def __init__(self, origin: str, line: int, problem: str, hint: str = "") -> None:
         super().__init__(f"{origin}, line {line}: {problem}" if line else f"{origin}: {problem}", hint)
@@ -28,15 +28,15 @@ class PolicyFileError(BadInput):
 
 
 def parse(text: str, origin: str, what: str = "the policy", begin: str = "Begin with: policy: 1") -> Section:
-    """The mapping that a YAML text is; raises `PolicyFileError` if it is none.
+    """Parse a YAML text that must be one mapping. Raises `PolicyFileError`.
 
     Args:
-        text: the whole of it.
-        origin: the file, for errors.
-        what: what it is, in words.
-        begin: the hint where it is empty.
+        text: the whole text.
+        origin: the file, for error messages.
+        what: a description of the mapping, for error messages.
+        begin: the hint for an empty text.
     """
-    from ruamel.yaml import YAML  # 90 ms, for nothing without a policy
+    from ruamel.yaml import YAML  # the import takes 90 ms, which a server without a policy saves
     from ruamel.yaml.error import YAMLError
 
     try:
@@ -53,7 +53,7 @@ def parse(text: str, origin: str, what: str = "the policy", begin: str = "Begin 
 
 
 def _check_tree(node: Any, origin: str, seen: set[int], depth: int) -> None:
-    """Raises for aliases, by which a short text becomes an endless one, and for what is nested without end."""
+    """Raise an error for aliases, by which a short text expands without limit, and for nesting that is too deep."""
     if id(node) in seen:
         raise PolicyFileError(origin, _line(node), "an anchor is used again; write the value out.")
     seen.add(id(node))
@@ -72,7 +72,7 @@ def _line(node: Any) -> int:
 
 @dataclass(eq=False)
 class Section:
-    """One mapping of the file; `what` is what it is, in words. Raises `PolicyFileError` from every method."""
+    """One mapping of the file; `what` describes it in error messages. Methods that read raise `PolicyFileError`."""
 
     node: Any
     what: str
@@ -95,39 +95,39 @@ class Section:
 
     @property
     def line(self) -> int:
-        """Where it begins."""
+        """The line of the beginning, from 1."""
         return _line(self.node)
 
     @property
     def keys(self) -> Sequence[str]:
-        """Its keys in the order of the file."""
+        """The keys in the order of the file."""
         return list(self._nodes)
 
     def error(self, node: Any, problem: str, hint: str = "") -> PolicyFileError:
-        """An error about a node, to be raised."""
+        """Return an error about a node, for the caller to raise."""
         return PolicyFileError(self.origin, _line(node), problem, hint)
 
     def error_at(self, key: str, problem: str, hint: str = "") -> PolicyFileError:
-        """An error about the value under a key, to be raised."""
+        """Return an error about the value of a key, for the caller to raise."""
         return self.error(self._nodes.get(key, self.node), problem, hint)
 
     def has(self, key: str) -> bool:
-        """Whether the key is there; from now on it is known."""
+        """Return whether the key exists, and mark it as known."""
         self._asked[key] = None
         return key in self._nodes
 
     def require(self, *keys: str) -> None:
-        """Raises unless all of these are there."""
+        """Raise an error unless all of these keys exist."""
         for key in keys:
             if not self.has(key):
                 raise self.error(self.node, f"{self.what} needs {key!r}.")
 
     def text(self, key: str, otherwise: str = "") -> str:
-        """The text under a key."""
+        """Return the text of a key."""
         return self._text(key, self._nodes[key]) if self.has(key) else otherwise
 
     def choice(self, key: str, choices: Sequence[str], otherwise: str) -> Any:
-        """One of several words."""
+        """Return the text of a key, which must be one of several words."""
         value = self.text(key, otherwise)
         if value not in choices:
             hint = did_you_mean(value, choices, f"Choose from {', '.join(filter(None, choices))}.")
@@ -135,30 +135,30 @@ class Section:
         return value
 
     def texts(self, key: str) -> tuple[str, ...]:
-        """One text, or a list of some; empty without the key."""
+        """Return one text or a list of texts as a tuple; empty without the key."""
         if not self.has(key):
             return ()
         node = self._nodes[key]
         return tuple(self._text(key, each) for each in (self._items(key) if node.id == "sequence" else [node]))
 
     def flag(self, key: str) -> bool:
-        """Whether the value under a key is true; false without the key."""
+        """Return whether the value of a key is true; false without the key."""
         return self.has(key) and self._flag(key, self._nodes[key])
 
     def number(
         self, key: str, otherwise: float | None = None, *, low: float = 0.0, high: float = math.inf
     ) -> float | None:
-        """The number under a key, within bounds."""
+        """Return the number of a key, within bounds; `otherwise` without the key."""
         if not self.has(key):
             return otherwise
         return self._bounded(key, self._nodes[key], low, high)
 
     def needed_number(self, key: str, otherwise: float, *, low: float = 0.0, high: float = math.inf) -> float:
-        """The same, where there always is one."""
+        """Return the number of a key, as `number`, where there is always a default."""
         return cast("float", self.number(key, otherwise, low=low, high=high))
 
     def pair(self, key: str) -> tuple[float, float]:
-        """Two numbers, the lower one first: `[-0.5, 0.5]`."""
+        """Return two numbers, the lower one first: `[-0.5, 0.5]`."""
         self.has(key)
         items = self._items(key, "[low, high]")
         if len(items) != 2:
@@ -169,7 +169,7 @@ class Section:
         return low, high
 
     def points(self, key: str) -> tuple[tuple[float, float], ...]:
-        """Points of a plane: `[[0, 0], [12, 0], [12, 8]]`."""
+        """Return points in a plane: `[[0, 0], [12, 0], [12, 8]]`."""
         self.require(key)
         found: list[tuple[float, float]] = []
         for node in self._items(key, "[[x, y], …]"):
@@ -180,35 +180,35 @@ class Section:
         return tuple(found)
 
     def scalars(self, key: str) -> tuple[Any, ...]:
-        """Texts, numbers, true or false, as they are: one, or a list of some."""
+        """Return one scalar or a list of scalars as a tuple: texts, numbers or booleans."""
         self.has(key)
         node = self._nodes[key]
         return tuple(self._scalar(key, each) for each in (self._items(key) if node.id == "sequence" else [node]))
 
     def section(self, key: str, what: str = "") -> Section | None:
-        """The mapping under a key; None without the key."""
+        """Return the mapping of a key; None without the key."""
         return Section(self._nodes[key], what or key, self.origin) if self.has(key) else None
 
     def sections(self, key: str, what: str) -> list[Section]:
-        """The mappings in the list under a key; none without the key."""
+        """Return the mappings in the list of a key; empty without the key."""
         return [Section(node, what, self.origin) for node in self._items(key, "a list: - …")] if self.has(key) else []
 
     def named_sections(self, key: str, what: str) -> Mapping[str, Section]:
-        """The mappings under the names that are the keys of the mapping under a key."""
+        """Return the mappings below a key, by name: its value is a mapping of names to mappings."""
         outer = self.section(key)
         return outer.each(what) if outer else {}
 
     def each(self, what: str) -> Mapping[str, Section]:
-        """The mappings under all of its keys, whatever they are."""
+        """Return the mappings of all keys, by key."""
         return {name: Section(self._nodes[name], f"{what} {name}", self.origin) for name in self.all()}
 
     def all(self) -> Iterator[str]:
-        """All keys, whatever they are: names that the user has chosen, or paths of fields."""
+        """Iterate over all keys, and mark them as known: names that the user has chosen, or paths of fields."""
         self._asked.update(dict.fromkeys(self._nodes))
         return iter(self._nodes)
 
     def done(self) -> None:
-        """Raises if there is a key that nobody has asked for."""
+        """Raise an error for a key that was never requested."""
         for key, node in self._nodes.items():
             if key not in self._asked:
                 known = list(self._asked)
@@ -231,7 +231,7 @@ class Section:
     def _flag(self, key: str, node: Any) -> bool:
         text = str(node.value).lower()
         if node.id != "scalar" or node.tag != f"{_TAG}bool" or text not in ("true", "false"):
-            # `yes` and `on` are texts to one version of YAML, and true to another.
+            # YAML 1.1 reads `yes` and `on` as true, YAML 1.2 as text.
             raise self.error(node, f"{key} must be true or false.")
         return text == "true"
 
@@ -255,9 +255,9 @@ class Section:
 
 
 def _number_of(node: Any) -> float | None:
-    """The finite number that a node is; None if it is none."""
+    """Return the finite number that a node holds; None if it holds none."""
     text = str(node.value).replace("_", "")
-    with suppress(ValueError, OverflowError):  # the latter for what is beyond all floats
+    with suppress(ValueError, OverflowError):  # OverflowError: larger than any float
         if node.id == "scalar" and node.tag in (f"{_TAG}int", f"{_TAG}float"):
             number = int(text, 0) if node.tag == f"{_TAG}int" else float(text)
             return number if math.isfinite(number) else None

@@ -1,4 +1,4 @@
-"""The servers that act on a robot, as an operator or the page reaches them: by the sockets in its state folder."""
+"""Connections of an operator, or of the page, to the servers of a robot: by the sockets in its state folder."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from ros2_mcp.guard.operators import connected
 from ros2_mcp.model.errors import BadInput, NotFound, RobotError
 
 _ANSWER_BYTES = 16_000_000
-"""Of one answer: a value of a few megabytes, written as JSON."""
+"""The longest answer, in bytes: a value of a few megabytes, written as JSON."""
 
 Row = Mapping[str, Any]
 
 
 class Ended(RobotError):
-    """The server has ended, or has closed the connection."""
+    """The server has ended or has closed the connection."""
 
     def __init__(self) -> None:
         super().__init__(
@@ -29,9 +29,9 @@ class Ended(RobotError):
 
 
 class Server:
-    """One server that an operator is connected to; `folder` is the state folder of its robot.
+    """An operator's connection to one server; `folder` is the state folder of its robot.
 
-    It is waited for as long as a stop takes, or for `patience_s`.
+    A request times out after the longest time of a stop, or after `patience_s`.
     """
 
     def __init__(self, path: Path, patience_s: float | None = None) -> None:
@@ -43,23 +43,23 @@ class Server:
         self._lines = self._connection.makefile("rb")
 
     def do(self, what: str, **arguments: Any) -> Row:
-        """One request and its answer.
+        """Send one request and return its answer.
 
         Raises:
-            RobotError: with what the server answers, or because it is gone.
+            RobotError: with the server's error, or if the server has ended.
         """
         self.tell(what, **arguments)
         return self.answer()
 
     def tell(self, what: str, **arguments: Any) -> None:
-        """One request, whose answer is taken later. Raises `RobotError` if the server is gone."""
+        """Send one request; `answer` reads its answer later. Raises `RobotError` if the server has ended."""
         try:
             self._connection.sendall(json.dumps({"do": what, **arguments}).encode() + b"\n")
         except OSError as error:
             raise Ended from error
 
     def answer(self, patience_s: float | None = None) -> Row:
-        """The answer to what was told; raises as `do`."""
+        """Return the answer to the last request. Raises as `do`."""
         try:
             if patience_s is not None:
                 self._connection.settimeout(patience_s)
@@ -76,20 +76,20 @@ class Server:
         return cast("Row", answer)
 
     def close(self) -> None:
-        """Ends the connection."""
+        """Close the connection."""
         self._lines.close()
         self._connection.close()
 
 
 def servers_in(folder: Path, patience_s: float | None = None, *, of_one: bool = True) -> list[Server]:
-    """Connections to all servers of that robot; sockets that a dead one left are removed.
+    """Connect to all servers of a robot, and remove sockets of servers that have ended.
 
-    Where that folder has none, those of the one robot that has a folder of its own and a link here; or without
-    `of_one`, for who stops them, of all such robots.
+    If the folder also has links to servers of robots with state folders of their own: with `of_one`, the folder's own
+    servers are used, or the linked ones if they belong to one robot; without it, for a stop, all of them.
 
     Raises:
-        NotFound: if there is none.
-        BadInput: if links lead to several robots, and one is meant.
+        NotFound: if no server runs.
+        BadInput: if the links lead to several robots, and `of_one` is set.
         RobotError: if the sockets cannot be reached.
     """
     found: list[Server] = []

@@ -1,7 +1,7 @@
-"""What was used of the bounds that a policy sets to how often something may be done, kept over restarts.
+"""The uses of the policy's rate limits, kept across restarts.
 
-The bridge counts and refuses; it tells each use, and is told the recent ones at its start. Without that a bridge or a
-server that is started again would have all of them again.
+The bridge counts and refuses; it reports each use, and gets the recent uses at its start. Otherwise a restart of the
+bridge or the server would reset the counts.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ from ros2_mcp_common.files import PLAIN, replace
 
 _FILE = "spent.json"
 _KEPT_S = 120.0
-"""The slowest rate is one in 100 s; what is counted by the minute is over sooner."""
+"""The time for which a use is kept, in s: the slowest rate is one in 100 s, and `per_minute` needs less."""
 _MOST_TIMES = 1000
-"""Of one name and bound: what may be done more often in a minute has little to do with a budget."""
+"""The most times that are kept for one name and bound: more uses in a minute are no budget."""
 _MOST_KEYS = 500
-"""Names and bounds; the ones that were used longest ago are given up. 500 of 1000 times are 10 MB, and a policy that
-allows them is none."""
+"""The most pairs of name and bound; the least recently used are dropped. 500 with 1000 times each take 10 MB, more than
+a reasonable policy can need."""
 _logger = logging.getLogger(__name__)
 
 Key = tuple[str, str, str]
-"""A name, its type, and the bound: `per_minute` or `rate_hz`."""
+"""Name, type and bound (`per_minute` or `rate_hz`)."""
 
 
 class Spent:
-    """When each was used, in Unix time (s). `folder` is the robot's; without one nothing is kept.
+    """The times of the uses, in Unix time (s). `folder` is the robot's state folder; without it nothing is stored.
 
-    A clock that was set back makes what was used then count for a whole time again; one that was set ahead, for none.
+    If the clock is set back, earlier uses count for their full time again; if it is set forward, they no longer count.
     """
 
     def __init__(self, folder: StateFolder | None = None, now: Callable[[], float] = time.time) -> None:
@@ -47,7 +47,7 @@ class Spent:
         self.read()
 
     def read(self) -> None:
-        """Take in what servers before this one have written, beside what this one has counted itself."""
+        """Merge the uses that earlier servers have stored with those counted here."""
         if self._folder is None:
             return
         try:
@@ -66,9 +66,9 @@ class Spent:
             self._at[key] = sorted({*times, *self._at.get(key, ())})[-_MOST_TIMES:]
 
     def add(self, name: str, type_name: str, bound: str) -> None:
-        """It was used just now. Writes in a thread, at once."""
+        """Record a use now, and store it at once in a thread."""
         key = name, type_name, bound
-        times = self._at.pop(key, [])  # the last one is the last that was used
+        times = self._at.pop(key, [])  # reinserted at the end: the order is that of the last use
         self._at[key] = [*times[1 - _MOST_TIMES :], self._now()] if bound == "per_minute" else [self._now()]
         self._forget()
         if self._folder:
@@ -76,7 +76,7 @@ class Spent:
             threading.Thread(target=self._write, args=(self._folder,), daemon=True).start()
 
     def ages(self) -> Sequence[tuple[str, str, str, Sequence[float]]]:
-        """Name, type, bound, and for how many seconds each use is past, the longest first: as a bridge is told it."""
+        """Return name, type, bound and the ages of the uses in s, oldest first, in the form that a bridge gets."""
         self._forget()
         now = self._now()
         return [(*key, [max(0.0, round(now - at, 3)) for at in times]) for key, times in self._at.items()]
@@ -103,5 +103,5 @@ class Spent:
 
 
 def told(rules: Mapping[str, Any], spent: Spent) -> bytes:
-    """The rules as a bridge is told them at its start, with what was used of them."""
+    """Return the rules and their uses as the JSON that a bridge gets at its start."""
     return json.dumps({**rules, "spent": spent.ages()}).encode()

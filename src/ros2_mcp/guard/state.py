@@ -1,7 +1,7 @@
-"""What has to be known of a robot beyond the life of one server: a folder for each robot, with its latch and its lock.
+"""The state of a robot beyond the life of one server: a folder for each robot, with its latch and lock.
 
-The folder is `XDG_STATE_HOME/ros2-mcp/<robot>` (0700), or what the policy names. It is made when something is first
-written. See docs/decisions/0029-latch-and-state.md.
+The folder is `XDG_STATE_HOME/ros2-mcp/<robot>` (mode 0700), or `<robot>` in the folder that the policy names. It is
+created at the first write. See docs/decisions/0029-latch-and-state.md.
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ RESET_HINT = "Only an operator can reset it, with ros2-mcp operate; reading and 
 _LOCK = "server.lock"
 _MODE = 0o700
 _MAX_NAME = 100
-"""Of a folder's name: less than half of what file systems allow. What is longer is named by a hash."""
+"""The longest name of a folder: less than half of what file systems allow. A longer name is replaced by a hash."""
 
 
 class StateUnusable(RobotError):
-    """The state folder cannot be used; the message says why."""
+    """The state folder cannot be used; the message has the reason."""
 
 
 @dataclass(frozen=True, slots=True)
 class StateFolder:
-    """The folder in which the state of one robot is kept."""
+    """The folder with the state of one robot."""
 
     path: Path
 
@@ -56,14 +56,14 @@ class StateFolder:
         state: Path | None = None,
         env: Mapping[str, str] = os.environ,
     ) -> StateFolder:
-        """The folder of a robot; nothing is made.
+        """Return the folder of a robot, without creating it.
 
         Args:
-            name: the robot's, of the policy; without it a robot is its DDS domain and this host.
-            elsewhere: or, where it is not reached by the ROS of this machine, what its address says of it.
-            domain_id: ROS's own, 0, where it is None.
-            state: the folder that the policy names for all this instead.
-            env: where `XDG_STATE_HOME` is looked up.
+            name: the robot's name in the policy; without it, the DDS domain and this host name the robot.
+            elsewhere: the identity in the address of a remote robot, used instead of this host.
+            domain_id: the DDS domain; None is ROS's default, 0.
+            state: the parent folder that the policy names, instead of the default.
+            env: the environment, for `XDG_STATE_HOME`.
         """
         domain = f"domain-{domain_id}" if domain_id is not None else ("" if elsewhere else "domain-0")
         robot = name or "@".join(filter(None, [domain, elsewhere or socket.gethostname()]))
@@ -71,14 +71,14 @@ class StateFolder:
 
     @property
     def latch_file(self) -> Path:
-        """Where the latch is."""
+        """The path of the latch."""
         return self.path / latch.FILE
 
     def make(self) -> Path:
-        """The folder, made if it is not there.
+        """Return the folder, and create it if necessary.
 
         Raises:
-            StateUnusable: if it cannot be made, or somebody else could write in it.
+            StateUnusable: if it cannot be created, or another user could write in it.
         """
         try:
             self.path.mkdir(mode=_MODE, parents=True, exist_ok=True)
@@ -93,7 +93,7 @@ class StateFolder:
             raise StateUnusable(
                 f"Others than its owner can write in the state folder {self.path}.", f"chmod go-w {self.path}"
             )
-        # Who can rename it puts another one in its place, in which no latch is set. (A group may be that of one user.)
+        # A user who can rename the folder could replace it by one without a latch. (A group may have a single user.)
         is_open = sys.platform != "win32" and above.st_mode & stat.S_IWOTH and not above.st_mode & stat.S_ISVTX
         if is_open or is_of_others(above):
             raise StateUnusable(
@@ -103,24 +103,24 @@ class StateFolder:
         return self.path
 
     def latch(self) -> RobotLatch:
-        """The robot's latch."""
+        """Return the robot's latch."""
         return RobotLatch(self.latch_file)
 
 
 def state_home(env: Mapping[str, str] = os.environ) -> Path:
-    """Where servers of this user keep what must survive them."""
+    """Return the parent folder of this user's state folders."""
     return Path(env.get("XDG_STATE_HOME") or Path(env.get("HOME") or "~") / ".local/state").expanduser() / "ros2-mcp"
 
 
 def state_of(settings: Settings, policy: Policy) -> StateFolder:
-    """The folder of the robot that the settings and the policies name; nothing is made."""
+    """Return the state folder of the robot that the settings and policies name, without creating it."""
     chosen = next((Path(document.state).expanduser() for document in policy.documents if document.state), None)
     elsewhere = settings.robot.identity
     return StateFolder.of(name=policy.robot, elsewhere=elsewhere, domain_id=settings.domain_id, state=chosen)
 
 
 def _as_file_name(name: str) -> str:
-    """The name where it is a plain file name; else what is left of it, with a hash so that two stay two."""
+    """Return the name if it is a plain file name; otherwise its plain part with a hash, so that names stay distinct."""
     if re.fullmatch(r"[A-Za-z0-9_@-][A-Za-z0-9_.@-]*", name) and len(name) <= _MAX_NAME:
         return name
     plain = re.sub(r"[^A-Za-z0-9_@-]+", "_", name)[: _MAX_NAME - 20]
@@ -128,26 +128,26 @@ def _as_file_name(name: str) -> str:
 
 
 class RobotLatch(Latch):
-    """The latch of a robot as the server asks it, before each command."""
+    """The latch of a robot, as the server checks it before each command."""
 
     def check(self, command: Command[Any]) -> None:
-        """Raises `Latched` while it is set, or cannot be read."""
+        """Raise `Latched` if the latch is set or cannot be read."""
         if (state := self.look()).is_set:
             said = f"{command.act} is refused: {latched(state)} Nothing was sent."
             raise Latched(said, RESET_HINT, by=f"{named(state.by)}: {quoted(state.reason)}")
 
 
 def latched(state: LatchState) -> str:
-    """The sentence that says since when and why the latch is set."""
+    """Return a clause that says since when, by whom and why the latch is set."""
     since = f" since {datetime.fromtimestamp(state.since).astimezone():%Y-%m-%d %H:%M:%S}" if state.since else ""
     return f"the latch of this robot is set{since}, by {named(state.by)}: {quoted(state.reason)}."
 
 
 class ServerLock:
-    """Held by the one server that acts on a robot, from its first command to its end, however it ends.
+    """The lock of the one server that acts on a robot, held from its first command until its process ends.
 
-    Without a policy a second server acts too, and says so (`is_strict` false); with one it is refused. `on_taken` is
-    called when this server gets it: another one may have acted until then.
+    Without a policy (`is_strict` false) a second server may act as well, with a note; with one it is refused.
+    `on_taken` is called when this server takes the lock: another server may have acted until then.
     """
 
     def __init__(self, folder: StateFolder | None = None, *, is_strict: bool = False) -> None:
@@ -158,10 +158,10 @@ class ServerLock:
         self.on_taken: Callable[[], None] = lambda: None
 
     def check(self) -> str:
-        """Takes the lock, unless this server has it; returns a sentence if it cannot be had, "" otherwise.
+        """Take the lock, unless this server has it; return "" on success, otherwise a sentence with the problem.
 
         Raises:
-            Refused: instead, where only one server may act.
+            Refused: instead of returning the sentence, if the lock is strict.
         """
         if self._folder is None or self._is_held():
             return ""
@@ -176,13 +176,13 @@ class ServerLock:
         return problem
 
     def other(self) -> str:
-        """The sentence that another server has the lock, "" where none has it; takes nothing."""
+        """Return a sentence if another server holds the lock, otherwise "". Does not take the lock."""
         if self._folder is None or self._is_held():
             return ""
         try:
             descriptor = os.open(self._folder.path / _LOCK, os.O_RDWR | PLAIN)
         except OSError:
-            return ""  # nobody has acted yet
+            return ""  # no server has acted yet
         try:
             is_free = take_lock(descriptor)
         except OSError:
@@ -193,13 +193,13 @@ class ServerLock:
             os.close(descriptor)
 
     def close(self) -> None:
-        """Gives it up; safe to call twice. The kernel does it when this process dies."""
+        """Release the lock. Safe to call twice; the kernel releases it when this process dies."""
         if self._descriptor is not None:
             os.close(self._descriptor)
             self._descriptor = self._mine = None
 
     def _is_held(self) -> bool:
-        """Whether this server has it, and the file is still the one that others would lock."""
+        """Return whether this server holds the lock, and its file is still the one that other servers would lock."""
         if self._descriptor is None or self._folder is None:
             return False
         try:
@@ -232,7 +232,7 @@ class ServerLock:
 
 
 def _holder(descriptor: int) -> str:
-    """Who has the lock, as it wrote."""
+    """Return a description of the lock's holder, from the lock file."""
     try:
         return f"process {int(json.loads(read_at(descriptor, 1000, 0))['pid'])}"
     except (OSError, ValueError, KeyError, TypeError):

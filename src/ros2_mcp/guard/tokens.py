@@ -1,7 +1,7 @@
-"""Who may come in over HTTP: tokens, each with a name and with what it may do.
+"""Tokens for access over HTTP, each with a name and scopes.
 
-A server has a token of its own, made at the first start and kept in the state folder, or the tokens of a file. What
-is presented is compared by its SHA-256; the file of tokens holds nothing else.
+A server has a token of its own, made at the first start and kept in the state folder, or the tokens of a file. Tokens
+are compared by their SHA-256; a file of tokens has only the hashes.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from ros2_mcp.model.names import did_you_mean
 from ros2_mcp_common.files import PLAIN, is_of_others
 
 SCOPES = ("observe", "act", "stop")
-"""What a token may do: read; whatever changes something; `ros2_stop`, which who may act may use as well."""
+"""The scopes of a token: reading; everything that changes something; and `ros2_stop`, which `act` includes."""
 LOGIN = "ros2_mcp.mcp.transports.http.login"
-"""The key of a request's scope under which its `Login` is found; it is missing where no login is asked for."""
+"""The key of an ASGI scope that holds the request's `Login`; missing if no login is required."""
 OWN_NAME = "own"
 """The name of the token that a server makes for itself."""
 
 _NAME = re.compile(r"[A-Za-z0-9_.-]{1,40}")
 _DIGEST = re.compile(r"sha256:([0-9a-f]{64})")
 _TOKEN_BYTES = 32
-"""256 bits: nobody guesses it, however often they may try."""
+"""The length of a token: 256 random bits, which cannot be guessed."""
 _MOST_FILE_BYTES = 1_000_000
-"""Ten thousand tokens: whoever needs more wants another kind of login."""
+"""The largest file of tokens, in bytes: ten thousand tokens. More users need another kind of login."""
 _HEAD = (
     "# Tokens of ros2-mcp: name, scopes, SHA-256 of the token. Add one with: ros2-mcp --token-file FILE token NAME\n"
 )
@@ -41,7 +41,7 @@ _HEAD = (
 
 @dataclass(frozen=True, slots=True)
 class Login:
-    """Who a request comes from: the name of its token, and the scopes of that."""
+    """The origin of a request: the name and the scopes of its token."""
 
     name: str
     scopes: frozenset[str]
@@ -51,7 +51,7 @@ ALL = frozenset(SCOPES)
 
 
 def may(scopes: frozenset[str], risk: str) -> str:
-    """The scope that is lacking for a tool of that risk; empty if none is."""
+    """Return the scope that is missing for a tool with that risk; "" if none is."""
     if risk == "read":
         return "" if "observe" in scopes else "observe"
     if risk == "stop":
@@ -60,7 +60,7 @@ def may(scopes: frozenset[str], risk: str) -> str:
 
 
 class Tokens:
-    """The tokens that are accepted: the login that each stands for, by its SHA-256."""
+    """The accepted tokens: a login for the SHA-256 of each token."""
 
     def __init__(self, logins: Mapping[bytes, Login]) -> None:
         self._logins = dict(logins)
@@ -69,7 +69,7 @@ class Tokens:
         return len(self._logins)
 
     def login(self, presented: bytes) -> Login | None:
-        """Whose token it is; takes the same time wherever it differs."""
+        """Return the login of a token, or None. The comparison takes the same time for every token."""
         digest, found = hashlib.sha256(presented).digest(), None
         for known, login in self._logins.items():
             if hmac.compare_digest(known, digest):
@@ -78,16 +78,16 @@ class Tokens:
 
 
 def own_tokens(folder: Path) -> Tokens:
-    """The server's own token alone, which may do everything."""
+    """Return the server's own token alone, with all scopes."""
     token, _ = own_token(folder)
     return Tokens({hashlib.sha256(token.encode()).digest(): Login(OWN_NAME, ALL)})
 
 
 def own_token(folder: Path) -> tuple[str, bool]:
-    """The server's own token, and whether it was made now.
+    """Return the server's own token, and whether it was created now.
 
     Raises:
-        BadInput: if it can be neither read nor made, or others could read it.
+        BadInput: if it can be neither read nor created, or other users could read it.
     """
     path = folder / "http-token"
     try:
@@ -101,10 +101,10 @@ def own_token(folder: Path) -> tuple[str, bool]:
 
 
 def read_tokens(path: Path) -> Tokens:
-    """The tokens of a file: a line for each, with its name, its scopes and its SHA-256.
+    """Read a file of tokens: one line for each, with name, scopes and SHA-256.
 
     Raises:
-        BadInput: if it cannot be read, could be changed by others, or has a line that is none, with its number.
+        BadInput: if the file cannot be read or could be changed by other users, or a line is invalid (with its number).
     """
     logins: dict[bytes, Login] = {}
     for number, line in enumerate(_lines(path), 1):
@@ -124,10 +124,10 @@ def read_tokens(path: Path) -> Tokens:
 
 
 def add_token(path: Path, name: str, scopes: Sequence[str]) -> str:
-    """Adds a token to the file, which is made if it is not there; the token is returned, and kept nowhere.
+    """Add a token to the file, which is created if necessary, and return the token. The token itself is not stored.
 
     Raises:
-        BadInput: for a name or scope that is none, a name that the file has, or a file that cannot be used.
+        BadInput: for an invalid name or scope, a name that exists already, or a file that cannot be used.
     """
     token = secrets.token_urlsafe(_TOKEN_BYTES)
     line = [name, ",".join(scopes), f"sha256:{hashlib.sha256(token.encode()).hexdigest()}"]
@@ -135,7 +135,7 @@ def add_token(path: Path, name: str, scopes: Sequence[str]) -> str:
     lines = _lines(path) if path.exists() else []
     if any(kept.split()[:1] == [name] for kept in lines):
         raise BadInput(f"{path} has a token {name} already.", "Delete its line, or choose another name.")
-    # What a person wrote may not end its last line.
+    # A hand-edited file may lack a newline at its end.
     before = _HEAD if not lines else "" if lines[-1].endswith("\n") else "\n"
     try:
         with os.fdopen(os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600), "a", encoding="utf-8") as file:
@@ -173,13 +173,13 @@ def _lines(path: Path) -> list[str]:
 
 
 def _make(path: Path) -> bool:
-    """Writes a new token where no server has made one meanwhile; whether this one has."""
+    """Write a new token unless another server has just done so; return whether this call did."""
     path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
     beside = path.with_name(f"{path.name}.{secrets.token_hex(4)}")
     with os.fdopen(os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="ascii") as file:
         file.write(secrets.token_urlsafe(_TOKEN_BYTES) + "\n")
     try:
-        os.link(beside, path)  # never over one that is there
+        os.link(beside, path)  # does not replace an existing file
     except FileExistsError:
         return False
     finally:

@@ -1,6 +1,6 @@
-"""A policy asked about commands that nobody sends: for `ros2-mcp policy explain` and `test`, without a robot.
+"""Trials of a policy with commands that are never sent: for `ros2-mcp policy explain` and `test`, without a robot.
 
-A trial is one row of a table: `tests/unit/guard/profiles/FORMAT.md` says what its columns are.
+A trial is one row of a table, whose columns `tests/unit/guard/profiles/FORMAT.md` describes.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from ros2_mcp_common.policy.trajectory_limits import Joints, LookAtJoints
 from ros2_mcp_common.policy.verbs import CHANGE_STATE, SET_PARAMETERS, Verb, meaning
 
 DECISIONS: Mapping[str, str] = {"allowed": "allow", "refused": "refuse", "consent": "consent"}
-"""What tables call the verdicts."""
+"""The words for the verdicts in tables."""
 _COLUMNS = ("verb", "name", "type", "value", "rate_hz", "duration_s", "facts", "decision")
 _TYPED = ("publish", "relay", "play", "call", "goal")
-"""Verbs of which a rule asks for the type."""
+"""The verbs whose rules check the type."""
 _REQUESTS: Mapping[str, Sequence[str]] = {"set": ("parameters",), "goal": ("goal_id", "goal")}
-"""The fields of requests that are judged as something else than a call."""
+"""The fields of service requests that are judged under another verb than `call`."""
 _Fields = dict[str, Any]
 _CHOICE = Choice(QoS(), "a trial")
 _GOAL_ID = "0" * 31 + "1"
@@ -42,15 +42,15 @@ _HEADED: Mapping[str, str] = {
     "geometry_msgs/msg/PoseStamped": "pose",
     "ackermann_msgs/msg/AckermannDriveStamped": "drive",
 }
-"""Types of a header and one field, whose name paths may leave out, with that field."""
+"""Types that consist of a header and one field: paths may omit the name of that field."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trial:
-    """One command as somebody writes it: what is left out of `value` has its default.
+    """One command as written in a table; fields omitted in `value` have their defaults.
 
-    `publishers` are the robot's nodes that publish on the topic; `own` says of a cancellation that the goal is ours.
-    `joints` are the positions of joints; one that is not there stands where its first point is.
+    `publishers` are the robot's nodes that publish on the topic; `own`: a cancellation is of this server's own goal.
+    `joints` are positions of joints; any other joint is at the first point of its trajectory.
     """
 
     verb: str
@@ -66,7 +66,7 @@ class Trial:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Row:
-    """A trial with what its writer expects, and where it stands."""
+    """A trial with its line in the table and the expected decision."""
 
     line: int
     trial: Trial
@@ -74,10 +74,10 @@ class Row:
 
 
 def rows_of(path: Path) -> Iterator[Row]:
-    """The rows of a table.
+    """Yield the rows of a table.
 
     Raises:
-        BadInput: with file and line, if it is no table of trials.
+        BadInput: with file and line, if the table is invalid.
     """
     with path.open(encoding="utf-8", newline="") as file:
         reader = csv.DictReader(file)
@@ -96,7 +96,7 @@ def rows_of(path: Path) -> Iterator[Row]:
 
 
 def trial_of(row: Mapping[str, str]) -> Trial:
-    """The trial of one row. Raises `BadInput`."""
+    """Return the trial of one row. Raises `BadInput`."""
     verb = row["verb"].strip()
     if verb not in VERBS:
         raise BadInput(f"There is no verb {verb!r}.", names.did_you_mean(verb, VERBS, f"It is {', '.join(VERBS)}."))
@@ -120,7 +120,7 @@ def trial_of(row: Mapping[str, str]) -> Trial:
 
 
 def decided(policy: Policy, trial: Trial) -> Decision:
-    """What the policy says to it; what stops something of our own is never asked about."""
+    """Return the policy's decision. Cancelling a goal of this server is always allowed."""
     if trial.verb == "cancel" and trial.own:
         return ALLOWED
     command = _command(trial)
@@ -132,7 +132,7 @@ def decided(policy: Policy, trial: Trial) -> Decision:
 
 
 def _joints_of(value: Any, given: Mapping[str, float]) -> LookAtJoints:
-    """Joints that stand: where they are given to be, else where the first point of a trajectory is."""
+    """Return joints at rest: at the given positions, otherwise at the first point of the trajectory."""
     stand: dict[str, State] = {}
     for _, found in trajectories_in(value):
         points = cast("Sequence[Mapping[str, Any]]", found["points"])
@@ -143,7 +143,7 @@ def _joints_of(value: Any, given: Mapping[str, float]) -> LookAtJoints:
 
 
 def _as_meant(trial: Trial) -> Trial:
-    """A goal or parameters in a call are judged as what they are."""
+    """Convert a call that sends a goal or sets parameters to a trial of that verb."""
     if trial.verb != "call":
         return trial
     meant = meaning(trial.name, trial.type)
@@ -151,13 +151,13 @@ def _as_meant(trial: Trial) -> Trial:
 
 
 def _judged(verb: Verb, request: Any) -> Any:
-    """What of a request is judged. Raises `BadInput` for one that nothing can be said of."""
+    """Return the part of a request that rules check. Raises `BadInput` for an invalid request."""
     if wrong := [name for name in request if name not in _REQUESTS.get(verb, request)]:
         raise BadInput(f"That service takes no {wrong[0]!r}.", f"It takes {' and '.join(_REQUESTS[verb])}.")
     given: dict[str, Any] = {"goal": {}, "parameters": [], **request}
     try:
         return judged_part(verb, given) if verb in ("goal", "set") else request
-    except Exception as error:  # the judge's own: a parameter without a name or a value
+    except Exception as error:  # an error of `judged_part`: a parameter without a name or a value
         raise BadInput(f"This is no request of that service: {error}.") from error
 
 
@@ -177,8 +177,8 @@ def _number(row: Mapping[str, str], column: str) -> float | None:
 
 
 def unbounded(policy: Policy, trial: Trial) -> list[str]:
-    """The paths in the value that no rule or limit looks at: also a misspelt one is among them, for without the robot
-    nobody knows which fields a type has.
+    """Return the paths in the value that no rule or limit checks. A misspelt path is among them, because the fields of
+    a type are not known without the robot.
     """
     ruling = policy.ruling(_command(trial))
     trial = _as_meant(trial)
@@ -232,10 +232,10 @@ def _command(trial: Trial) -> Command[Any]:
 
 
 def _filled(trial: Trial, ruling: Ruling) -> Any:
-    """The value with every field that a rule looks at; those that were left out have their default."""
+    """Return the value with every field that a rule checks; omitted fields have their defaults."""
     copied: Any = json.loads(json.dumps(trial.value))
     if trial.verb in ("set", "transition") or not isinstance(copied, dict):
-        return copied  # parameters that are not set have no default here
+        return copied  # parameters that are not set have no default
     value = cast("dict[str, Any]", copied)
     if only := _HEADED.get(trial.type):
         value = {"header": {"frame_id": ""}, only: {}} | value
@@ -249,7 +249,7 @@ def _filled(trial: Trial, ruling: Ruling) -> Any:
 
 
 def _defaults(checks: Checks) -> Iterator[tuple[str, Any]]:
-    """The paths that are looked at, each with what a field of that kind has by default."""
+    """Yield the paths that are checked, each with the default of such a field."""
     vector = {"x": 0.0, "y": 0.0, "z": 0.0}
     yield from ((path, vector) for path in (*checks.norm, *checks.zone))
     yield from ((path, 0.0) for path in (*checks.zero, *checks.range))
@@ -266,7 +266,7 @@ def _defaults(checks: Checks) -> Iterator[tuple[str, Any]]:
 
 
 def _fill(value: Any, steps: Sequence[str], default: Any) -> None:
-    """Adds one field, and objects and lists on the way to it, where they are not there."""
+    """Add one field with its default, and the objects and lists above it, unless they exist."""
     if not isinstance(value, (dict, list)) or not steps:
         return
     step, rest = steps[0], steps[1:]

@@ -1,4 +1,4 @@
-"""What the watchdog of the bridge is told: the feedback and the pose of the policies, with the limits that they set."""
+"""The settings of the bridge's watchdog: the policies' feedback and pose, with the limits that they imply."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ from ros2_mcp_common.policy.velocity import VELOCITY_TYPES
 
 
 def watch_of(policy: Policy) -> Mapping[str, Any]:
-    """As `feedback.rules_of` of the bridge reads it; the first policy that names a feedback, or a pose, says it."""
+    """Return the settings in the form that `feedback.rules_of` of the bridge reads. The first policy with a feedback,
+    or with a pose, provides it.
+    """
     watch: dict[str, Any] = {}
     if feedback := next((found.feedback for found in policy.documents if found.feedback), None):
         watch["feedback"] = {**asdict(feedback), "most": most_of(policy)}
@@ -25,7 +27,7 @@ def watch_of(policy: Policy) -> Mapping[str, Any]:
 
 
 def most_of(policy: Policy) -> Mapping[str, float]:
-    """The strictest limit on the length of each part of a velocity, in m/s and rad/s."""
+    """Return the strictest limit on the length of each part of a velocity, in m/s and rad/s."""
     most: dict[str, float] = {}
     for limit in _limits(policy):
         for path, bound in limit.checks.norm.items():

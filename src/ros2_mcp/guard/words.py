@@ -1,4 +1,4 @@
-"""A policy in words and numbers: for the agent that plans within it, and for the operator who checks it."""
+"""A policy in words and numbers, for the agent that plans within it and the operator who checks it."""
 
 from __future__ import annotations
 
@@ -29,31 +29,33 @@ _APPROVAL = "a person approves each"
 
 
 def allowed(rules: RuleSet) -> list[str]:
-    """What a policy allows, one sentence for each rule."""
+    """Return the allowances of a policy, one sentence for each rule."""
     if rules.allows_all:
         return ["Everything that is not forbidden."]
     return [_allowance(entry) for entry in rules.allow]
 
 
 def limits(rules: RuleSet) -> list[str]:
-    """What holds for every value of some types, whatever allows it; and the zones, with their corners."""
+    """Return the limits on the values of types, one sentence each, and the zones with their corners."""
     return [*map(_limit, rules.limits), *(_zone(name, zone) for name, zone in rules.zones.items())]
 
 
 def forbidden(rules: RuleSet) -> list[str]:
-    """What stays forbidden whatever allows it."""
+    """Return what a policy forbids, one sentence for each rule."""
     return [_forbidden(entry) for entry in rules.forbid]
 
 
 def bounds(ruling: Ruling) -> str:
-    """The sentence about what bounds a command that is allowed: of all rules that allow it, and of all limits."""
+    """Return a sentence about the bounds of an allowed command: of all rules that allow it, and of all limits."""
     clauses = [clause for entry in ruling.allowances for clause in _bounds_of(entry) if clause != _APPROVAL]
     clauses += [clause for entry in ruling.limits for clause in _bounds_of_limit(entry)]
     return f"The policy bounds {'; '.join(dict.fromkeys(clauses)) or 'nothing of it'}."
 
 
 def watched(document: Document, most: Mapping[str, float]) -> list[str]:
-    """What stops the robot by itself, and sets the latch. `most` are the limits on velocities (m/s, rad/s), by part."""
+    """Return sentences about the watchdog's reasons to stop the robot and set the latch. `most` are the limits on
+    velocities (m/s, rad/s), by part.
+    """
     told: list[str] = []
     stopped = "It is stopped, and the latch set, when"
     if feedback := document.feedback:
@@ -128,8 +130,8 @@ def _bounds_of_limit(entry: Limit) -> Iterable[str]:
 
 
 def in_words(checks: Checks, types: Sequence[str] = ()) -> Iterable[str]:
-    """The checks on a value of one of these types, one clause for each. Of velocities with units, angular ones also in
-    those of `ros2_drive`.
+    """Yield the checks on a value of these types, one clause each. Angular velocities are also given in °/s, the unit
+    of `ros2_drive`.
     """
     are_velocities = bool(types) and all("/Twist" in kind for kind in types)
     for path, most in checks.norm.items():
@@ -151,13 +153,13 @@ def in_words(checks: Checks, types: Sequence[str] = ()) -> Iterable[str]:
 
 
 def _with_unit(path: str, speed: float) -> str:
-    """The largest speed of a part of a Twist, in its unit."""
+    """Return the largest speed of a part of a Twist, with its unit."""
     is_angular = "angular" in path.split(".")
     return f"{speed:g} rad/s ({math.degrees(speed):.0f} °/s)" if is_angular else f"{speed:g} m/s"
 
 
 def _curve(limits: CurveLimits) -> Iterable[str]:
-    """What a trajectory may do, for each joint."""
+    """Yield the limits on a trajectory, for each joint."""
     everywhere = JointBounds(*(limits.position or (None, None)), limits.speed, limits.acceleration)
     yield from filter(None, [_joint("each joint", everywhere)])
     if limits.step is not None:
@@ -208,7 +210,7 @@ def _types(patterns: Sequence[str]) -> str:
 
 
 def _one_of(words: Sequence[str]) -> str:
-    """`a, b or c`."""
+    """Return the words as `a, b or c`."""
     return " or ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
 
 

@@ -1,1 +1,1 @@
-"""The stream to the robot: finding ROS, starting a bridge, talking to it."""
+"""The link to the robot: find ROS 2, start a bridge, and exchange packets with it."""

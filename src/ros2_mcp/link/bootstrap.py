@@ -1,9 +1,11 @@
-"""Starting a bridge where nothing of ours is installed: what to execute and send, and what is heard before the stream.
+"""Start a bridge where nothing is installed: the program to execute, the bytes to send, and the replies before the
+stream.
 
-A way in is a program that gives the standard streams of a shell somewhere else: ssh, a container engine's client, any
-other. Its words are completed by two programs in single quotes, which every login shell takes as they are: a shell
-script that looks for python3, and a line of Python that executes stage 1 (`ros2_mcp_common/start/stage1.py`), which
-comes on stdin with the bridge as a zip. See docs/decisions/0034-the-bridge-is-sent-and-not-installed.md.
+A way in is a program that gives the standard streams of a shell on the far side: ssh, a container engine's client, or
+any other. Its words are completed by two programs in single quotes, which every login shell passes on unchanged: a
+shell script that looks for python3, and a line of Python that executes stage 1 (`ros2_mcp_common/start/stage1.py`).
+Stage 1 comes on stdin, followed by the bridge as a zip. See
+docs/decisions/0034-the-bridge-is-sent-and-not-installed.md.
 """
 
 from __future__ import annotations
@@ -31,12 +33,12 @@ from ros2_mcp_common.start.finding import Search
 PACKAGE = ros2_mcp_bridge.__name__
 _SOURCES = tuple(Path(str(package.__file__)).parent for package in (ros2_mcp_bridge, ros2_mcp_common))
 _NO_PYTHON, _IS_TERMINAL = 97, 96
-# 126 and 127 are what shells say of a program that they cannot execute or find.
+# The exit codes of shells for a program that cannot be executed (126) or found (127).
 _NO_SHELL = (126, 127)
-# Without a single quote, a backslash, an exclamation mark or a line's end: so these two stand in single quotes for
-# every shell. `python3 -IS`: neither the folder it starts in nor anything that is installed gets in the way of stage 1.
-# One that is not the system's is tried first: shims of version switchers are there for versions that are not switched
-# on, too, and fail with 127. That takes as long as a Python starts, 20 ms.
+# The script has no single quote, backslash, exclamation mark or newline, so that every shell accepts it in single
+# quotes. `python3 -IS`: neither the working folder nor installed packages can interfere with stage 1. A python3 among a
+# version switcher's shims is tested first, because it fails with 127 if its version is not selected. The test takes as
+# long as a Python starts, 20 ms.
 _SCRIPT = (
     f"[ -t 0 ] && exit {_IS_TERMINAL}; "
     "for p in python3 /usr/bin/python3 ~/*conda3/bin/python3 ~/*forge3/bin/python3 /opt/*conda*/bin/python3; do "
@@ -44,30 +46,30 @@ _SCRIPT = (
     'case $p in */shims/*) "$p" -ISc "" </dev/null >/dev/null 2>&1 || continue;; esac; '
     f'exec "$p" -ISc "$0"; done; exit {_NO_PYTHON}'
 )
-# The alarm ends it where nothing ever comes (in seconds, as in stage 1, which goes on with it).
+# The alarm ends the program if nothing arrives for 30 s; stage 1 continues with the same alarm.
 _PYTHON = (
     "import base64,signal,sys,zlib;signal.alarm(30);"
     "line=sys.stdin.buffer.raw.readline();exec(zlib.decompress(base64.b64decode(line)))"
 )
 WORDS = ("sh", "-c", f":; exec sh -c '{_SCRIPT}' '{_PYTHON}'")
-"""What completes a way in. One that executes words (docker, kubectl) runs `sh` with this script. One that joins them
-for a shell (ssh, adb) runs `sh -c :`, which does nothing and reads nothing, and then the rest, which is the same."""
+"""The words after those of a way in. A way in that executes words (docker, kubectl) runs `sh` with this script. One
+that joins the words for a shell (ssh, adb) runs `sh -c :`, which does nothing, and then the rest, which is the same."""
 
-# What does nothing in a program: lines of comment, and docstrings that begin and end on lines of their own.
+# Text without effect in a program: comment lines, and docstrings that begin and end on their own lines.
 _COMMENT = re.compile(r"^[ \t]*#.*$", re.MULTILINE)
 _DOCSTRING = re.compile(r'^( *)"""(?:[^"\\]|"(?!""))*"""$', re.MULTILINE)
 
-# What logins print before the marker; a program that sends more than this without it is not ours. Chosen.
+# The most output of a login before the marker. A program that prints more without the marker is no login.
 _MOST_NOISE_BYTES = 64 * 1024
-# Characters of a sentence of stage 1: it lists what is there. Chosen.
+# The longest sentence of stage 1, in characters: it lists what it has found.
 _MOST_SENTENCE = 600
-# Of one line of stage 1; a path may have 4 kB. Chosen.
+# The longest line of stage 1: a path may have 4 kB.
 _MOST_REPORT_BYTES = 64 * 1024
 
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """One line of stage 1: what was reached (`reached`, `container`, `found`, `bridge`), in words of the far side."""
+    """One line of stage 1: the stage that was reached (`reached`, `container`, `found`, `bridge`), and its details."""
 
     stage: str
     details: dict[str, str]
@@ -75,24 +77,24 @@ class Report:
 
 @dataclass(slots=True)
 class Arrival:
-    """Takes what comes back from the far side, and tells noise, reports of stage 1, and the stream apart."""
+    """The reader of the bytes from the far side: separates noise, reports of stage 1, and the stream."""
 
     nonce: str
     reports: list[Report] = field(default_factory=list[Report])
     noise: bytes = b""
     is_through: bool = False
-    """Whether what comes now is the bridge's stream."""
+    """Whether the bytes from now on belong to the bridge's stream."""
     failure: LinkError | None = None
-    """Why there will be no stream, as stage 1 said it."""
+    """The reason of stage 1 if there will be no stream."""
     _waiting: bytes = b""
 
     @property
     def heard(self) -> str:
-        """What came before the first marker, as text: the noise, and what may yet become a marker."""
+        """The text before the first marker: the noise, and bytes that may still become a marker."""
         return (self.noise if self.reports else self.noise + self._waiting).decode(errors="replace").strip()
 
     def feed(self, piece: bytes) -> bytes:
-        """What of this piece belongs to the stream; nothing until the last marker has come."""
+        """Return the part of these bytes that belongs to the stream; empty until the last marker has arrived."""
         if self.is_through:
             return piece
         self._waiting += piece
@@ -101,7 +103,7 @@ class Arrival:
             noise, found, rest = self._waiting.partition(marker)
             line, ended, behind = rest.partition(b"\n")
             if not found:
-                kept = len(marker) - 1  # of which more may come
+                kept = len(marker) - 1  # the beginning of a marker may be among these
                 self._hear(noise[:-kept])
                 self._waiting = noise[-kept:]
                 return b""
@@ -143,17 +145,17 @@ class Arrival:
         self.is_through = stage == "bridge"
 
     def explain(self, exit_code: int | None, log_tail: Sequence[str] = ()) -> LinkError | None:
-        """Why the way in ended before the stream; None if it is not known here.
+        """Return why the way in ended before the stream; None if the reason is not known here.
 
         Args:
-            exit_code: of the program that is the way in; None if it was not told.
+            exit_code: the exit code of the way in; None if unknown.
             log_tail: the last lines of its stderr.
         """
         if self.failure:
             return self.failure
         said = next((line for line in reversed(log_tail) if line.strip()), "")
         if "found" in (report.stage for report in self.reports):
-            return None  # the bridge itself, or the setup file before it: its own last words say more
+            return None  # the bridge or its setup file failed: their own last lines say more
         if exit_code == _IS_TERMINAL:
             return LinkError(
                 "The connection is a terminal, which cannot carry a stream of bytes.",
@@ -180,12 +182,12 @@ class Arrival:
 
 
 def _on_one_line(text: str) -> str:
-    """A sentence of stage 1, which has names of the far side in it."""
+    """Return a sentence of stage 1, which has names of the far side in it, on one line of bounded length."""
     return " ".join(text.split())[:_MOST_SENTENCE]
 
 
 def _of_an_engine(said: str) -> LinkError | None:
-    """What the sentence of a container engine's client means."""
+    """Return the error for a message of a container engine's client; None for other messages."""
     lower = said.lower()
     if "no such container" in lower or "no such exec" in lower:
         return LinkError(f"There is no such container: {quoted(said)}", "docker ps lists the running containers.")
@@ -205,9 +207,9 @@ def _of_an_engine(said: str) -> LinkError | None:
 
 @dataclass(frozen=True, slots=True)
 class Bootstrap:
-    """One start: what to execute, what to write to its stdin before anything else, and what takes what comes back.
+    """One start: the command, the bytes for its stdin, and the reader of its output.
 
-    `pack` makes what is written: that takes 40 ms, in which the way in can already be on its way.
+    `pack` makes the bytes. It takes 40 ms, during which the way in can already start.
     """
 
     argv: tuple[str, ...]
@@ -216,13 +218,13 @@ class Bootstrap:
 
 
 def bootstrap(way: Sequence[str], search: Search, *, container: str = "", options: Sequence[str] = ()) -> Bootstrap:
-    """How to start a bridge through this way in.
+    """Return how to start a bridge through this way in.
 
     Args:
         way: the words of the way in, such as `ssh -- me@robot` or `docker exec -i NAME`.
-        search: which ROS is looked for there.
-        container: the name of a container on the machine that the way leads to, in which ROS is; empty if in none.
-        options: those of the bridge.
+        search: which ROS to look for on the far side.
+        container: the container with ROS on the machine that the way in reaches; "" for none.
+        options: the options of the bridge.
     """
     nonce = secrets.token_hex(8)
 
@@ -234,11 +236,11 @@ def bootstrap(way: Sequence[str], search: Search, *, container: str = "", option
 
 
 def installed(way: Sequence[str], options: Sequence[str] = ()) -> Bootstrap:
-    """How to start a bridge that is installed where it runs (the ROS package): nothing is sent.
+    """Return how to start a bridge that is installed on the far side (the ROS package): nothing is sent.
 
     Args:
-        way: words that start it, and take further ones, such as `ssh me@robot ros2 run ros2_mcp_bridge bridge`.
-        options: those of the bridge.
+        way: the words that start it, and accept further words, such as `ssh me@robot ros2 run ros2_mcp_bridge bridge`.
+        options: the options of the bridge.
     """
     nonce = secrets.token_hex(8)
     return Bootstrap((*way, "--arrival", nonce, *options), bytes, Arrival(nonce))
@@ -260,9 +262,9 @@ def _sent(nonce: str, search: Search, container: str, options: Sequence[str]) ->
 
 @cache
 def packed_bridge() -> bytes:
-    """The bridge as a zip, from which Python imports it; compressed as a whole, a fifth smaller than file by file.
+    """Return the bridge as a compressed zip file. Compression as a whole is a fifth smaller than file by file.
 
-    Its comments and docstrings stay here: they are a third of what would be sent.
+    Comments and docstrings are removed: they are a third of the size.
     """
     archive = io.BytesIO()
     with zipfile.ZipFile(archive, "w") as file:
@@ -274,7 +276,7 @@ def packed_bridge() -> bytes:
 
 
 def bare(source: str) -> str:
-    """A module of ours without comments and docstrings; what is left has the line numbers that it had."""
+    """Return the source of a module without comments and docstrings; line numbers stay the same."""
 
     def emptied(docstring: re.Match[str]) -> str:
         return f'{docstring[1]}""' + "\n" * docstring[0].count("\n")

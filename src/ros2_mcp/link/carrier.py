@@ -1,7 +1,7 @@
-"""What carries the stream to one bridge: the seam under the link.
+"""The interface of carriers, which transport the stream to one bridge.
 
-`Connection`, `Heartbeat` and `Bridge` know a carrier and nothing below it: no process, no signals, no `/proc`. A new
-kind of carrier is a module beside `local.py` and a line in `carriers.py`.
+`Connection`, `Heartbeat` and `Bridge` use a carrier and nothing below it: no process, signals or `/proc`. A new kind of
+carrier is a module next to `local.py` and a line in `carriers.py`.
 """
 
 from __future__ import annotations
@@ -12,84 +12,91 @@ from typing import Literal, Protocol
 from ros2_mcp.model.errors import LinkError
 
 Vitality = Literal["running", "stopped", "starved", "unknown"]
-"""What a carrier can see of the far end without asking it: `stopped` from outside (by a debugger), `starved` of
-processor time (it wants to run and does not get round), `running`, or `unknown` where it cannot look there."""
+"""The observable state of the far end: `stopped` (suspended, for example by a debugger), `starved` (it wants processor
+time and gets none), `running`, or `unknown` if the carrier cannot observe it."""
 
 SLOW_START = (
     "The next call tries again. If setup files take so long, find out which: time bash -c 'source FILE'. Else this "
     "machine is busy, or ROS waits for the network; ros2-mcp --debug shows the bridge's log."
 )
-"""The way out for a bridge that is slow to start."""
+"""The hint for a bridge that starts slowly."""
 
 
 class Carrier(Protocol):
-    """The bytes to and from one bridge, for one life of that bridge: made once, opened once, closed once.
+    """The bytes to and from one bridge, for one life of that bridge: created, opened and closed once.
 
-    Whoever makes a carrier starts the far end at once and waits for nothing, so that it needs no event loop; all else
-    is for the event loop that `open` was called in. Only `kill` and `close` may be called without `open`.
+    Creating a carrier starts the far end without waiting, so no event loop is needed; everything else belongs to the
+    event loop of `open`. Only `kill` and `close` may be called without `open`.
     """
 
     @property
     def origin(self) -> str:
-        """For people: which ROS installation the bridge runs in, and why that one; empty where it is not known."""
+        """The ROS installation of the bridge and why it was chosen, for people; "" if unknown."""
         ...
 
     @property
     def is_remote(self) -> bool:
-        """Whether a network lies between: the stream may be slow, or be cut without anybody being told."""
+        """Whether a network lies between: the stream may be slow, or be cut without notice."""
         ...
 
     @property
     def lease_s(self) -> float:
-        """The link lease: after how long without a packet the bridge stops what this server keeps moving."""
+        """The link lease, in s: after this time without a packet the bridge stops what this server keeps moving."""
         ...
 
     @property
     def start_s(self) -> float:
-        """How long the bridge may take to say hello after `open`."""
+        """The time limit for the bridge's hello after `open`, in s."""
         ...
 
     async def open(self, received: Callable[[bytes], None], ended: Callable[[], None]) -> None:
-        """Hands on what the bridge writes, in order and in pieces of any size, then its end, once."""
+        """Pass the bridge's output to `received`, in order and in pieces of any size, and call `ended` once at
+        its end.
+        """
         ...
 
     def write(self, data: bytes) -> None:
-        """Queues bytes for the bridge, in order; what can no longer reach it is discarded."""
+        """Queue bytes for the bridge, in order. Bytes that can no longer reach it are discarded."""
         ...
 
     async def writable(self) -> None:
-        """Waits while so much is queued that more would only wait; returns at once when the bridge is gone."""
+        """Wait until the queue has room. Returns at once if the bridge is gone."""
         ...
 
     def alive(self) -> Vitality:
-        """What can be seen of the bridge now; quick, for it is asked several times a second while it is silent."""
+        """Return the observable state of the bridge now. Must be fast: it is called several times per second of
+        silence.
+        """
         ...
 
     async def ending(self) -> str:
-        """How it ended, in words that follow "The bridge": `died with signal SIGKILL`, `closed its stream`.
+        """Return how the bridge ended, in words that follow "The bridge": `died with signal SIGKILL`, `closed its
+        stream`.
 
-        Asked after its end was reported; may wait for a moment to learn it.
+        Called after `ended`; may wait a moment for the reason.
         """
         ...
 
     async def failure(self) -> LinkError | None:
-        """Why the far end was not reached, with the way out, for a bridge that never said hello; None where `ending`
-        says it. Asked after its end was reported.
+        """Return why the far end was not reached, with a hint, for a bridge that never sent a hello; None if `ending`
+        says it.
+
+        Called after `ended`.
         """
         ...
 
     def log_tail(self) -> Sequence[str]:
-        """The last lines that the bridge wrote to its log, the oldest first; empty where they do not come along."""
+        """Return the last lines of the bridge's log, oldest first; empty if the carrier does not transport them."""
         ...
 
     def kill(self) -> None:
-        """Ends the far end at once, as far as it is in reach; where it is not, the end of the stream must do."""
+        """Kill the far end at once if it can be reached; otherwise it ends with the stream."""
         ...
 
     async def close(self, grace_s: float) -> None:
-        """Ends the stream, gives the bridge that long to stop the robot and leave, and leaves nothing behind."""
+        """End the stream, wait up to `grace_s` seconds for the bridge to stop the robot and exit, and clean up."""
         ...
 
     def describe(self) -> str:
-        """Which bridge this is, in a few words for error texts: `pid 4711`."""
+        """Return a short description of the bridge for error messages: `pid 4711`."""
         ...

@@ -1,4 +1,4 @@
-"""Which carrier reaches the robot that the settings name."""
+"""Choose the carrier for the robot in the settings."""
 
 from __future__ import annotations
 
@@ -15,17 +15,18 @@ from ros2_mcp.settings import Settings
 def start_carrier(
     settings: Settings, env: Mapping[str, str] = os.environ, *, state: Path | None = None, under_policy: bool = False
 ) -> Carrier:
-    """Starts a bridge and what carries its stream: a child process in the ROS of this machine, or ssh and its like.
+    """Start a bridge and its carrier: a child process in the ROS of this machine, or ssh or another program for a
+    remote robot.
 
     Args:
-        settings: which ROS.
-        env: where it is looked for.
-        state: the state folder of the robot, with its latch; without it, and where the robot is elsewhere, the bridge
-            has a latch of its own.
-        under_policy: whether it lets nothing out but zeros until it is told the rules.
+        settings: which robot, and which ROS.
+        env: the environment in which to look for ROS.
+        state: the robot's state folder, with its latch. Without it, and for a remote robot, the bridge has its own
+            latch.
+        under_policy: whether the bridge publishes nothing but zeros until it gets the rules.
 
     Raises:
-        RosNotFound: if this machine has no ROS 2, or not the distribution that was asked for.
+        RosNotFound: if this machine has no ROS 2, or not the requested distribution.
         LinkError: if the bridge, or the program that reaches it, cannot be started.
         BadInput: if the settings name a workspace or a Python that does not exist.
     """

@@ -1,6 +1,6 @@
-"""A child process whose pipes carry the stream: the bridge itself, or the program that reaches the one elsewhere.
+"""A child process whose pipes carry the stream: the bridge itself, or the program that reaches a remote bridge.
 
-Only this module of the link deals with processes: signals, exit codes, `/proc`.
+In the link, only this module uses processes: signals, exit codes and `/proc`.
 """
 
 from __future__ import annotations
@@ -21,25 +21,25 @@ from ros2_mcp.link.installation import Command
 from ros2_mcp.link.threaded import ThreadedReader, ThreadedWriter
 from ros2_mcp_common.wire.limits import BATCH_BYTES
 
-# Enough for a traceback; error texts show the last few lines of it, `doctor` and the log all.
+# Enough for a traceback. Error messages show its last few lines, `doctor` and the log all.
 _KEPT_LINES = 50
-# A line without end (a dump of bytes) must not fill the memory. Chosen.
+# The longest kept line: output without newlines must not fill the memory.
 _MAX_LINE_BYTES = 2000
-# More than this waiting for a bridge that does not read holds up the next body: memory stays bounded. Chosen.
+# Above this size of the write queue, sending the next body waits: a bridge that does not read must not fill the memory.
 _WRITE_BUFFER_BYTES = 1024 * 1024
-# A packet of samples fits: fewer wake-ups for pictures than with the 64 kB that a pipe has otherwise.
+# The size of the pipes: a packet of samples fits, with fewer wake-ups for images than the default of 64 kB.
 _PIPE_BYTES = BATCH_BYTES
-# Popen has no way to await an exit without a thread or a child watcher; an exit is noticed within this time. Chosen.
+# The polling period for the exit of the process: Popen cannot await it without a thread or a child watcher.
 _POLL_S = 0.01
-# The end of the pipe usually comes shortly before the exit code can be had: error texts wait for it this long. Chosen.
+# The time limit for the exit code in error messages: the pipe usually ends shortly before the code is available.
 _EXIT_CODE_S = 0.5
-# From SIGTERM, on which a bridge leaves as at the end of its stdin, to SIGKILL. Chosen: it had its time in `close`.
+# From SIGTERM to SIGKILL: on SIGTERM a bridge exits as at the end of its stdin, for which `close` has given it time.
 _TERMINATE_S = 0.3
 _SHARED_MEMORY = "/dev/shm"
-# LTTng, which rclpy loads, maps a page of shared memory when a process begins, and dies where there is none for it.
+# LTTng, which rclpy loads, maps a page of shared memory when a process starts, and dies with SIGBUS if none is free.
 _FULL = f", as {_SHARED_MEMORY} is full: make room there (df {_SHARED_MEMORY}; --shm-size of a container)"
 if sys.platform == "win32":
-    # No Ctrl+C of our terminal reaches it, and a client with windows of its own shows none for it.
+    # Ctrl+C in the server's terminal does not reach the child, and it opens no console window.
     _CREATION_FLAGS = subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW
 else:
     _CREATION_FLAGS = 0
@@ -47,17 +47,17 @@ _SET_PIPE_SIZE = 1031  # F_SETPIPE_SZ of Linux; the fcntl module knows it by nam
 
 
 class Child:
-    """A process in a session of its own, so that a Ctrl-C in our terminal does not reach it."""
+    """A process in its own session, so that Ctrl-C in the server's terminal does not reach it."""
 
     def __init__(
         self, command: Command, *, pass_stderr: bool = False, threaded: bool = sys.platform == "win32"
     ) -> None:
-        """Starts it without waiting for anything.
+        """Start the process without waiting for anything.
 
         Args:
-            command: what to execute.
-            pass_stderr: whether its stderr is shown on ours.
-            threaded: whether threads wait for its pipes, as they must on Windows.
+            command: the command and its environment.
+            pass_stderr: whether to copy its stderr to this process's stderr.
+            threaded: whether threads wait for its pipes, as Windows requires.
 
         Raises:
             OSError: if it cannot be executed.
@@ -80,7 +80,7 @@ class Child:
         self._writer: asyncio.WriteTransport | None = None
 
     async def open(self, received: Callable[[bytes], None], ended: Callable[[], None]) -> None:
-        """Connects the pipes to the running event loop."""
+        """Connect the pipes to the running event loop."""
         loop = asyncio.get_running_loop()
         process = self._process
         assert process.stdin and process.stdout and process.stderr
@@ -100,7 +100,7 @@ class Child:
         self._pipes.append(output)
 
     def write_at_once(self, data: bytes) -> bytes:
-        """Writes what fits into the pipe to its stdin, before there is an event loop; returns the rest."""
+        """Write to its stdin what fits into the pipe, before there is an event loop; return the rest."""
         assert self._process.stdin
         if sys.platform == "win32" or self._is_threaded:
             return data
@@ -111,16 +111,16 @@ class Child:
         return data
 
     def write(self, data: bytes) -> None:
-        """Queues bytes for its stdin, in order; what a dead child no longer reads is discarded."""
+        """Queue bytes for its stdin, in order; bytes for a process that has ended are discarded."""
         if self._writer and not self._writer.is_closing():
             self._writer.write(data)
 
     async def writable(self) -> None:
-        """Waits while more than a megabyte is queued."""
+        """Wait while more than a megabyte is queued."""
         await self._input.writable.wait()
 
     async def ending(self) -> str:
-        """How the process ended, from its exit code, as the rest of a sentence."""
+        """Return how the process ended, from its exit code, in words that follow the subject."""
         code = await self.exit_code(_EXIT_CODE_S)
         if code is None:
             return "closed its stream"
@@ -131,18 +131,20 @@ class Child:
         return f"died with signal {name}{_FULL if name == 'SIGBUS' and _is_memory_full() else ''}"
 
     def log_tail(self) -> list[str]:
-        """The last lines of its stderr."""
+        """Return the last lines of its stderr."""
         return self._errors.tail
 
     def kill(self) -> None:
-        """SIGKILL to all of its session; on Windows it alone is ended."""
+        """Send SIGKILL to its whole session; on Windows only to the process itself."""
         if sys.platform == "win32":
             self._process.kill()
         else:
             self._signal(signal.SIGKILL)
 
     async def close(self, grace_s: float) -> None:
-        """Ends its stdin and waits that long for it to leave; then SIGTERM, then SIGKILL. Leaves no zombie."""
+        """Close its stdin and wait up to `grace_s` seconds for its exit; then send SIGTERM, then SIGKILL. Leaves no
+        zombie.
+        """
         self._close_input()
         try:
             if await self.exit_code(grace_s) is None:
@@ -155,7 +157,7 @@ class Child:
         await asyncio.sleep(0)  # lets the transports close their file descriptors
 
     async def exit_code(self, timeout_s: float = _EXIT_CODE_S) -> int | None:
-        """None if it still runs after that time; negative is the signal that ended it."""
+        """Return the exit code, negative for a signal; None if the process still runs after the time-out."""
         deadline = time.monotonic() + timeout_s
         while self._process.poll() is None and time.monotonic() < deadline:
             await asyncio.sleep(_POLL_S)
@@ -177,8 +179,8 @@ class Child:
             self._process.stdin.close()
 
     def _close_pipes(self) -> None:
-        # Closing ends the writer once it is empty; aborting it then, too, would end it twice. What a dead child did not
-        # read would keep it open for ever.
+        # `close` ends the writer once its queue is empty; `abort` after that would end it a second time. A queue that a
+        # dead process never reads would keep the writer open for ever.
         if self._writer and self._writer.get_write_buffer_size():
             self._writer.abort()
         for pipe in self._pipes:
@@ -190,7 +192,7 @@ class Child:
 
 
 class ErrorLines:
-    """The last lines of a child's stderr, in plain characters."""
+    """The last lines of a child's stderr, decoded."""
 
     def __init__(self, pass_on: bool) -> None:
         self._pass_on = pass_on
@@ -198,7 +200,7 @@ class ErrorLines:
         self._begun = b""
 
     def feed(self, piece: bytes) -> None:
-        """Takes what arrived; passes it on to our own stderr if asked to."""
+        """Add output; copy it to this process's stderr if requested."""
         if self._pass_on:
             sys.stderr.write(piece.decode(errors="replace"))
         *whole, self._begun = (self._begun + piece).split(b"\n")
@@ -207,12 +209,12 @@ class ErrorLines:
 
     @property
     def tail(self) -> list[str]:
-        """The lines so far, the oldest first; at most 50."""
+        """The last lines, oldest first; at most 50, and an unfinished one."""
         return [*self._lines, *([_plain(self._begun)] if self._begun.strip() else [])]
 
 
 class _Pipe(asyncio.Protocol):
-    """Hands on what arrives on a pipe, and its end; `writable` is set while it takes more."""
+    """Passes on the bytes from a pipe, and its end. `writable` is set while the pipe accepts more."""
 
     def __init__(self, on_bytes: Callable[[bytes], None], on_end: Callable[[], None] = lambda: None) -> None:
         self.writable = asyncio.Event()
@@ -235,7 +237,7 @@ class _Pipe(asyncio.Protocol):
 
 
 def thread_states(pid: int) -> set[str]:
-    """The states of a process's threads as /proc tells them: R running, S sleeping, D disk, T stopped, Z dead."""
+    """Return the states of a process's threads from /proc: R running, S sleeping, D disk, T stopped, Z zombie."""
     states: set[str] = set()
     for stat in Path(f"/proc/{pid}/task").glob("*/stat"):
         with contextlib.suppress(OSError):
@@ -248,7 +250,7 @@ def _plain(line: bytes) -> str:
 
 
 def _enlarge(pipe: int) -> None:
-    """A pipe of a megabyte instead of 64 kB means fewer wake-ups for pictures; where that is refused, so be it."""
+    """Enlarge a pipe from 64 kB to a megabyte, which means fewer wake-ups for images. A refusal is ignored."""
     if sys.platform == "linux":
         import fcntl
 
@@ -257,7 +259,7 @@ def _enlarge(pipe: int) -> None:
 
 
 def _is_memory_full() -> bool:
-    """Whether no page is left for shared memory on this machine."""
+    """Return whether this machine's shared memory is full."""
     with contextlib.suppress(OSError):
         return shutil.disk_usage(_SHARED_MEMORY).free == 0
     return False

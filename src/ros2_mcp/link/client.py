@@ -1,4 +1,4 @@
-"""The bridge as the rest of the server sees it: always there, started again when it is lost."""
+"""The bridge as the rest of the server sees it: always present, and restarted when it is lost."""
 
 from __future__ import annotations
 
@@ -23,43 +23,50 @@ from ros2_mcp_common.wire.protocol import Keep, Told
 
 __all__ = ["Bridge", "Hello", "Posted", "Reply", "Subscription"]
 
-# Between lives that do not begin: together 8.5 s, in which one of the successors is to stop what the lost bridge kept
-# moving (decision 12). After that a life begins only when a request comes, 10 s after the last one at the earliest. A
-# robot elsewhere that had been reached may come back at any time: for it the last pause is repeated without end.
+# Pauses between starts that fail: 8.5 s together, during which one of the successors should stop what the lost bridge
+# kept moving (decision 12). After that a start needs a request, at least 10 s after the last one. A remote robot that
+# was reached before may come back at any time: for it the last pause is repeated without end.
 _PAUSES_S = (0.0, 0.5, 1.0, 2.0, 5.0, 10.0)
-# Requests in an outage ask for an attempt at once, but not more often than this. Chosen: ssh starts in a tenth of it.
+# The shortest time between attempts that requests cause in an outage. ssh starts in a tenth of it.
 _AT_ONCE_S = 1.0
-# The bridge gives itself up after 1.0 s (GIVE_UP_AFTER_S there): half a second more, and nobody is there any more.
+# The time limit for the bridge to exit: it gives up after 1.0 s (its GIVE_UP_AFTER_S), plus half a second.
 _LEAVE_S = 1.5
-# `Connection.greet` gives up after `Carrier.start_s`; a little later its error is here, which says more than this one.
+# An additional wait, because `Connection.greet` gives up after `Carrier.start_s` and its error says more.
 _SETTLED_S = 1.0
-# As much as the bridge lets a message wait at least (DRAIN_PERIOD_S there).
+# The default for how long a sample may wait in the bridge: the bridge's own minimum (its DRAIN_PERIOD_S).
 _DRAIN_S = 0.005
-# A bridge that is lost again and again must not fill the memory. Chosen.
+# The most reasons, lapses, outages and reports that are kept: a bridge that is lost repeatedly must not fill the
+# memory.
 _KEPT_REASONS = 100
-# As many as may run at once (`Repetition.most_running`).
+# The most repeats whose start is remembered: as many as may run at once (`Repetition.most_running`).
 _KEPT_REPEATS = 256
 _logger = logging.getLogger(__name__)
 
 
 class Bridge:
-    """The connection to one robot: starts a bridge, watches it and starts it again.
+    """The connection to one robot: starts a bridge, monitors it, and restarts it.
 
-    `start_carrier` starts a bridge and what carries its stream; it is called once for each life and raises a
-    `RobotError` that tells why there is none. `hello` is how the running bridge introduced itself, `generation` the
-    number of starts, `losses` how many former ones were lost, `restarts` why the last hundred of them were, `origin`
-    what the last one runs in. `nodes` are the names of all its nodes: the graph shows those of lost ones for some
-    seconds more. `stop_epoch` is told to every bridge as soon as it is there; `frame_ids` has the frame of the last
-    command on each velocity topic, as bridges told it;
-    `lapses` for how long this server had been silent, in seconds, each time that a link lease lapsed; `lapsed_at` when
-    the last one was heard of (monotonic, in s; 0 before); `outages` the times in which a robot elsewhere was out of
-    reach; `failure` says why the last life did not begin, empty once one has. `on_latched` is told by whom and why the
-    latch was set; `latched_by` and `latched_at` say it in words, and when the last one was heard of.
-    `relays_ended` has the last counts of relays whose caller was cancelled, by name, `repeats_begun` when it was heard
-    that the first message of a repeat had been sent (monotonic, in s), `motions` what was told last of each motion, by
-    its name. `rules` gives those of the policy, compiled, which every bridge is told first: to be set before
-    `attach`; empty without a policy. `on_spent` is told by name, type and bound what was used of the policy's budgets.
-    `clock` is the robot's. `latch` gives what pings tell a bridge elsewhere of it.
+    `start_carrier` starts a bridge and its carrier. It is called once per life, and raises a `RobotError` with the
+    reason if there can be no bridge.
+
+    State of the bridge: `hello` is the running bridge's introduction, `generation` the number of starts, `losses` the
+    number of lost bridges, `restarts` the reasons of the last hundred losses, `origin` the ROS installation of the last
+    bridge, `failure` the reason why the last start failed ("" after a success). `nodes` are the names of the nodes of
+    all bridges: the graph shows those of lost bridges for some seconds more. `outages` are the times during which a
+    remote robot was unreachable. `clock` is the robot's clock.
+
+    Sent to the bridge: `rules` returns the compiled rules of the policy, which every bridge gets first (set it before
+    `attach`; empty without a policy). `stop_epoch` is sent to every bridge as soon as it is connected. `latch` returns
+    the state of the latch for pings to a remote bridge.
+
+    Received from the bridge: `frame_ids` has the frame of the last command on each velocity topic. `lapses` are the
+    durations of this server's silence in s, one for each lapse of the link lease; `lapsed_at` is the time of the report
+    of the last one (monotonic, in s; 0 before). `on_latched` is called when the latch was set, with the originator, the
+    reason, and whether only the bridge's own latch is set so far; `latched_by` has originator and reason in words,
+    `latched_at` the time of the report. `relays_ended` has the last counts of cancelled relays, by name,
+    `repeats_begun` the time of the report that a repeat has sent its first message (monotonic, in s), and `motions` the
+    last report of each motion, by name. `on_spent` is called with name, type and bound of each use of the policy's
+    budgets.
     """
 
     def __init__(self, start_carrier: Callable[[], Carrier]) -> None:
@@ -101,12 +108,12 @@ class Bridge:
     # ── start and end ──────────────────────────────────────────────────────────────────────────────────────────
 
     def launch(self) -> None:
-        """Starts the first life at once, needs no event loop; what goes wrong is told to the first request."""
+        """Start the first life at once, without an event loop. An error is raised by the first request."""
         if self._launched is None and self._supervisor is None:
             self._launched = self._start()
 
     async def attach(self) -> None:
-        """Connects to it in the running event loop and watches over it from now on. Returns at once."""
+        """Connect to the bridge in the running event loop, and monitor it from now on. Returns at once."""
         self._attach()
 
     def _attach(self) -> None:
@@ -116,7 +123,7 @@ class Bridge:
             self._supervisor = asyncio.ensure_future(self._supervise())
 
     async def close(self) -> None:
-        """Ends the stream, gives the bridge 1.5 s to stop the robot and leave, and leaves nothing behind."""
+        """End the stream, wait up to 1.5 s for the bridge to stop the robot and exit, and clean up."""
         self._closed = True
         if self._supervisor:
             self._supervisor.cancel()
@@ -124,7 +131,7 @@ class Bridge:
         if self._launched and not isinstance(self._launched, RobotError):
             await self._launched.close(_LEAVE_S)
             self._launched = None
-        self._settle(LinkError("The link to the robot is closed."))  # nobody waits any more for it to come
+        self._settle(LinkError("The link to the robot is closed."))  # no task needs to wait for it any more
 
     async def __aenter__(self) -> Bridge:
         await self.attach()
@@ -138,15 +145,15 @@ class Bridge:
     # ── requests and subscriptions ─────────────────────────────────────────────────────────────────────────────
 
     async def request(self, op: str, body: bytes = b"", *, timeout_s: float, **arguments: Any) -> Reply:
-        """One request of `docs/reference/stream.md`; cancelling the caller cancels it in the bridge.
+        """Send one request of `docs/reference/stream.md`, and return the reply. Cancelling this cancels the request.
 
         Waits for a bridge that is starting, as long as its carrier allows. `timeout_s` is also sent to the operations
-        that take it.
+        that accept it.
 
         Raises:
-            BridgeRefused: with the kind of error that the bridge answered.
-            TimedOut: if no answer came in `timeout_s` and a margin.
-            BridgeLost: if the bridge died or hung meanwhile; it is being started again.
+            BridgeRefused: with the kind of the bridge's error.
+            TimedOut: if no reply came within `timeout_s` and a margin.
+            BridgeLost: if the bridge died or hung meanwhile; it is being restarted.
             RosNotFound: if there is no ROS 2 here.
             LinkError: if the bridge cannot be started.
         """
@@ -168,14 +175,14 @@ class Bridge:
         newest_of_old: bool = False,
         drain_s: float = _DRAIN_S,
     ) -> Subscription:
-        """A new subscription; keeps `all` or the `latest`, bounded on each side of the stream. Raises as `request`.
+        """Open a subscription that keeps `all` samples or the `latest`, bounded on each side of the stream.
 
-        Those that are alike share one in the bridge (`sharing.py`).
-        `drain_s` is how long a sample may wait in the bridge; where no subscription is in a hurry, it sleeps longer.
-        Over a network no more than `backlog_bytes` (None: `max_bytes`) wait in the bridge, so that what comes is no
-        older than it must be. With `head_bytes` only so many of the first bytes of each sample come, with `every_n`
-        only every n-th sample: those between are counted as received. With `newest_of_old` of what a latched topic
-        replays only the newest comes.
+        Raises as `request`. Equal subscriptions share one in the bridge (`sharing.py`). `drain_s` is how long a sample
+        may wait in the bridge; if no subscription is urgent, the bridge sleeps longer. Over a network, at most
+        `backlog_bytes` (None: `max_bytes`) wait in the bridge, so that samples arrive fresh. With `head_bytes`, only
+        that many of the first bytes of each sample are transferred; with `every_n`, only every n-th sample, while the
+        others count as received. With `newest_of_old`, only the newest of the samples that a latched topic replays is
+        transferred.
         """
         connection = await self._connected()
         assert self._sharing
@@ -188,9 +195,10 @@ class Bridge:
         return await self._sharing.subscribe({"topic": topic, "type": type_name, "qos": qos, **bounds})
 
     def post(self, op: str, body: bytes = b"", **arguments: Any) -> Posted:
-        """Writes a request now, so that the bridge reads it before all that is sent later; its answer is awaited later.
+        """Write a request now, so that the bridge reads it before everything that is sent later; its reply is awaited
+        later.
 
-        Where there is no bridge yet, it is written as soon as one is there, before whatever else waits for that bridge.
+        Without a bridge, it is written as soon as one is connected, before everything else that waits for that bridge.
         Never raises a `LinkError`: awaiting the request does, as `request`.
         """
         posted = Posted(op, body, arguments)
@@ -206,14 +214,14 @@ class Bridge:
         return posted
 
     def tell(self, op: str, body: bytes) -> None:
-        """Sends a request before all later ones and does not wait for its answer. Without effect on a bridge that has
-        not been told its rules yet.
+        """Send a request before all later ones without waiting for its reply. No effect on a bridge that has not got
+        its rules yet.
         """
         if self._connection:
             self._connection.tell(op, body)
 
     async def ready(self) -> Hello:
-        """The bridge's hello, as soon as it is there; raises as `request`."""
+        """Return the bridge's hello, once it is connected. Raises as `request`."""
         hello = (await self._connected()).hello
         assert hello
         return hello
@@ -225,36 +233,36 @@ class Bridge:
 
     @property
     def is_remote(self) -> bool:
-        """Whether a network lies between, so that large messages take their time."""
+        """Whether a network lies between, so that large messages take time."""
         return self._carrier is not None and self._carrier.is_remote
 
     @property
     def hello(self) -> Hello | None:
-        """How the running bridge introduced itself; None while there is none."""
+        """The running bridge's introduction; None while there is none."""
         outcome = self._outcome.result() if self._outcome and self._outcome.done() else None
         return outcome.hello if isinstance(outcome, Connection) else None
 
     @property
     def silent_s(self) -> float:
-        """How long ago the running bridge was last heard of, in s; infinite while there is none."""
+        """The time since the running bridge's last message, in s; infinite while there is none."""
         outcome = self._outcome.result() if self._outcome and self._outcome.done() else None
         return time.monotonic() - outcome.heard_at if isinstance(outcome, Connection) else math.inf
 
     @property
     def unheard_s(self) -> float:
-        """How long ago any of its bridges was last heard of, in s; infinite where none ever was."""
+        """The time since the last message of any of the bridges, in s; infinite before the first."""
         if math.isfinite(silent_s := self.silent_s):
             return silent_s
         return time.monotonic() - self._heard_at if self._heard_at else math.inf
 
     @property
     def age_s(self) -> float:
-        """For how long the present life of the bridge has been connected; 0 while none is."""
+        """The age of the present connection, in s; 0 while there is none."""
         return max(time.monotonic() - self._begun_at, 0.0)
 
     @property
     def log_tail(self) -> Sequence[str]:
-        """The last lines that the bridge wrote to its log, as far as they came along."""
+        """The last lines of the bridge's log, if its carrier transports them."""
         return self._carrier.log_tail() if self._carrier else []
 
     # ── its lives ──────────────────────────────────────────────────────────────────────────────────────────────
@@ -269,13 +277,15 @@ class Bridge:
         return carrier
 
     async def _connected(self) -> Connection:
-        """The running bridge; waits for one that starts, and starts one again that failed a while ago."""
+        """Return the running bridge. Wait for one that is starting; start one again if the last attempt is long enough
+        ago.
+        """
         wanted = self._wanted()
         if not wanted.done():
-            # A start that has just been asked for has a carrier, which knows how long it may take, only after this.
+            # A start that was just requested gets its carrier, which knows how long it may take, only after this wait.
             await asyncio.wait({wanted}, timeout=_SETTLED_S)
-            start_s = self._carrier.start_s if self._carrier else 0.0  # without one, the reason is about to come
-            wanted = self._outcome or wanted  # the bridge that came may be lost already
+            start_s = self._carrier.start_s if self._carrier else 0.0  # without a carrier, the reason is about to come
+            wanted = self._outcome or wanted  # the bridge that came may be lost again
             await asyncio.wait({wanted}, timeout=start_s)
             wanted = self._outcome or wanted
             if not wanted.done():
@@ -286,7 +296,9 @@ class Bridge:
         return outcome
 
     def _wanted(self) -> asyncio.Future[Connection | RobotError]:
-        """The running bridge or the one that starts, begun again if it failed a while ago; or why there is none."""
+        """Return the future of the running or starting bridge, or of the reason why there is none. Start one again if
+        the last attempt is long enough ago.
+        """
         self._attach()
         if self._closed or self._outcome is None:
             raise LinkError("The link to the robot is closed.")
@@ -297,10 +309,10 @@ class Bridge:
         return self._outcome
 
     async def _supervise(self) -> None:
-        """Life after life: at once after one that had begun well, on demand and after a pause when none begins.
+        """Run one life after another: at once after a life that had begun, otherwise after a pause or on request.
 
-        A successor that does not begin is followed by others, for what was set in motion has yet to be stopped: of a
-        robot elsewhere without end, unless only a person can change what is in the way.
+        After a failed start further ones follow, because motions of the lost bridge must still be stopped: without end
+        for a remote robot, unless only a person can remove the obstacle.
         """
         failures = 0
         while True:
@@ -326,7 +338,7 @@ class Bridge:
                 self._outcome = asyncio.get_running_loop().create_future()
 
     async def _live(self) -> tuple[bool, RobotError]:
-        """One life of the bridge: whether it had begun, and why it ended."""
+        """Run one life of the bridge; return whether it had begun, and why it ended."""
         carrier, self._launched = self._launched or self._start(), None
         if isinstance(carrier, RobotError):
             return False, carrier
@@ -338,7 +350,7 @@ class Bridge:
             if reason:
                 return False, reason
             assert connection.hello
-            self.origin = carrier.origin  # of a robot elsewhere it is known only now
+            self.origin = carrier.origin  # of a remote robot it is known only now
             if carrier.is_remote and self.nodes:
                 self._note_outage()
             self.nodes.add(connection.hello.node)
@@ -357,7 +369,7 @@ class Bridge:
             await carrier.close(_LEAVE_S)
 
     def _note_outage(self) -> None:
-        """The robot is reached again."""
+        """Record the end of an outage."""
         outage = Outage(self._heard_at, time.monotonic() - self._heard_at)
         self.outages = [*self.outages, outage][-_KEPT_REASONS:]
         back = f"The robot was reached again {outage.lasted_s:.1f} s after its last message."
@@ -365,7 +377,7 @@ class Bridge:
         _logger.warning("%s", self.restarts[-1])
 
     def _hear(self, event: Told) -> None:
-        """Takes in what a bridge tells unasked."""
+        """Process an event of the bridge."""
         if event["event"] == "stopper":
             _logger.warning("%s", event["message"])
             return
@@ -406,7 +418,7 @@ class Bridge:
     def _settle(self, outcome: Connection | RobotError) -> None:
         self.failure = str(outcome) if isinstance(outcome, RobotError) else ""
         unwritten, self._unwritten = self._unwritten, []
-        for posted in unwritten:  # before those who wait for this bridge are told that it is there
+        for posted in unwritten:  # before tasks that wait for this bridge learn of it
             self._write(posted, outcome)
         if self._outcome and not self._outcome.done():
             self._outcome.set_result(outcome)

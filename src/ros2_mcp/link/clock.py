@@ -1,4 +1,4 @@
-"""How far the robot's clock is from this machine's, and how long the way to the robot and back takes."""
+"""The offset of the robot's clock from this machine's clock, and the round-trip time to the robot."""
 
 from __future__ import annotations
 
@@ -7,14 +7,17 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
-# Clocks of two machines drift apart by some 50 millionths: by 3 ms in this time. Longer would add more error than a
-# shorter way, found earlier, takes away; and a way that has become longer is told as late as that.
+# The time for which a round trip is used. Clocks of two machines drift apart by some 50 millionths, 3 ms in this time.
+# A longer time would add more error than a shorter, earlier round trip removes; and a longer route is noticed only
+# after this time.
 _REMEMBERED_S = 60.0
 
 
 @dataclass(frozen=True, slots=True)
 class _RoundTrip:
-    """One question and its answer: sent and received by our clock, answered by the robot's, in ns of Unix time."""
+    """One ping and its reply: sent and received by this machine's clock, answered by the robot's, in ns of Unix
+    time.
+    """
 
     sent_ns: int
     robot_ns: int
@@ -27,21 +30,20 @@ class _RoundTrip:
 
     @property
     def least_ns(self) -> int:
-        """The robot answered before we received it: its clock is ahead by no less than this."""
+        """The least offset: the robot answered before the reply was received."""
         return self.robot_ns - self.received_ns
 
     @property
     def most_ns(self) -> int:
-        """It answered after we asked: its clock is ahead by no more than this."""
+        """The greatest offset: the robot answered after the ping was sent."""
         return self.robot_ns - self.sent_ns
 
 
 class RobotClock:
-    """The robot's clock, as its answers to pings tell of it; until the first one it is taken for ours.
+    """The robot's clock, estimated from its replies to pings; equal to this machine's clock until the first one.
 
-    Of the round trips of the last minute the one with the shortest way there and back decides: its middle is off by
-    half of that way at most. One that contradicts an earlier one means that a clock was set, or that a machine slept:
-    all before it is forgotten.
+    The shortest round trip of the last minute is used: the error is at most half of its duration. A round trip that
+    contradicts the former estimate means that a clock was set or a machine slept: all earlier ones are discarded.
     """
 
     def __init__(
@@ -53,13 +55,13 @@ class RobotClock:
         self._best: _RoundTrip | None = None
 
     def sending_ns(self) -> int:
-        """Our time, to be sent with a question and back with its answer."""
+        """Return the present time of this machine, in ns, to be sent with a ping and returned by its reply."""
         return self._now_ns()
 
     def answered(self, sent_ns: int, robot_ns: int) -> None:
-        """Takes in an answer that has just come, with the robot's time."""
+        """Add a reply that has just arrived, with the robot's time."""
         trip = _RoundTrip(sent_ns, robot_ns, self._now_ns(), self._monotonic())
-        if trip.rtt_ns < 0:  # our own clock was set back meanwhile
+        if trip.rtt_ns < 0:  # this machine's clock was set back meanwhile
             self._round_trips.clear()
             self._best = None
             return
@@ -68,7 +70,7 @@ class RobotClock:
             self._round_trips.clear()
         while self._round_trips and self._round_trips[0].at_s < trip.at_s - _REMEMBERED_S:
             self._round_trips.popleft()
-        # Of those that took longer than a later one, none can become the best any more.
+        # A round trip that took longer than a later one can no longer become the best.
         while self._round_trips and self._round_trips[-1].rtt_ns >= trip.rtt_ns:
             self._round_trips.pop()
         self._round_trips.append(trip)
@@ -76,12 +78,14 @@ class RobotClock:
 
     @property
     def is_known(self) -> bool:
-        """Whether the robot has told its time."""
+        """Whether the robot's time is known."""
         return self._best is not None
 
     @property
     def offset_ns(self) -> int:
-        """How far the robot's clock is ahead of ours; 0 where it cannot be told from ours, as on one machine."""
+        """The lead of the robot's clock over this machine's, in ns; 0 if the two cannot be told apart, as on one
+        machine.
+        """
         best = self._best
         if best is None or best.least_ns <= 0 <= best.most_ns:
             return 0
@@ -89,9 +93,9 @@ class RobotClock:
 
     @property
     def rtt_s(self) -> float | None:
-        """The shortest way to the robot and back of the last minute; None before the first answer."""
+        """The shortest round-trip time of the last minute, in s; None before the first reply."""
         return self._best.rtt_ns / 1e9 if self._best else None
 
     def now_ns(self) -> int:
-        """The time of the robot's clock now, in ns of Unix time."""
+        """Return the present time of the robot's clock, in ns of Unix time."""
         return self._now_ns() + self.offset_ns

@@ -1,4 +1,4 @@
-"""One life of the bridge, from its start to its end: requests out, replies and samples in."""
+"""The connection to one life of the bridge: requests out, replies and samples in."""
 
 from __future__ import annotations
 
@@ -20,31 +20,33 @@ from ros2_mcp_common.wire.packets import Packet, PacketError, PacketReader, pack
 from ros2_mcp_common.wire.pieces import Lanes
 from ros2_mcp_common.wire.protocol import PROTOCOL, Counts, Failure, Hello, Samples, Told
 
-# Beyond the time that the bridge was given for an answer: for the way to it and back, and for its late rounds. Chosen.
+# The margin beyond the bridge's own time limit before a request times out: for the transfer and for late turns of the
+# bridge.
 MARGIN_S = 2.0
 _PING = 0
 _POLICY = -1
 _SHOWN_LINES = 5
 _BOUNDED_BY_THE_BRIDGE = ("call", "wait_endpoints")
 _NEVER_CANCELLED = ("unsubscribe", "stop", "zero")
-# Such a request does not wait until the carrier has room, and overtakes large ones that do: the cancelling of a goal is
-# one, and must not wait behind a picture. It is no more than the headers, which never wait. Chosen.
+# A request with a body up to this size does not wait until the carrier has room, and overtakes large requests that do:
+# a goal must be cancelled without waiting for an image. It adds no more than headers do, which never wait.
 _SMALL_BODY = 1024
 
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """The bridge's answer to one request: named results, and bytes where the request has some."""
+    """The bridge's reply to one request: named results, and bytes for some requests."""
 
     ok: Mapping[str, Any]
     body: bytes
 
 
 class Posted:
-    """A request that was written at its post, or will be before all that is sent later. Awaiting it gives its reply.
+    """A request that is written when it is posted, or later before everything else that waits. Awaiting it returns its
+    reply.
 
-    It has no time limit, and stays open when whoever awaits it is cancelled: `cancel` withdraws it. Awaiting it raises
-    `BridgeRefused` with what the bridge answered, and `LinkError` where no bridge answered.
+    It has no time limit, and stays open if the task that awaits it is cancelled; `cancel` withdraws it. Awaiting it
+    raises `BridgeRefused` with the bridge's error, and `LinkError` if no bridge answered.
     """
 
     def __init__(self, op: str, body: bytes, arguments: Mapping[str, object]) -> None:
@@ -60,45 +62,47 @@ class Posted:
 
     @property
     def is_open(self) -> bool:
-        """Whether it has not been answered, withdrawn or lost."""
+        """Whether it was not answered, withdrawn or lost."""
         return not self.answer.done()
 
     @property
     def error(self) -> BaseException | None:
-        """What it was answered with if that was an error, or how it was lost; None otherwise."""
+        """The error that it was answered with, or lost by; None otherwise."""
         return self.answer.exception() if self.answer.done() and not self.answer.cancelled() else None
 
     def fail(self, error: RobotError) -> None:
-        """It is not written: there is no bridge."""
+        """Fail the request, which was not written because there is no bridge."""
         self.answer.set_exception(error)
 
     def cancel(self) -> None:
-        """Withdraws it before anything that is sent later; without effect once it is answered."""
+        """Withdraw the request, before anything that is sent later. No effect once it is answered."""
         if self.answer.cancel():
             self.send_cancel()
 
 
 class Receiver(Protocol):
-    """What is told of the samples of one subscription in the bridge, which has this number there."""
+    """The receiver of the samples of one subscription in the bridge, which has this number there."""
 
     number: int | None
 
     def arrived(self, header: Samples, body: bytes) -> None:
-        """A packet of samples."""
+        """Take in a packet of samples."""
         ...
 
     def count(self, totals: Counts) -> None:
-        """The bridge's totals up to now."""
+        """Take in the bridge's present totals."""
         ...
 
     def lose(self, error: LinkError) -> None:
-        """The bridge is gone: nothing more will come."""
+        """Take note that the bridge is gone: nothing more will arrive."""
         ...
 
 
 @dataclass(slots=True)
 class _Open:
-    """A request that is not answered yet. It stays here when its caller gives up: a late answer may need an undoing."""
+    """A request without an answer. It is kept here if its caller gives up, because a late answer may need to be
+    undone.
+    """
 
     answer: asyncio.Future[Reply]
     subscription: Receiver | None = None
@@ -108,12 +112,12 @@ class _Open:
 
 
 class Connection:
-    """Talks with one bridge; `run` returns why it ended.
+    """The exchange of packets with one bridge; `run` returns why it ended.
 
-    Each ping tells the bridge the link lease and what `stop_epoch` gives; `hear` is told of its events, and
-    `relay_ended` of the name and the last counts of a relay whose caller was cancelled. `rules` gives those of the
-    policy, compiled, which the bridge is told before anything else; empty without a policy. `clock` learns from every
-    answer to a ping. `latch` gives what each ping tells a bridge elsewhere of the latch, which it does not see.
+    Each ping has the link lease and the result of `stop_epoch`. `hear` is called with the bridge's events, and
+    `relay_ended` with the name and the last counts of a relay whose caller was cancelled. `rules` returns the compiled
+    rules of the policy, which the bridge gets before anything else; empty without a policy. `clock` gets every reply to
+    a ping. `latch` returns the state of the latch for pings to a remote bridge, which cannot see it.
     """
 
     def __init__(
@@ -144,7 +148,7 @@ class Connection:
         self._window_bytes = WINDOW_BYTES if carrier.is_remote else 0
         self._outflow = Outflow(carrier.write, self._window_bytes)
         self._heartbeat = Heartbeat(carrier, self._ping, self._is_at_rest)
-        self._heard_s = 0.0  # by the bridge's own steady clock
+        self._heard_s = 0.0  # by the bridge's own monotonic clock
         self._numbers = itertools.count(1)
         self._open: dict[int, _Open] = {}
         self._subscriptions: dict[int, Receiver] = {}
@@ -154,7 +158,7 @@ class Connection:
     # ── its life ───────────────────────────────────────────────────────────────────────────────────────────────
 
     async def greet(self) -> LinkError | None:
-        """Opens the carrier and waits for its hello; returns what went wrong instead, if something did."""
+        """Open the carrier and wait for the bridge's hello; return the error if that fails, else None."""
         await self.carrier.open(self._received, lambda: self._end(None))
         if rules := self._rules():
             self._send({"id": _POLICY, "op": "policy"}, rules)
@@ -171,11 +175,13 @@ class Connection:
 
     @property
     def heard_at(self) -> float:
-        """When the bridge was last heard of (monotonic, in s)."""
+        """The time of the bridge's last bytes (monotonic, in s)."""
         return self._heartbeat.heard_at
 
     async def run(self) -> LinkError:
-        """Watches over a bridge that has said hello; returns why it was lost, after all who wait got that error."""
+        """Monitor a bridge that has sent its hello; return why it was lost, after all waiting requests got that
+        error.
+        """
         watch = asyncio.ensure_future(self._heartbeat.until_silent())
         try:
             await asyncio.wait({watch, self._ended}, return_when=asyncio.FIRST_COMPLETED)
@@ -188,7 +194,7 @@ class Connection:
         return reason
 
     def fail(self, reason: LinkError) -> None:
-        """Everyone who waits for the bridge gets this error."""
+        """Fail all waiting requests and subscriptions with this error."""
         for request in self._open.values():
             if not request.answer.done():
                 request.answer.set_exception(type(reason)(reason.message, reason.hint))
@@ -209,7 +215,7 @@ class Connection:
             return LinkError(f"{self._name} {what} before it was ready.{self._last_words()}", "Run: ros2-mcp doctor")
         last_words = self._last_words() if has_ended else ""
         stop = "what this server drove is being stopped, but goals go on"
-        if self.carrier.is_remote:  # nobody here knows when it heard the last word
+        if self.carrier.is_remote:  # it is unknown here which message it received last
             stop = (
                 f"the bridge stops what this server drove {self.carrier.lease_s:g} s after the last message it received"
             )
@@ -232,14 +238,16 @@ class Connection:
             self._ended.set_result(reason)
 
     def _is_at_rest(self) -> bool:
-        """Whether nobody waits for the bridge of this machine; over a network pings tell more than that it lives."""
+        """Return whether nothing waits for the bridge of this machine. Over a network never: there pings also carry the
+        latch and measure the clock.
+        """
         return not (self.carrier.is_remote or self._open or self._hurried.intersection(self._subscriptions.values()))
 
     def _ping(self, next_s: float = PING_S) -> None:
         told: dict[str, Any] = {"lease_s": self.carrier.lease_s * next_s / PING_S, "epoch": self._stop_epoch()}
         told["sent_ns"] = self._clock.sending_ns()
         if self.carrier.is_remote:
-            # By what we have heard the bridge can tell how long this was under way; see LATE_S there.
+            # From `heard_s` the bridge computes how long this packet was in transit; see its LATE_S.
             told |= {"heard_s": self._heard_s, **self._latch()}
         self._send({"id": _PING, "op": "ping", "window_bytes": self._window_bytes, **told})
 
@@ -254,15 +262,15 @@ class Connection:
         subscription: Receiver | None = None,
         at_answer: Callable[[Mapping[str, Any]], None] | None = None,
     ) -> Reply:
-        """Sends one request and waits for its answer; a caller that is cancelled or gives up cancels it.
+        """Send one request and wait for its reply. A caller that is cancelled or times out cancels the request.
 
-        `at_answer` is told the answer before what follows it is taken in.
+        `at_answer` is called with the reply before later packets are processed.
         """
         number = next(self._numbers)
         header = {**arguments, "id": number, "op": op}
         if op in _BOUNDED_BY_THE_BRIDGE:
             header["timeout_s"] = timeout_s
-        wait_s = arguments.get("wait_s")  # for the server of a service, before its answer is waited for
+        wait_s = arguments.get("wait_s")  # how long to wait for the server of a service, before its response
         limit_s = timeout_s + MARGIN_S + (wait_s if op == "call" and isinstance(wait_s, (int, float)) else 0.0)
         relay = str(arguments["name"]) if op == "relay" else ""
         request = _Open(asyncio.get_running_loop().create_future(), subscription, relay, at_answer=at_answer)
@@ -288,7 +296,7 @@ class Connection:
                     self._send_cancel(number)
 
     def post(self, posted: Posted) -> None:
-        """Writes a request now, so that the bridge reads it before all that is sent later."""
+        """Write a request now, so that the bridge reads it before everything that is sent later."""
         number = next(self._numbers)
         self._open[number] = _Open(posted.answer, has_left=True)
         self._heartbeat.end_rest()
@@ -296,14 +304,15 @@ class Connection:
         self._send({**posted.arguments, "id": number, "op": posted.op}, posted.body)
 
     def tell(self, op: str, body: bytes) -> None:
-        """Sends a request whose answer nobody waits for; nothing is sent before the rules."""
+        """Send a request without waiting for its reply. Nothing is sent before the rules."""
         if self._has_rules:
             self._send({"id": next(self._numbers), "op": op}, body)
 
     async def _send_large(self, header: Mapping[str, object], body: bytes, request: _Open) -> None:
-        """Sends it after those before it, each when there is room: what waits to be written stays bounded.
+        """Send a large request after earlier ones, once there is room, so that the write queue stays bounded.
 
-        Over a slow link it takes its time, in which others pass; one that is cancelled meanwhile was never sent.
+        Over a slow link it takes time, during which other packets pass; if it is cancelled meanwhile, it was never
+        sent.
         """
         if not self._window_bytes:
             async with self._writing:
@@ -329,7 +338,7 @@ class Connection:
     # ── subscriptions ──────────────────────────────────────────────────────────────────────────────────────────
 
     async def subscribe(self, subscription: Receiver, timeout_s: float, arguments: Mapping[str, Any]) -> None:
-        """Lets the samples of a new subscription flow; if the caller is cancelled meanwhile, none is left behind."""
+        """Open a subscription in the bridge; if the caller is cancelled meanwhile, none is left behind."""
         if arguments.get("drain_s", 0.0) < NO_HURRY_S:
             self._hurried.add(subscription)
         try:
@@ -339,7 +348,7 @@ class Connection:
             raise
 
     async def unsubscribe(self, subscription: Receiver) -> None:
-        """Ends a subscription; takes in the samples still under way and the final counts."""
+        """End a subscription; take in the samples in transit and the final counts."""
         number = subscription.number
         if number is None or number not in self._subscriptions:
             return
@@ -353,7 +362,7 @@ class Connection:
             self._lanes.close(number)
 
     def dismiss(self, subscription: Receiver) -> None:
-        """Ends a subscription without waiting for the end."""
+        """End a subscription without waiting for the reply."""
         if self._subscriptions.pop(subscription.number or 0, None):
             self._send({"id": next(self._numbers), "op": "unsubscribe", "sub": subscription.number})
 
@@ -398,11 +407,11 @@ class Connection:
             self._end(LinkError(f"{what}: {header['message']}", "Run: ros2-mcp doctor"))
 
     def _be_greeted(self) -> None:
-        """There is a bridge. The hello of one elsewhere may be old: then it would take a first command for late, which
-        a ping tells when a former one was answered.
+        """Record that the bridge is connected. The hello of a remote bridge may be old, so that the bridge would reject
+        the first command as late. Therefore a ping must have been answered first.
         """
         if not self._greeted.done():
-            self._ping()  # before any request: a new bridge learns which of them a stop has overtaken
+            self._ping()  # before any request: a new bridge learns which requests a stop has overtaken
             self._greeted.set_result(None)
 
     def _answered(self, packet: Packet) -> None:
@@ -411,7 +420,7 @@ class Connection:
             ok = packet.header["ok"]
             self._clock.answered(int(ok["sent_ns"]), int(ok["now_ns"]))
             self._heard_s = max(self._heard_s, float(ok.get("steady_s", 0.0)))
-            if self.hello:  # before, ROS was coming up
+            if self.hello:  # before the hello, ROS was starting
                 self._heartbeat.ponged(float(ok["ros_idle_s"]))
                 self._be_greeted()
             return
@@ -423,7 +432,7 @@ class Connection:
         if not request:
             return
         if request.subscription and "ok" in packet.header:
-            # Samples may follow in the same piece: the subscription is registered before its caller runs.
+            # Samples may follow in the same piece: register the subscription before its caller runs.
             number = request.subscription.number = packet.header["ok"]["sub"]
             self._subscriptions[number] = request.subscription
             if request.answer.done():
@@ -441,7 +450,7 @@ class Connection:
 
 
 def _retrieve(answer: asyncio.Future[Reply]) -> None:
-    """An error that nobody awaits any more is no mistake, which asyncio would log."""
+    """Retrieve the error of a request that nothing awaits any more: asyncio would log it otherwise."""
     if not answer.cancelled():
         answer.exception()
 

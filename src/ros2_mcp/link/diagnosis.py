@@ -1,4 +1,4 @@
-"""What `ros2-mcp doctor` looks at: every way to find ROS 2, what was chosen, and how to mend what is wrong."""
+"""The checks of `ros2-mcp doctor`: every way to find ROS 2, the choice, and how to repair what is wrong."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ from ros2_mcp.model.text import quoted
 from ros2_mcp.settings import MAX_DOMAIN_ID, Settings
 from ros2_mcp_common.start.finding import installed_distros, path_entries
 
-# Somebody waits at a terminal: less than a carrier's `start_s`. Chosen.
+# A person waits at a terminal: less than a carrier's `start_s`.
 PROBE_S = 15.0
-# The same, of a robot elsewhere: 12 s for the way there, and the start of ROS on a small machine.
+# The same limit for a remote robot: 12 s for the way in, and the start of ROS on a small machine.
 PROBE_FAR_S = 30.0
 WAY_IN = "Way in"
 _BRIDGE = "Bridge"
@@ -43,9 +43,9 @@ _BRIDGE = "Bridge"
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing looked at: fine (True), wrong (False) or just so (None); `fix` mends what is wrong.
+    """The result of one check: passed (True), failed (False) or for information (None); `fix` repairs a failure.
 
-    `needs_a_person`: ssh would ask one something, such as whether a host key is right.
+    `needs_a_person`: ssh would ask the user a question, such as whether a host key is right.
     """
 
     ok: bool | None
@@ -56,7 +56,7 @@ class Finding:
 
 
 def diagnose(settings: Settings, env: Mapping[str, str] = os.environ) -> list[Finding]:
-    """Everything that can be said without starting anything, in the order in which it matters."""
+    """Return the results of all checks that start nothing, most important first."""
     if settings.robot.is_remote:
         return list(_way_in(settings, env))
     chosen: RosInstallation | None = None
@@ -78,8 +78,8 @@ def diagnose(settings: Settings, env: Mapping[str, str] = os.environ) -> list[Fi
 
 
 async def probe(settings: Settings, look: Callable[[Bridge], Awaitable[Finding]]) -> list[Finding]:
-    """Starts the bridge for real and says how it introduced itself, or why it did not, within a bounded time; then
-    `look` says what it sees. Of a robot elsewhere each stage on the way to it is told.
+    """Start the bridge and return how it introduced itself, or why it did not, within a time limit; then the result of
+    `look`. For a remote robot, each stage of the way in is reported as well.
     """
     started: list[Carrier] = []
 
@@ -108,7 +108,7 @@ async def probe(settings: Settings, look: Callable[[Bridge], Awaitable[Finding]]
 
 
 def _way_in(settings: Settings, env: Mapping[str, str]) -> Iterator[Finding]:
-    """The program that reaches a robot elsewhere."""
+    """Check the program that reaches a remote robot."""
     robot = settings.robot
     words = way_to(settings)
     program = shutil.which(words[0], path=env.get("PATH"))
@@ -118,7 +118,7 @@ def _way_in(settings: Settings, env: Mapping[str, str]) -> Iterator[Finding]:
 
 
 def _stages(carrier: Carrier) -> Iterator[Finding]:
-    """What was reached on the way to a robot elsewhere, in words of the far side."""
+    """Yield the stages that were reached on the way to a remote robot, as the far side reported them."""
     if not isinstance(carrier, RemoteBridge):
         return
     arrival = carrier.arrival
@@ -129,7 +129,7 @@ def _stages(carrier: Carrier) -> Iterator[Finding]:
         told = {name: quoted(value) for name, value in report.details.items()}
         if report.stage == "reached":
             place = carrier.address.place
-            # Of a container on a host, stage 1 speaks on the host first.
+            # For a container on a host, stage 1 reports the host first.
             if carrier.address.kind == "ssh" and carrier.address.container and report is arrival.reports[0]:
                 place = f"{place.partition('?')[0]} (the host, not yet the container)"
             detail = f"{place}, {told.get('machine')}, python3 is {told.get('python')}"
@@ -146,7 +146,7 @@ def _stages(carrier: Carrier) -> Iterator[Finding]:
 
 
 def _candidates(settings: Settings, env: Mapping[str, str]) -> Iterator[Finding]:
-    """Each way there is, whether or not it was taken."""
+    """Yield each way to find ROS 2, whether or not it was chosen."""
     yield _sourced_shell(settings, env)
     installed = installed_distros(settings.ros_root)
     yield Finding(None, str(settings.ros_root), ", ".join(installed) or "no installation with a setup.bash")
@@ -207,7 +207,7 @@ def _inside(chosen: RosInstallation, settings: Settings, env: Mapping[str, str])
 
 
 def _built_interfaces(chosen: RosInstallation, settings: Settings) -> Finding:
-    """Which packages this installation uses of those that were built without colcon, and which are there for others."""
+    """Return which of the interface packages built without colcon this installation uses, and which others exist."""
     used = sorted({package_name(prefix) for prefix in chosen.interface_prefixes})
     others = sorted(InterfaceCache(settings.interface_folder).names() - set(used))
     detail = f"in use here: {', '.join(used) or 'none'}"
@@ -239,7 +239,7 @@ def _places(settings: Settings, env: Mapping[str, str]) -> Iterator[Finding]:
 
 
 def _writable(title: str, folder: Path, fix: str) -> Finding:
-    """Whether a folder can be written, or made."""
+    """Check whether a folder can be written, or created."""
     present = next(place for place in (folder, *folder.parents) if place.exists())
     ok = present.is_dir() and os.access(present, os.W_OK | os.X_OK)
     return Finding(ok, title, f"{folder} can{'' if ok else 'not'} be written", "" if ok else fix)

@@ -1,7 +1,7 @@
-"""Finding the ROS 2 of this machine. Nothing is imported or started to decide: `rclpy` is looked for as files.
+"""Find the ROS 2 of this machine. Nothing is imported or started for that: `rclpy` is searched for as files.
 
-All ways but the wheels of this Python's own environment are those of `finding.py`, which the far side of a remote robot
-has, too.
+All ways except the wheels in this Python's own environment are those of `finding.py`, which the far side of a remote
+robot uses as well.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from ros2_mcp_common.start.finding import installed_distros, release_order
 
 
 def find_ros(settings: Settings, env: Mapping[str, str] = os.environ) -> RosInstallation:
-    """The ROS 2 of this machine to run the bridge with.
+    """Return the ROS 2 of this machine in which to run the bridge.
 
-    In this order: a sourced shell; a ROS that was built in a workspace or root that was given; the newest below the ROS
-    root; wheels; an environment of conda or pixi; a workspace in the home folder in which ROS was built.
+    In this order: a sourced shell; a ROS built in a given workspace or root; the newest below the ROS root; wheels; an
+    environment of conda or pixi; a workspace in the home folder in which ROS was built.
 
     Raises:
-        RosNotFound: if there is none, or not the distribution that was asked for; its hint is the way out.
-        BadInput: if a `--workspace` has nothing to source or `--bridge-python` is not there.
+        RosNotFound: if there is none, or not the requested distribution; its hint says how to get one.
+        BadInput: if a `--workspace` has no setup file or `--bridge-python` does not exist.
     """
     search, env = search_here(settings), {**without_ours(env), **search_of(settings).env}
     overlays = [workspace_setup(workspace) for workspace in settings.workspaces]
@@ -55,10 +55,10 @@ def find_ros(settings: Settings, env: Mapping[str, str] = os.environ) -> RosInst
 
 
 def search_here(settings: Settings) -> finding.Search:
-    """What is looked for on this machine.
+    """Return which ROS to look for on this machine.
 
     Raises:
-        BadInput: if `--bridge-python` is not there.
+        BadInput: if `--bridge-python` does not exist.
     """
     python = settings.bridge_python.expanduser() if settings.bridge_python else None
     if python and not python.is_file():
@@ -70,19 +70,21 @@ def search_here(settings: Settings) -> finding.Search:
 
 
 def _prefixes_in(folder: Path) -> Sequence[Path]:
-    """The prefixes that a folder holds; itself where it is one, or is not there yet, since it is still being built."""
+    """Return the prefixes in a folder, or the folder itself if it is a prefix, or does not exist yet because it is
+    still being built.
+    """
     index = Path("share") / "ament_index"
     held = [] if (folder / index).is_dir() else sorted(found.parents[1] for found in folder.glob(f"*/{index}"))
     return held or (folder,)
 
 
 def sourced(search: finding.Search, env: Mapping[str, str]) -> finding.Found | None:
-    """The installation of an already sourced shell, unless another distribution was asked for."""
+    """Return the installation of an already sourced shell, unless another distribution is requested."""
     return finding.sourced(search, env) if env.get("ROS_DISTRO") else None
 
 
 def workspace_setup(workspace: Path) -> Path:
-    """The file to source of a workspace, given by its root, its install folder or that file itself.
+    """Return the setup file of a workspace, given by its root, its install folder or the file itself.
 
     Raises:
         BadInput: if there is none.
@@ -97,7 +99,7 @@ def workspace_setup(workspace: Path) -> Path:
 
 
 def wheels(search: finding.Search, env: Mapping[str, str]) -> finding.Found | None:
-    """ROS 2 wheels in the environment of the Python that runs this."""
+    """Return the ROS 2 wheels in the environment of this Python, or None."""
     spec = importlib.util.find_spec("rclpy")
     distro = wheel_distro()
     if not spec or not spec.origin or not distro or search.distro not in ("", distro):
@@ -115,27 +117,29 @@ def wheels(search: finding.Search, env: Mapping[str, str]) -> finding.Found | No
 
 
 def wheel_distro() -> str | None:
-    """The distribution of the installed wheels, from the name `ros-<distro>-rclpy`; None without wheels."""
+    """Return the distribution of the installed wheels, from the name `ros-<distro>-rclpy`; None without wheels."""
     return finding.wheel_distro(Path(entry or ".") for entry in sys.path) or None
 
 
 def wheels_without_rclpy() -> str | None:
-    """The distribution whose wheels are installed, but without what they hold; None if they are whole or not there.
+    """Return the distribution whose wheels are installed without their files; None if they are complete or missing.
 
-    `uv sync` leaves that behind when it is run twice: the wheels bring `.egg-info` folders that it takes for strangers.
+    Running `uv sync` twice causes this: it removes the `.egg-info` folders of the wheels, which it does not know.
     """
     return wheel_distro() if importlib.util.find_spec("rclpy") is None else None
 
 
 def _built_for(installation: finding.Found, settings: Settings) -> tuple[Path, ...]:
-    """The interface packages that were built for these wheels, and ours that were built for others just like them."""
+    """Return the interface packages that were built for these wheels, and the shipped ones if built for equal
+    wheels.
+    """
     cache = InterfaceCache(settings.interface_folder)
     own = cache.in_use(installation.prefix)
-    if installation.python != sys.executable:  # another one may need other extensions
+    if installation.python != sys.executable:  # another Python may need other extensions
         return own
     known = {package_name(built) for built in own}
     if known >= cache.names() & {sources.name for sources in SHIPPED.iterdir()}:
-        return own  # without looking: each start would pay for it
+        return own  # without further search, which would slow down each start
     return (*own, *(built for built in cache.shipped() if package_name(built) not in known))
 
 
@@ -164,7 +168,7 @@ def _not_found(search: finding.Search) -> RosNotFound:
 
 
 def _available(search: finding.Search) -> list[str]:
-    """The distributions that could be used without a sourced shell."""
+    """Return the distributions that could be used without a sourced shell."""
     of_wheels = None if wheels_without_rclpy() else wheel_distro()
     return sorted({*installed_distros(Path(search.ros_root)), *filter(None, [of_wheels])}, key=release_order)
 
@@ -173,7 +177,9 @@ _ELSEWHERE = "A robot elsewhere needs no ROS here: --robot ssh://me@robot."
 
 
 def way_out(distro: str) -> str:
-    """The one command that gives this machine a ROS 2, if there is one; and that a robot elsewhere needs none here."""
+    """Return the command that installs ROS 2 on this machine, if there is one, and a hint at remote robots, which need
+    none.
+    """
     if sys.platform == "win32":
         return "Name the robot: --robot ssh://user@host. In WSL, ros2-mcp finds the ROS 2 that is installed there."
     if not wheels_exist_here():
@@ -190,5 +196,5 @@ def way_out(distro: str) -> str:
 
 
 def wheels_exist_here() -> bool:
-    """Whether ROS 2 wheels are published for this machine and Python."""
+    """Return whether ROS 2 wheels are published for this machine and Python."""
     return sys.platform == "linux" and platform.machine() == "x86_64" and sys.version_info < (3, 15)

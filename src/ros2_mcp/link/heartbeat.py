@@ -1,4 +1,6 @@
-"""Decides whether the bridge still lives: by what it sends, and never because this process was late."""
+"""Decide whether the bridge still lives, by the bytes that it sends. A delay of this process never counts
+against it.
+"""
 
 from __future__ import annotations
 
@@ -8,31 +10,31 @@ from collections.abc import Callable
 
 from ros2_mcp.link.carrier import Carrier
 
-# Every answer is a sign of life. Chosen: twice within STOPPED_S, so that a healthy bridge is not silent for that long.
+# The period of pings, whose replies are signs of life: twice within STOPPED_S, so that a healthy bridge is never silent
+# for that long.
 PING_S = 0.25
-# While nobody waits for anything of the bridge: a ping and its answer take 0.7 ms of processor time. Chosen.
+# The period while nothing waits for the bridge: a ping and its reply take 0.7 ms of processor time.
 PING_AT_REST_S = 1.0
-# A healthy bridge can be silent for 1 to 3 s while Fast DDS waits for a mutex in shared memory that a killed process
-# left locked; with 2.5 s, three of about 1,500 kills cost a healthy bridge. See decision 12.
+# The longest silence of a bridge. A healthy one can be silent for 1 to 3 s while Fast DDS waits for a mutex in shared
+# memory that a killed process left locked; with 2.5 s, three of about 1,500 kills cost a healthy bridge (decision 12).
 SILENCE_S = 4.0
-# A stopped process does not go on by itself: nothing is gained by waiting longer (decision 12).
+# The limit for a suspended process, which does not resume on its own: a longer wait gains nothing (decision 12).
 STOPPED_S = 0.5
-# A machine that is short of processor time gets a second more (decision 12), not for ever.
+# The limit on a machine that is short of processor time: a second more (decision 12).
 STARVED_S = 5.0
-# As SILENCE_S, for a bridge whose reading thread still answers while its ROS thread hangs in the middleware.
+# The same limit for the ROS thread, which may hang in the middleware while the reading thread still replies.
 ROS_IDLE_S = 4.0
-# When this process is woken this much too late, the time is not counted as silence of the bridge. Chosen.
+# If this process wakes up this much too late, the delay is not counted as silence of the bridge.
 _LATE_S = 0.05
-# The shortest pause, where a limit is due at once. Chosen.
+# The shortest pause, if a limit is due at once.
 _PAUSE_S = 0.01
 
 
 class Heartbeat:
-    """Pings four times a second and says when the bridge is to be given up.
+    """Sends pings four times a second, and reports when the bridge is to be given up.
 
-    At rest, where `is_at_rest` says that nobody waits for anything of the bridge, so that nothing moves either, it
-    pings once a second. Whoever wants something of it calls `end_rest` first. `ping` is told in how many seconds the
-    next one follows.
+    At rest, when `is_at_rest` says that nothing waits for the bridge (so nothing moves either), it pings once a second.
+    `end_rest` must be called before each request. The argument of `ping` is the time until the next ping, in s.
     """
 
     def __init__(self, carrier: Carrier, ping: Callable[[float], None], is_at_rest: Callable[[], bool]) -> None:
@@ -45,23 +47,23 @@ class Heartbeat:
         self._ros_idle_s = 0.0
 
     def received(self) -> None:
-        """Any bytes of the bridge are a sign of life."""
+        """Record that bytes arrived from the bridge: any bytes are a sign of life."""
         self._received_at = time.monotonic()
 
     @property
     def heard_at(self) -> float:
-        """When the last bytes came (monotonic, in s); where this process was late, as much later."""
+        """The arrival time of the last bytes (monotonic, in s), plus delays of this process since then."""
         return self._received_at
 
     def ponged(self, ros_idle_s: float) -> None:
-        """The bridge's answer to a ping: how long ago its ROS thread went round its loop."""
+        """Record the time since the last turn of the bridge's ROS thread, from its reply to a ping."""
         self._ros_idle_s = ros_idle_s
 
     async def until_silent(self) -> str:
-        """Returns when the bridge no longer answers; says what was seen, as the rest of `The bridge …`."""
+        """Return once the bridge no longer replies, with what was observed, in words that follow `The bridge …`."""
         self.received()
         while True:
-            if time.monotonic() >= self._next_ping - _PAUSE_S:  # the event loop may wake up a little early
+            if time.monotonic() >= self._next_ping - _PAUSE_S:  # the event loop may wake up slightly early
                 is_at_rest = self._is_at_rest()
                 self._send_ping(PING_AT_REST_S if is_at_rest else PING_S)
                 self._rest = asyncio.get_running_loop().create_future() if is_at_rest else None
@@ -71,7 +73,7 @@ class Heartbeat:
                 return verdict
 
     def end_rest(self) -> None:
-        """Something is wanted of the bridge: it is pinged before it, and as often as while something goes on."""
+        """End the rest before a request: send a ping, and continue with the short period."""
         if self._rest and not self._rest.done():
             self._send_ping(PING_S)
             self._rest.set_result(None)
@@ -81,7 +83,7 @@ class Heartbeat:
         self._next_ping = time.monotonic() + period_s
 
     async def _pause(self) -> None:
-        """Sleeps until there is something to do; if woken late, the delay is not counted as silence."""
+        """Sleep until the next ping or limit. The delay of a late wake-up is not counted as silence."""
         before = time.monotonic()
         limits = (self._next_ping, *(self._received_at + limit for limit in (STOPPED_S, SILENCE_S)))
         wait_s = max(_PAUSE_S, min(limit - before for limit in limits if limit > before))

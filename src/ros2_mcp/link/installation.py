@@ -1,4 +1,4 @@
-"""A ROS 2 installation: how to run one of our packages under its Python, in its environment."""
+"""A ROS 2 installation: how to run one of our packages with its Python and environment."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ros2_mcp_common.start.finding import WHEEL_GUARD, Search, in_environment
 
 Kind = Literal["sourced", "unsourced", "wheels", "conda", "built"]
 
-# Loads one package by its folder, so that nothing else of our environment gets on the path of ROS's Python.
+# Loads one package from its folder, so that nothing else of our environment gets on the path of ROS's Python.
 _BOOTSTRAP = """\
 import sys
 sys.path[:] = [entry for entry in sys.path if entry]
@@ -36,7 +36,7 @@ _OF_OUR_PYTHON = ("PYTHONHOME", "PYTHONSTARTUP", "PYTHONSAFEPATH", "__PYVENV_LAU
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """What to execute, with the whole environment to do it in."""
+    """A command and its complete environment."""
 
     argv: Sequence[str]
     env: Mapping[str, str]
@@ -44,9 +44,9 @@ class Command:
 
 @dataclass(frozen=True, slots=True)
 class RosInstallation:
-    """One ROS 2 installation that was found, and `why` it was chosen.
+    """One ROS 2 installation that was found; `why` is the reason for choosing it.
 
-    `python` is its interpreter: a path, or a name to look up after `scripts` (setup files of bash) were sourced.
+    `python` is its interpreter: a path, or a name to be looked up after sourcing `scripts` (bash setup files).
     """
 
     kind: Kind
@@ -59,10 +59,12 @@ class RosInstallation:
     interface_prefixes: Sequence[Path] = ()
 
     def command(self, package: str, args: Sequence[str] = ()) -> Command:
-        """How to run one of our packages (`ros2_mcp_bridge`, `ros2_mcp_demo`) as `python -m` would."""
+        """Return the command that runs one of our packages (`ros2_mcp_bridge`, `ros2_mcp_demo`) as `python -m`
+        would.
+        """
         above = Path(__file__).resolve().parents[2]
         argv = [self.python, "-c", _BOOTSTRAP, str(above), package, *args]
-        # What puts our interface packages in front of those of the installation.
+        # Puts our interface packages before those of the installation.
         in_front = {
             "AMENT_PREFIX_PATH": os.pathsep.join(str(prefix) for prefix in self.interface_prefixes),
             "PYTHONPATH": os.pathsep.join(str(prefix / "site-packages") for prefix in self.interface_prefixes),
@@ -72,7 +74,7 @@ class RosInstallation:
 
 
 def without_ours(env: Mapping[str, str]) -> dict[str, str]:
-    """A copy of an environment for ROS's Python: without what belongs to ours."""
+    """Return a copy of an environment for ROS's Python, without the settings of our Python."""
     clean = {name: value for name, value in env.items() if name not in _OF_OUR_PYTHON}
     if WHEEL_GUARD in env:
         _remove_entries(clean, "LD_LIBRARY_PATH", Path(sys.prefix))
@@ -84,7 +86,7 @@ def without_ours(env: Mapping[str, str]) -> dict[str, str]:
 
 
 def search_of(settings: Settings) -> Search:
-    """Which ROS is looked for, on this machine or on the robot's: its paths are those of that machine."""
+    """Return which ROS to look for, on this machine or the robot's. Paths refer to that machine."""
     return Search(
         distro=settings.distro or "",
         python=settings.bridge_python.as_posix() if settings.bridge_python else "",
@@ -97,7 +99,7 @@ def search_of(settings: Settings) -> Search:
 
 
 def with_a_place_for_logs(env: Mapping[str, str]) -> Mapping[str, str]:
-    """An environment in which ROS finds a folder for its log: without a home it would end at its start."""
+    """Return the environment with a folder for ROS's logs: without a home folder ROS would fail at its start."""
     if env.get("HOME") or env.get("ROS_HOME"):
         return env
     return {"ROS_LOG_DIR": str(Path(tempfile.gettempdir()) / "ros2-mcp-log"), **env}

@@ -1,4 +1,4 @@
-"""Interface packages built for an installation from wheels: building them, and remembering which are in use."""
+"""Interface packages for an installation from wheels: build them, and record which are in use."""
 
 from __future__ import annotations
 
@@ -15,30 +15,30 @@ from ros2_mcp.link.installation import RosInstallation
 from ros2_mcp.model.errors import LinkError
 
 SHIPPED = Path(__file__).resolve().parents[2] / "ros2_mcp_demo" / "interfaces"
-"""The sources of the packages that come with this one: what the simulated robot needs and no wheel has."""
-# A package of many interfaces compiles for minutes on a small machine. Chosen: what takes longer hangs.
+"""The sources of the packages that come with this one: interfaces of the simulated robot that no wheel has."""
+# The time limit of a build: a package with many interfaces compiles for minutes on a small machine.
 BUILD_S = 600.0
 _DIGEST = re.compile(r"-[0-9a-f]{16}$")
 
 
 @dataclass(frozen=True, slots=True)
 class InterfaceCache:
-    """The folder of built packages, and the record of those that each installation uses."""
+    """The folder of built packages, and the record of the packages that each installation uses."""
 
     folder: Path
 
     def in_use(self, prefix: Path) -> tuple[Path, ...]:
-        """The packages that were built for the installation with that prefix and are still there."""
+        """Return the packages that were built for the installation with that prefix and still exist."""
         recorded = self._record().get(str(prefix), {})
         return tuple(built for path in recorded.values() if (built := Path(path)).is_dir())
 
     def shipped(self) -> tuple[Path, ...]:
-        """The packages that come with this one, as far as they were built for an installation just like this Python's.
+        """Return the shipped packages that were built for an installation equal to this Python's.
 
-        The simulated robot of another environment may have built them: what it publishes is then known here, too.
+        The simulated robot of another environment may have built them; its messages can then be read here as well.
         """
         if self.names().isdisjoint(sources.name for sources in SHIPPED.iterdir()):
-            return ()  # without looking closer, for which each start would pay
+            return ()  # without a closer look, which would slow down each start
 
         from ros2_mcp_interfaces import BuildError, finished
 
@@ -48,9 +48,10 @@ class InterfaceCache:
             return ()
 
     def planned(self, packages: Sequence[str]) -> tuple[Path, ...]:
-        """The prefixes that packages of `SHIPPED` have, or will have once they are built for this Python.
+        """Return the prefixes of packages in `SHIPPED`, which exist or will exist once the packages are built for this
+        Python.
 
-        Empty where nothing can be built for it.
+        Empty if nothing can be built for it.
         """
         from ros2_mcp_interfaces import BuildError, planned
 
@@ -60,11 +61,11 @@ class InterfaceCache:
             return ()
 
     def names(self) -> set[str]:
-        """The names of all packages that are there, for whichever installation."""
+        """Return the names of all built packages, for any installation."""
         return {package_name(built) for built in self.folder.glob("[!.]*-*") if built.is_dir()}
 
     def use(self, prefix: Path, packages: Sequence[Path]) -> None:
-        """Remembers packages for an installation; one of the same name is replaced."""
+        """Record packages as in use by an installation; a package replaces one with the same name."""
         record = self._record()
         mine = record.setdefault(str(prefix), {})
         mine.update({package_name(package): str(package) for package in packages})
@@ -86,12 +87,12 @@ class InterfaceCache:
 
 
 def package_name(prefix: Path) -> str:
-    """The package in a prefix of the cache, whose name ends with a digest, or in one that was built elsewhere."""
+    """Return the name of the package in a prefix: the folder's name without the digest of the cache, if it has one."""
     return _DIGEST.sub("", prefix.name)
 
 
 def curing(package: str) -> str:
-    """What to do about a package of interfaces that the bridge does not know, with each kind of installation."""
+    """Return how to install an interface package that the bridge does not know, for each kind of installation."""
     sources = SHIPPED / package
     folder = str(sources) if sources.is_dir() else "DIR (the folder with its .msg files)"
     return (
@@ -101,7 +102,7 @@ def curing(package: str) -> str:
 
 
 class Built(NamedTuple):
-    """The prefixes of packages that were built, and the definitions in them that cannot be built here."""
+    """The prefixes of built packages, and the definitions in them that cannot be built here."""
 
     packages: Sequence[Path]
     left_out: Sequence[Path]
@@ -110,10 +111,10 @@ class Built(NamedTuple):
 def build(
     installation: RosInstallation, directories: Sequence[Path], cache: InterfaceCache, *, quiet: bool = False
 ) -> Built:
-    """Builds the packages below the directories, or finds them built, and notes that the installation uses them.
+    """Build the packages below the directories, unless they are built already, and record them as in use.
 
     Raises:
-        LinkError: with the compiler's or generator's own words, if one cannot be built.
+        LinkError: with the message of the compiler or generator, if one cannot be built.
     """
     cache.folder.mkdir(parents=True, exist_ok=True)
     words = [*(str(directory.resolve()) for directory in directories), "--cache", str(cache.folder), "--json"]

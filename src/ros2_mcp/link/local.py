@@ -20,7 +20,7 @@ PACKAGE = "ros2_mcp_bridge"
 def start_local(
     settings: Settings, env: Mapping[str, str] = os.environ, *, state: Path | None = None, under_policy: bool = False
 ) -> LocalBridge:
-    """Finds the ROS of this machine and starts a bridge in it; arguments and errors as of `start_carrier`."""
+    """Find the ROS of this machine and start a bridge in it; arguments and errors as in `start_carrier`."""
     if sys.platform == "win32":
         raise RosNotFound("The ROS 2 of this machine is not looked for on Windows.", way_out(settings.distro or ""))
     options = [*(("--state", str(state)) if state else ()), *(("--under-policy",) if under_policy else ())]
@@ -28,21 +28,22 @@ def start_local(
 
 
 class LocalBridge(Child):
-    """A bridge as a child process. It is a `Carrier`."""
+    """A bridge as a child process; implements `Carrier`."""
 
     is_remote = False
 
-    # Wheels say hello after about half a second; sourcing setup files from a slow disk takes longer. Chosen, with much
-    # room: nothing is lost while a start that will fail is waited for.
+    # Wheels send their hello after about half a second; sourcing setup files from a slow disk takes longer. Generous,
+    # because a longer wait for a start that will fail costs nothing.
     start_s = 20.0
 
     lease_s = 1.0
-    """Four pings, of which a pipe carries each within a millisecond: a process that is late by so much hangs."""
+    """The link lease, in s: four pings, each of which takes less than a millisecond over a pipe. A process that is this
+    late hangs."""
 
     def __init__(
         self, installation: RosInstallation, options: Sequence[str] = (), *, pass_stderr: bool = False
     ) -> None:
-        """Starts the process, with these options, without waiting for anything.
+        """Start the process with these options, without waiting for anything.
 
         Raises:
             LinkError: if it cannot be executed.
@@ -55,20 +56,22 @@ class LocalBridge(Child):
 
     @property
     def origin(self) -> str:
-        """Why this installation was chosen."""
+        """The reason for choosing this installation."""
         return self.installation.why
 
     def describe(self) -> str:
-        """Its process, and what it still does before ROS can start: setup files on a slow disk take their time."""
+        """Return the process id, and the setup files while they are still being sourced, which takes time on a slow
+        disk.
+        """
         try:
-            is_shell = Path(f"/proc/{self.pid}/comm").read_text().strip() == "bash"  # it becomes Python after them
+            is_shell = Path(f"/proc/{self.pid}/comm").read_text().strip() == "bash"  # then Python
         except OSError:
             is_shell = False
         scripts = " and ".join(map(str, self.installation.scripts))
         return f"pid {self.pid}, still sourcing {scripts}" if is_shell and scripts else f"pid {self.pid}"
 
     def alive(self) -> Vitality:
-        """What the kernel tells of its threads: one that is stopped or wants to run decides."""
+        """Return the state of the process's threads, from the kernel: one suspended or runnable thread decides."""
         states = thread_states(self.pid)
         if "T" in states:
             return "stopped"
@@ -77,5 +80,5 @@ class LocalBridge(Child):
         return "running" if states else "unknown"
 
     async def failure(self) -> LinkError | None:
-        """None: how it ended says it."""
+        """Return None: `ending` has the reason."""
         return None

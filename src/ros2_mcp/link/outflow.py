@@ -1,4 +1,4 @@
-"""What leaves for the bridge: small packets at once, large ones in pieces as far as the bridge keeps up."""
+"""Outgoing packets: small ones are sent at once, large ones in pieces as far as the bridge keeps up."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from ros2_mcp_common.wire.pieces import LANE_OF_REQUESTS, Credit, Cut
 
 
 class Outflow:
-    """Large requests one after the other, in pieces between which whatever is written otherwise passes.
+    """The queue of large requests, sent one after the other in pieces, between which other packets pass.
 
-    So a picture that is published over a slow link does not hold up a stop. At most `window_bytes` are under way.
+    An image that is published over a slow link therefore does not delay a stop. At most `window_bytes` are
+    unacknowledged.
     """
 
     def __init__(self, write: Callable[[bytes], None], window_bytes: int) -> None:
@@ -21,17 +22,19 @@ class Outflow:
         self._waiting: deque[tuple[Cut, asyncio.Future[None]]] = deque()
 
     def send(self, packet: bytes) -> asyncio.Future[None]:
-        """Lets a packet leave in its turn; done when all of it has left. Cancelling withdraws what has not."""
+        """Queue a packet; the future is done when all of it is sent. Cancelling the future discards the pieces not sent
+        yet.
+        """
         sent: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._waiting.append((Cut("op", LANE_OF_REQUESTS, packet), sent))
         self._go_on()
         return sent
 
     def acknowledged(self, total: object) -> None:
-        """The bridge has taken so many bytes of pieces.
+        """Record that the bridge has received this many bytes of pieces in total.
 
         Raises:
-            PacketError: if it cannot have.
+            PacketError: if that is impossible.
         """
         self._credit.acknowledge(total)
         self._go_on()

@@ -1,6 +1,6 @@
-"""How this program itself was installed and started: from that follow the commands that it tells others to run.
+"""The way in which this program was installed and started, which determines the commands that it suggests to users.
 
-It is on no index yet, so "pip install ros2-mcp" would not work; and Debian and Ubuntu refuse a bare pip altogether.
+The package is on no index yet, so "pip install ros2-mcp" would not work; and Debian and Ubuntu refuse a bare pip.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from urllib.parse import unquote, urlsplit
 from ros2_mcp.model.shell import typed
 
 PROJECT = "ros2-mcp"
-# Folders of uv's and pipx's caches: what is in them may be gone tomorrow.
+# Names of folders in the caches of uv and pipx, whose content is temporary.
 _OF_UV_CACHE = re.compile(r"(?:archive|builds|environments)-v\d+")
 
 Way = Literal["uv run", "uvx", "uv tool", "uv pip", "pipx run", "pipx", "pip", "system pip"]
@@ -29,7 +29,9 @@ Way = Literal["uv run", "uvx", "uv tool", "uv pip", "pipx run", "pipx", "pip", "
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Provenance:
-    """`source` is the folder or address that it was installed from, or empty for an index; `editable` if by a link."""
+    """`source` is the folder or address of the installation, or "" for an index; `editable`: installed as a
+    link to it.
+    """
 
     way: Way
     prefix: Path
@@ -39,18 +41,18 @@ class Provenance:
 
     @property
     def lasts(self) -> bool:
-        """Whether the environment is still there tomorrow: a cache's is not."""
+        """Whether the environment is permanent; that of a cache is not."""
         return self.way not in ("uvx", "pipx run")
 
     def requirement(self, extra: str = "") -> str:
-        """What an installer must be given to get this program: a folder, an address, or its name on an index."""
+        """Return the requirement for an installer: a folder, an address, or the name on an index."""
         extras = f"[{extra}]" if extra else ""
         if not self.source:
             return PROJECT + extras
         return self.source + extras if Path(self.source).is_absolute() else f"{PROJECT}{extras} @ {self.source}"
 
     def installing(self, extra: str) -> str:
-        """The command that gives this installation the extra, as one types it in a shell."""
+        """Return the shell command that adds the extra to this installation."""
         requirement = typed([self.requirement(extra)])
         python = typed([self.python])
         editable = "--editable " if self.editable else ""
@@ -63,12 +65,12 @@ class Provenance:
             "pipx run": f"pipx run --spec {requirement} ros2-mcp doctor",
             "pipx": f"pipx install --force {editable}{requirement}",
             "pip": f"{python} -m pip install {editable}{requirement}",
-            # Debian and Ubuntu let pip change nothing outside of a virtual environment.
+            # Debian and Ubuntu do not let pip change anything outside of a virtual environment.
             "system pip": f"python3 -m venv {own} && {own}/bin/pip install {requirement} && {own}/bin/ros2-mcp doctor",
         }[self.way]
 
     def reinstalling(self, extra: str) -> str:
-        """The command that puts back what is missing of the extra's packages."""
+        """Return the shell command that restores missing files of the extra's packages."""
         if self.way == "uv run":
             return f"uv sync --project {typed([self.source])} --extra {extra} --inexact --reinstall"
         if self.way == "uv pip":
@@ -77,7 +79,7 @@ class Provenance:
 
 
 def own_provenance(env: Mapping[str, str] = os.environ) -> Provenance:
-    """How the running program was installed, as far as its environment tells."""
+    """Return how the running program was installed, as far as its environment shows."""
     prefix = Path(sys.prefix)
     source, editable = _origin()
     way = _way(prefix, Path(source) if editable and Path(source).is_absolute() else None, env)
@@ -85,7 +87,7 @@ def own_provenance(env: Mapping[str, str] = os.environ) -> Provenance:
 
 
 def _origin() -> tuple[str, bool]:
-    """The folder or address that it was installed from (PEP 610), and whether as a link to it."""
+    """Return the folder or address of the installation (PEP 610), and whether it is a link."""
     try:
         text = distribution(PROJECT).read_text("direct_url.json")
     except PackageNotFoundError:
@@ -121,10 +123,10 @@ def _way(prefix: Path, checkout: Path | None, env: Mapping[str, str]) -> Way:
 
 
 def launch_command(provenance: Provenance, extra: str, env: Mapping[str, str] = os.environ) -> list[str]:
-    """What a client must run to start this program, with absolute paths that last."""
+    """Return the command by which a client starts this program, with permanent absolute paths."""
     requirement = provenance.requirement(extra)
     if provenance.way == "uvx":
-        # uv tells its own path to what it runs.
+        # uv passes its own path to the programs that it runs.
         uv = env.get("UV") or shutil.which("uv") or "uv"
         python = f"{sys.version_info.major}.{sys.version_info.minor}"
         return [uv, "tool", "run", "--python", python, "--from", requirement, PROJECT]

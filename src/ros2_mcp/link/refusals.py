@@ -1,6 +1,6 @@
-"""What ssh says when it does not get through, as one sentence with the way out.
+"""Explanations of ssh's errors: one sentence and a hint for each.
 
-ssh tells what went wrong in English on its stderr, whatever the language of the user, and ends with 255.
+ssh writes its errors in English to stderr, whatever the language of the user, and exits with 255.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _FAILED = 255
 
 @dataclass(frozen=True, slots=True)
 class _Refusal:
-    """`sign` is what ssh says, `message` what it means; `is_lasting` if the next attempt would fail just so."""
+    """`sign` matches ssh's message, `message` is the explanation; `is_lasting`: another attempt would fail as well."""
 
     sign: re.Pattern[str]
     message: str
@@ -31,7 +31,7 @@ def _refusal(sign: str, message: str, hint: str, *, is_lasting: bool = False) ->
     return _Refusal(re.compile(sign, re.IGNORECASE), message, hint, is_lasting)
 
 
-# The first one that fits holds: what is more particular stands before what follows from it.
+# The first match applies: specific messages precede general ones.
 _REFUSALS: Sequence[_Refusal] = (
     _refusal(
         "remote host identification has changed",
@@ -106,13 +106,13 @@ _REFUSALS: Sequence[_Refusal] = (
 def of_ssh(
     address: RobotAddress, exit_code: int | None, lines: Sequence[str], options: Sequence[str] = ()
 ) -> Unreachable | None:
-    """What a start of ssh that failed means; None if ssh itself did not fail.
+    """Return the explanation of a failed start of ssh; None if ssh itself did not fail.
 
     Args:
-        address: where it was to go.
-        exit_code: of ssh; None if it was not told.
-        lines: the last lines of its stderr, the oldest first.
-        options: those that ssh was given by the server's own; the commands in a hint have them, too.
+        address: the address of the robot.
+        exit_code: ssh's exit code; None if unknown.
+        lines: the last lines of its stderr, oldest first.
+        options: the server's additional options for ssh, which commands in a hint repeat.
     """
     if exit_code not in (_FAILED, None):
         return None
@@ -132,7 +132,7 @@ def of_ssh(
 
 
 def _words(address: RobotAddress, line: str, options: Sequence[str]) -> dict[str, str]:
-    settings = [option for option in options if option.startswith(("-o", "-F"))]  # others ssh-copy-id does not know
+    settings = [option for option in options if option.startswith(("-o", "-F"))]  # ssh-copy-id does not know the others
     known = f"[{address.host}]:{address.port}" if address.port not in (0, 22) else address.host
     return {
         "host": address.host,
@@ -146,12 +146,12 @@ def _words(address: RobotAddress, line: str, options: Sequence[str]) -> dict[str
 
 
 def by_doctor(address: RobotAddress, options: Sequence[str] = ()) -> str:
-    """The command by which a person at a terminal lets ssh ask what only a person can answer."""
+    """Return the command by which a person at a terminal lets ssh ask its questions."""
     return shlex.join(["ros2-mcp", "doctor", "--robot", address.text, *(f"--ssh-option={each}" for each in options)])
 
 
 def by_hand(address: RobotAddress, options: Sequence[str] = ()) -> str:
-    """The command of ssh itself that a person types, with the options that the server has, too."""
+    """Return the ssh command for a person to type, with the server's options."""
     return _command("ssh", address, options)
 
 

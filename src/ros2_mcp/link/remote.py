@@ -1,8 +1,8 @@
-"""The carrier of a robot elsewhere: the system's ssh, docker or another command carries the stream.
+"""The carrier of a remote robot: the system's ssh, docker or another command transports the stream.
 
-The bridge is sent along (`bootstrap.py`), and nothing is installed or written there. ssh is the system's own, with the
-user's configuration, agent and known hosts; each carrier has a connection of its own, so that its keepalive and its
-death are ours. See docs/decisions/0039-the-users-own-ssh.md.
+The bridge is sent along (`bootstrap.py`); nothing is installed or written there. ssh is the system's own, with the
+user's configuration, agent and known hosts. Each carrier has its own connection, so that its keepalive and its end are
+controlled here. See docs/decisions/0039-the-users-own-ssh.md.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ from ros2_mcp.model.errors import BadInput, LinkError, Unreachable
 from ros2_mcp.model.text import quoted
 from ros2_mcp.settings import Settings
 
-# ssh's own limit on connecting, the handshake included. Chosen: a robot on a slow link takes two or three.
+# ssh's own limit on connecting, in s, including the handshake: a robot on a slow link takes two or three.
 CONNECT_S = 10
-# From the start until stage 1 says its first word. Ten seconds of it are ssh's; a Python starts in two, even from the
-# card of a small machine. Chosen.
+# The time until the first line of stage 1, in s: ten for ssh, and two for the start of a Python, even from the card of
+# a small machine.
 REACH_S = 12.0
-# A bridge that hears nothing for so long has no server any more: it stops everything and leaves. Chosen: longer than
-# any outage in which the same connection lives on (ssh gives up after 4 s), so that it is not in its successor's way.
+# A bridge without any packet for this long, in s, has no server any more: it stops everything and exits. Longer than
+# any outage that one connection survives (ssh gives up after 4 s), so that it does not disturb its successor.
 ORPHAN_S = 15
-# Characters of what a command said that started no bridge: its last sentence or two. Chosen.
+# The most characters of a failed command's output in an error: its last sentence or two.
 _MOST_SAID = 300
 _KEEPALIVE = ("ServerAliveInterval=1", "ServerAliveCountMax=3")
-# What must hold whatever the user's configuration says of this host: no terminal, no questions, a connection of our
-# own (a shared one would outlive us, and its keepalive is not ours), and nothing else than our stream on it. `IPQoS`:
-# the default without a terminal is what Wi-Fi calls background.
+# Options that must hold whatever the user's configuration says: no terminal, no questions, a connection of its own (a
+# shared one would outlive this server, with another keepalive), and nothing else than the stream on it. `IPQoS`: ssh's
+# default without a terminal is the background class of Wi-Fi.
 _SSH_OPTIONS = (
     "BatchMode=yes",
     f"ConnectTimeout={CONNECT_S}",
@@ -55,15 +55,15 @@ _logger = logging.getLogger(__name__)
 def start_remote(
     settings: Settings, env: Mapping[str, str] = os.environ, *, under_policy: bool = False
 ) -> RemoteBridge:
-    """Starts a bridge where the settings say that the robot is; arguments and errors as of `start_carrier`."""
+    """Start a bridge on the remote robot in the settings; arguments and errors as in `start_carrier`."""
     return RemoteBridge(settings, env, ["--orphan-s", str(ORPHAN_S), *(("--under-policy",) if under_policy else ())])
 
 
 def ssh_words(address: RobotAddress, options: Sequence[str], *, may_ask: bool = False) -> list[str]:
-    """The beginning of a command line of ssh, up to the host.
+    """Return the beginning of an ssh command line, up to the host.
 
-    The user's options come first: ssh takes the first of each. `may_ask`: a person is at a terminal, who accepts a host
-    key and unlocks keys.
+    The user's options come first, because ssh uses the first value of each option. `may_ask`: a person at the terminal
+    can accept a host key and unlock keys.
     """
     ours = [option for option in _SSH_OPTIONS if not (may_ask and option.startswith(("BatchMode", "LogLevel")))]
     words = ["ssh", "-T", *options, *(word for option in ours for word in ("-o", option))]
@@ -72,7 +72,7 @@ def ssh_words(address: RobotAddress, options: Sequence[str], *, may_ask: bool = 
 
 
 def way_to(settings: Settings) -> list[str]:
-    """The words of the program that gives a shell where the robot is."""
+    """Return the words of the program that opens a shell where the robot is."""
     address = settings.robot
     if address.kind == "ssh":
         return ssh_words(address, settings.ssh_options)
@@ -82,10 +82,10 @@ def way_to(settings: Settings) -> list[str]:
 
 
 def is_installed(settings: Settings) -> bool:
-    """Whether the robot's command starts a bridge that is installed there, by the name of its package.
+    """Return whether the robot's command starts a bridge that is installed there: whether it has the package's name.
 
     Raises:
-        BadInput: if it does, and other settings say which ROS is looked for: that is decided by the command.
+        BadInput: if it does, and other settings choose a ROS, which is up to the command.
     """
     words = settings.robot.command
     if not any(PACKAGE in word for word in words):
@@ -100,28 +100,29 @@ def is_installed(settings: Settings) -> bool:
 
 
 class RemoteBridge(Child):
-    """A bridge on another machine or in a container. It is a `Carrier`."""
+    """A bridge on another machine or in a container; implements `Carrier`."""
 
     is_remote = True
 
-    # Over ssh the handshake alone takes some fourteen round trips, then ROS is found and starts, from a slow card
-    # perhaps. What cannot be reached at all is told long before (REACH_S).
+    # Over ssh, the handshake alone takes some fourteen round trips; then ROS is found and started, possibly from a slow
+    # card. An unreachable robot is reported much earlier (REACH_S).
     start_s = 40.0
 
     lease_s = 2.0
-    """Eight pings. Measured over 100 ms, with 15 % loss or a camera at 5 Mbit/s: at most 1.0 s between two of them."""
+    """The link lease, in s: eight pings. Measured over 100 ms, with 15 % loss or a camera at 5 Mbit/s: at most 1.0 s
+    between two of them."""
 
     def __init__(self, settings: Settings, env: Mapping[str, str], options: Sequence[str]) -> None:
-        """Starts the program that reaches it, without waiting for anything.
+        """Start the program that reaches the robot, without waiting for anything.
 
         Raises:
-            LinkError: if that program is not there.
-            BadInput: for settings that a bridge which is installed cannot be told.
+            LinkError: if that program does not exist.
+            BadInput: for settings that an installed bridge cannot get.
         """
         self.address = settings.robot
         self._ssh_options = settings.ssh_options
         way = way_to(settings)
-        # Of an address of ssh the container is entered on the far side; that of docker:// is here.
+        # With an ssh address the container is entered on the far side; with docker:// it is entered here.
         inner = self.address.container if self.address.kind == "ssh" else ""
         self._is_installed = is_installed(settings)
         if self._is_installed:
@@ -139,26 +140,26 @@ class RemoteBridge(Child):
                 f"Install it: {self.address.place} is reached with it." if isinstance(error, FileNotFoundError) else ""
             )
             raise Unreachable(f"{way[0]} cannot be started: {error.strerror}.", hint, is_lasting=True) from error
-        # So that it comes up while the rest of the server is imported, and not only after that.
+        # Sent now, so that the bridge starts while the rest of the server is being imported.
         self._to_be_sent = self.write_at_once(start.pack())
 
     @property
     def arrival(self) -> Arrival:
-        """What was heard before the stream."""
+        """The reader of the bytes before the stream, with its reports."""
         return self._arrival
 
     @property
     def origin(self) -> str:
-        """Which ROS was found there and why, once it is known."""
+        """The ROS that was found there and why, once it is known."""
         found = next((report.details for report in self._arrival.reports if report.stage == "found"), None)
         return f"At {self.address.place}: {quoted(found.get('why', ''))}" if found else f"At {self.address.place}."
 
     def describe(self) -> str:
-        """Its address."""
+        """Return the robot's address."""
         return self.address.place
 
     async def open(self, received: Callable[[bytes], None], ended: Callable[[], None]) -> None:
-        """Connects the pipes, and sends what is left of the bridge."""
+        """Connect the pipes, and send the rest of the bridge."""
         self._received = received
         await super().open(self._hear, ended)
         self.write(self._to_be_sent)
@@ -173,10 +174,10 @@ class RemoteBridge(Child):
         if stream:
             self._received(stream)
         elif self._arrival.failure:
-            self.kill()  # a login that goes on for ever would not end by itself
+            self.kill()  # a login that runs for ever does not end on its own
 
     def _lose_patience(self) -> None:
-        """Nobody answers, or somebody else than stage 1."""
+        """Give up: there was no reply, or none of stage 1."""
         self._patience = None
         heard = self._arrival.heard
         said = f"the login there printed {quoted(heard)} and" if heard else "the login there"
@@ -188,7 +189,7 @@ class RemoteBridge(Child):
         self.kill()
 
     async def failure(self) -> LinkError | None:
-        """Why it was not reached, from what the far side and the way in said."""
+        """Return why the robot was not reached, from the output of the far side and of the way in."""
         if self._unreached:
             return self._unreached
         code = await self.exit_code()
@@ -205,7 +206,7 @@ class RemoteBridge(Child):
         if told := self._arrival.explain(code, lines):
             return Unreachable(f"{self.address.place}: {told.message}", told.hint)
         if self._arrival.reports:
-            return None  # the bridge itself, whose last words say more
+            return None  # the bridge itself failed; its last lines say more
         heard = " ".join([self._arrival.heard, *lines]).strip()
         said = f"said {quoted(heard)}" if heard else "said nothing"
         return Unreachable(
@@ -214,7 +215,7 @@ class RemoteBridge(Child):
         )
 
     async def ending(self) -> str:
-        """How the way in ended."""
+        """Return how the way in ended."""
         code = await self.exit_code()
         if refused := self._refused_by_ssh(code):
             return f"is out of reach ({refused.message.rstrip('.')})"
@@ -224,11 +225,11 @@ class RemoteBridge(Child):
         return of_ssh(self.address, code, self.log_tail(), self._ssh_options) if self.address.kind == "ssh" else None
 
     def alive(self) -> Vitality:
-        """Unknown: what can be seen here is ssh, and not the bridge."""
+        """Return `unknown`: only ssh can be observed here, not the bridge."""
         return "unknown"
 
     async def close(self, grace_s: float) -> None:
-        """As of a child; nothing is waited for any more."""
+        """Close as a child process; cancel the time limit of the start."""
         if self._patience:
             self._patience.cancel()
         await super().close(grace_s)

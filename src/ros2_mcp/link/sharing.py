@@ -1,8 +1,8 @@
-"""One subscription in the bridge for all who listen to a topic in the same way: each sample crosses the stream once.
+"""One subscription in the bridge for all equal subscriptions here, so that each sample crosses the stream once.
 
-Thirty-two readers of one camera would else hold each picture as often in the middleware, on the stream and here.
-Latched topics are not shared, since who subscribes is to get what was kept for him, nor are the latest samples alone,
-which take no room, nor every n-th sample, which each counts from his first.
+Otherwise thirty-two readers of one camera would store each image that often in the middleware, on the stream and here.
+Not shared are: latched topics, because each subscriber must get the kept messages; subscriptions to the latest sample,
+which take no space; and to every n-th sample, which each subscriber counts from its first.
 """
 
 from __future__ import annotations
@@ -20,10 +20,11 @@ if TYPE_CHECKING:
 
 _Key = tuple[object, ...]
 AtAnswer = Callable[[Mapping[str, Any]], None]
-"""Is told an answer before what follows it on the stream is taken in."""
-# Creating an entity can block for up to 3 s inside Fast DDS after a peer was killed (decision 12).
+"""Called with a reply before later packets are processed."""
+# The time limit for subscribing: creating an entity can block for up to 3 s inside Fast DDS after a peer was killed
+# (decision 12).
 _SUBSCRIBE_S = 5.0
-# For the samples under way, of which there are 64 MB at most.
+# The time limit for samples in transit, of which there are 64 MB at most.
 _COUNTS_S = 2.0
 
 
@@ -35,7 +36,7 @@ class Sharing:
         self._shared: dict[_Key, Shared] = {}
 
     async def subscribe(self, arguments: Mapping[str, Any]) -> Subscription:
-        """A subscription of its own, or a part of one that there is; `arguments` are those of the bridge's `subscribe`.
+        """Return a new subscription, or a share of an existing one; `arguments` are those of the bridge's `subscribe`.
 
         Raises as `Bridge.request`.
         """
@@ -51,7 +52,7 @@ class Sharing:
                 await asyncio.wait({shared.is_ready})
                 if lost := shared.is_ready.result():
                     raise BridgeLost(lost.message, lost.hint)
-                continue  # it is there now, or its making was refused or cancelled, which concerns its maker alone
+                continue  # it is ready, or its maker failed or was cancelled: look again
             subscription = Subscription(*bounds, shared.leave)
             await shared.join(subscription)
             return subscription
@@ -67,10 +68,10 @@ class Sharing:
 
 
 class Shared:
-    """One subscription in the bridge and its listeners, each with the counts at which it began.
+    """One subscription in the bridge and its listeners, each with the counts at which it joined.
 
-    `is_ready` is done when its making has come to an end, with the reason if the bridge was lost meanwhile. `forget` is
-    called when nobody may join any more.
+    `is_ready` is done when subscribing has ended; its result is the error if the bridge was lost meanwhile. `forget` is
+    called when no further listener may join.
     """
 
     def __init__(self, connection: Connection, forget: Callable[[], None]) -> None:
@@ -83,7 +84,7 @@ class Shared:
         self._totals: Counts = {"received": 0, "dropped": 0, "lost": 0}
 
     async def begin(self, first: Subscription, arguments: Mapping[str, Any]) -> None:
-        """Subscribes, for the first listener."""
+        """Subscribe in the bridge, for the first listener."""
         lost: BridgeLost | None = None
         self._staying.add(first)
         self._listeners[first] = self._totals
@@ -97,7 +98,7 @@ class Shared:
             self.is_ready.set_result(lost)
 
     async def join(self, listener: Subscription) -> None:
-        """Lets a listener have what arrives from now on."""
+        """Pass everything that arrives from now on to this listener."""
         self._staying.add(listener)
 
         def begins(counts: Mapping[str, Any]) -> None:
@@ -114,9 +115,9 @@ class Shared:
             raise
 
     async def leave(self, listener: Subscription) -> None:
-        """Lets a listener have what has arrived, and no more; with the last one the subscription ends.
+        """Pass what has arrived to the listener, and nothing later. The subscription ends with its last listener.
 
-        Over a network it does not wait for what is still under way to the others.
+        Over a network this does not wait for the samples in transit to the others.
         """
         if listener not in self._listeners:
             return
@@ -144,7 +145,7 @@ class Shared:
     # ── for the connection ─────────────────────────────────────────────────────────────────────────────────────
 
     def arrived(self, header: Samples, body: bytes) -> None:
-        """Gives a packet of samples to all listeners, to each those that came after it had begun."""
+        """Pass a packet of samples to all listeners, to each those after it had joined."""
         self.count(header)
         samples = samples_of(header, body)
         before = header["received"] - len(samples)
@@ -152,13 +153,13 @@ class Shared:
             listener.take_in(samples[max(0, began_at["received"] - before) :])
 
     def count(self, totals: Counts) -> None:
-        """The bridge's totals up to now."""
+        """Take in the bridge's present totals."""
         self._totals = _counts(totals)
         for listener in self._listeners:
             self._count(listener, self._totals)
 
     def lose(self, error: LinkError) -> None:
-        """The bridge is gone: nothing more will come."""
+        """Take note that the bridge is gone: nothing more will arrive."""
         self._forget()
         for listener in self._listeners:
             listener.lose(error)
@@ -166,7 +167,7 @@ class Shared:
         self._staying.clear()
 
     def _count(self, listener: Subscription, totals: Counts) -> None:
-        """Those that came after it had begun; of what was dropped then, some may have come before."""
+        """Give a listener the counts since it joined. Messages that were dropped then may have arrived before."""
         began_at = self._listeners.get(listener)
         if began_at is None:
             return

@@ -1,4 +1,4 @@
-"""The server's end of one subscription: samples that wait to be taken, bounded, with an account of every one."""
+"""The server's end of one subscription: a bounded queue of samples, and counts of all messages."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Unsubscribe = Callable[["Subscription"], Awaitable[None]]
 
 
 def samples_of(header: Samples, body: bytes) -> list[Sample]:
-    """The samples of a packet: their times and sizes are in the header, their bytes one after the other in the body."""
+    """Return the samples of a packet: times and sizes are in the header, the bytes follow each other in the body."""
     samples: list[Sample] = []
     offset = 0
     for received_ns, source_ns, sequence, size, whole_bytes in header["samples"]:
@@ -26,7 +26,7 @@ def samples_of(header: Samples, body: bytes) -> list[Sample]:
 
 
 class Subscription:
-    """Samples of one topic in the order they came; use as an async context manager, or call `close`."""
+    """Samples of one topic in order of arrival. Use it as an async context manager, or call `close`."""
 
     def __init__(self, keep: Keep, max_samples: int, max_bytes: int, unsubscribe: Unsubscribe) -> None:
         self.number: int | None = None
@@ -42,10 +42,10 @@ class Subscription:
         self._lost: LinkError | None = None
 
     async def take(self, timeout_s: float) -> list[Sample]:
-        """All samples that wait, the oldest first; waits for the first one, and gives an empty list if none came.
+        """Return all waiting samples, oldest first. Wait for the first one; return an empty list after the time-out.
 
         Raises:
-            BridgeLost: if the bridge is gone and everything that came before has been taken.
+            BridgeLost: if the bridge is gone, and all samples from before have been taken.
         """
         if not self._waiting and not self._closed and not self._lost and timeout_s > 0:
             if self._arrival is None:
@@ -60,12 +60,12 @@ class Subscription:
 
     @property
     def counts(self) -> Counts:
-        """What became of the messages so far, on both sides of the stream."""
+        """The numbers of received, dropped and lost messages so far, on both sides of the stream."""
         bridge = self._bridge_counts
         return Counts(bridge.received, bridge.dropped + self._dropped_here, bridge.lost)
 
     async def close(self) -> Counts:
-        """Ends the subscription; samples that still wait can be taken afterwards. Safe to call twice."""
+        """End the subscription; waiting samples can still be taken. Safe to call twice."""
         if not self._closed:
             self._closed = True
             self._wake()
@@ -73,7 +73,7 @@ class Subscription:
         return self.counts
 
     async def aclose(self) -> None:
-        """The same as `close`, for `contextlib.aclosing`."""
+        """Do the same as `close`, for `contextlib.aclosing`."""
         await self.close()
 
     async def __aenter__(self) -> Subscription:
@@ -87,12 +87,12 @@ class Subscription:
     # ── for the connection ─────────────────────────────────────────────────────────────────────────────────────
 
     def arrived(self, header: Samples, body: bytes) -> None:
-        """Takes in a packet of samples: their times and sizes, the totals, and their bytes one after the other."""
+        """Take in a packet of samples: times, sizes and totals in the header, bytes in the body."""
         self.count(header)
         self.take_in(samples_of(header, body))
 
     def take_in(self, samples: Sequence[Sample]) -> None:
-        """Lets samples wait until they are taken."""
+        """Queue samples until they are taken."""
         if not samples:
             return
         self._waiting.extend(samples)
@@ -101,17 +101,17 @@ class Subscription:
         self._wake()
 
     def count(self, totals: BridgeCounts) -> None:
-        """The bridge's totals up to now."""
+        """Take in the bridge's present totals."""
         self._bridge_counts = Counts(totals["received"], totals["dropped"], totals["lost"])
 
     def lose(self, error: LinkError) -> None:
-        """The bridge is gone: nothing more will come."""
+        """Take note that the bridge is gone: nothing more will arrive."""
         if not self._closed:
             self._lost = error
             self._wake()
 
     def _drop_oldest(self) -> None:
-        """Keeps the bounds; the newest sample stays, however large it is."""
+        """Drop samples beyond the bounds; the newest sample is kept, whatever its size."""
         while len(self._waiting) > self._max_samples or (
             self._waiting_bytes > self._max_bytes and len(self._waiting) > 1
         ):

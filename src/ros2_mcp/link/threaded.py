@@ -1,4 +1,4 @@
-"""Pipes of a child process for an event loop that cannot wait for them, as that of Windows: a thread for each."""
+"""Pipes of a child process with one thread each, for event loops that cannot wait for pipes, as on Windows."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import IO, Any
 
-# As much as a pipe has usually.
+# The usual size of a pipe.
 _READ_BYTES = 65_536
-# Pieces that were read and not taken yet: a loop that is late must not fill the memory. Chosen: 4 MB.
+# The most pieces that were read and not processed, 4 MB: a late event loop must not fill the memory.
 _MOST_PIECES = 64
 
 
 class ThreadedReader(asyncio.ReadTransport):
-    """Hands on what arrives on a pipe, then its end, once."""
+    """Passes on the bytes from a pipe, then its end, once."""
 
     def __init__(self, pipe: IO[bytes], protocol: asyncio.Protocol) -> None:
         super().__init__()
@@ -29,11 +29,11 @@ class ThreadedReader(asyncio.ReadTransport):
         threading.Thread(target=self._read_all, name="reader of a child", daemon=True).start()
 
     def is_closing(self) -> bool:
-        """Whether nothing is handed on any more."""
+        """Return whether nothing is passed on any more."""
         return self._is_closing
 
     def close(self) -> None:
-        """Hands on nothing more; the pipe is closed when its other end is."""
+        """Pass on nothing more; the pipe is closed when its other end is."""
         if not self._is_closing:
             self._is_closing = True
             self._loop.call_soon(self._protocol.connection_lost, None)
@@ -52,7 +52,7 @@ class ThreadedReader(asyncio.ReadTransport):
 
 
 class ThreadedWriter(asyncio.WriteTransport):
-    """Gives what is written to a pipe, in order; its protocol is told to pause while more than `high_bytes` wait."""
+    """Writes to a pipe in order. The protocol is told to pause while more than `high_bytes` wait."""
 
     def __init__(self, pipe: IO[bytes], protocol: asyncio.Protocol, high_bytes: int) -> None:
         super().__init__()
@@ -68,7 +68,7 @@ class ThreadedWriter(asyncio.WriteTransport):
         threading.Thread(target=self._write_all, name="writer to a child", daemon=True).start()
 
     def write(self, data: bytes | bytearray | memoryview) -> None:
-        """Queues bytes."""
+        """Queue bytes."""
         if self._is_closing:
             return
         with self._news:
@@ -80,28 +80,28 @@ class ThreadedWriter(asyncio.WriteTransport):
             self._protocol.pause_writing()
 
     def get_write_buffer_size(self) -> int:
-        """How many bytes wait."""
+        """Return how many bytes wait."""
         return self._waiting_bytes
 
     def is_closing(self) -> bool:
-        """Whether nothing more is taken."""
+        """Return whether no further bytes are accepted."""
         return self._is_closing
 
     def close(self) -> None:
-        """Takes nothing more; the pipe is closed once all is written that waits."""
+        """Accept no further bytes; the pipe is closed once the waiting ones are written."""
         with self._news:
             self._is_closing = True
             self._news.notify()
 
     def abort(self) -> None:
-        """Closes it without what waits."""
+        """Close the pipe, and discard the waiting bytes."""
         with self._news:
             self._waiting.clear()
             self._waiting_bytes = 0
         self.close()
 
     def _write_all(self) -> None:
-        with suppress(OSError), self._pipe:  # closing it may fail as writing does: nobody reads any more
+        with suppress(OSError), self._pipe:  # closing may fail as writing does: there is no reader any more
             while (data := self._next()) is not None:
                 rest = memoryview(data)
                 while rest:
@@ -111,7 +111,7 @@ class ThreadedWriter(asyncio.WriteTransport):
         _tell(self._loop, self._protocol.connection_lost, None)
 
     def _next(self) -> bytes | None:
-        """What is to be written next; None at the end."""
+        """Return the next bytes to write; None at the end."""
         with self._news:
             self._news.wait_for(lambda: self._waiting or self._is_closing)
             return self._waiting.popleft() if self._waiting else None

@@ -1,7 +1,7 @@
-"""The robot: names and JSON values above, bytes below.
+"""One robot, for the rest of the server: names and JSON values outside, bytes inside.
 
-Reading goes through `Robot.listen`, `Robot.graph` and `Robot.ask_service`; everything that acts is a command, and
-`Robot.do` is the only way to carry it out.
+`Robot.listen`, `Robot.graph` and `Robot.ask_service` read. Everything that changes something is a command, and
+`Robot.do` is the only way to carry one out.
 """
 
 from ros2_mcp.model.commands import Answer, Sent

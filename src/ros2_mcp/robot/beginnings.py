@@ -1,4 +1,7 @@
-"""When trajectories begin: stamps are set to zero, which means on arrival, or refused (`policy/stamps.py`)."""
+"""Start times of trajectories: a stamp near the present is set to zero (start on arrival), others are refused.
+
+The rules are in `policy/stamps.py`.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,8 @@ from ros2_mcp.robot.prepared import Prepared
 from ros2_mcp_common.policy import stamps
 
 _REMEMBERED_S = 660.0
-"""An approval waits for a person for 600 s, and is valid for 60 s (`guard.approvals`)."""
+"""The time for which a stamp is remembered, in s: an approval waits up to 600 s for a person, and is valid for 60 s
+(`guard.approvals`)."""
 _MOST = 256
 _NOTE = "The stamp of the trajectory was set to zero: it begins when it arrives."
 
@@ -22,8 +26,8 @@ Key = tuple[str, str, str]
 
 
 class Beginnings:
-    """Remembers stamps that were within a second of now when they were first given: the same call is made again once a
-    person has approved it, and its stamp is old by then.
+    """The stamps that were within a second of the present at their first call. The call is repeated once a person has
+    approved it, when its stamp is old.
     """
 
     def __init__(self, now: Callable[[], float] = monotonic) -> None:
@@ -31,7 +35,7 @@ class Beginnings:
         self._honest: dict[Key, float] = {}
 
     async def settle(self, prepared: Prepared[Any], now_ns: Callable[[], int]) -> Prepared[Any]:
-        """The command with every such stamp at zero; raises `BadValue` for one of another time."""
+        """Return the command with each such stamp set to zero; raises `BadValue` for a stamp of any other time."""
         command = prepared.command
         if not isinstance(command, Publish | Repeat | SendGoal | ServiceCall) or not _has_stamp(command.value):
             return prepared
@@ -55,7 +59,7 @@ class Beginnings:
 
 
 def _has_stamp(value: object) -> bool:
-    """Whether a value as it was given may hold the stamp of a trajectory: a quick look, as each command gets it."""
+    """Return whether a value may have the stamp of a trajectory. A quick test, because every command takes it."""
     if isinstance(value, dict):
         fields = cast("dict[str, Any]", value)
         header = fields.get("header")
@@ -67,7 +71,7 @@ def _has_stamp(value: object) -> bool:
 
 
 def _zero(value: Any) -> None:
-    """Leaves out every such stamp of a value as it was given; its default is zero."""
+    """Remove the stamp of each trajectory from a value; its default is zero."""
     if isinstance(value, dict):
         fields = cast("dict[str, Any]", value)
         header = fields.get("header")

@@ -1,4 +1,4 @@
-"""What every command is carried out with: the graph, values, types, fail-safes, stops and jobs of one robot."""
+"""The parts of one robot that every command needs: graph, values, types, fail-safes, stops and jobs."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ if TYPE_CHECKING:
 
 
 class Core:
-    """One robot without the ways to act on it. A recording in the place of a robot has its own `graph` and `values`.
+    """One robot without the execution of commands. A recording that stands for a robot passes its own `graph` and
+    `values`.
 
-    A class of its own, so that the modules that carry commands out do not import `Robot`, which imports them.
+    A class of its own, so that the modules that carry out commands need not import `Robot`, which imports them.
     """
 
     def __init__(self, bridge: Bridge, graph: Graph | None = None, values: Values | None = None) -> None:
@@ -34,26 +35,26 @@ class Core:
         self.stops = Stops(bridge)
 
     def now_ns(self) -> int:
-        """The time of the robot's clock, by which what it sends is stamped, in ns of Unix time."""
+        """Return the present time of the robot's clock, in ns of Unix time. Outgoing messages are stamped with it."""
         return self._bridge.clock.now_ns()
 
     async def subscribe(
         self, topic: str, type_name: str, qos: QoS, *, max_samples: int, max_bytes: int
     ) -> Subscription:
-        """A subscription to all samples of a topic whose QoS is known. Raises as `Bridge.subscribe`."""
+        """Subscribe to all samples of a topic whose QoS is known. Raises as `Bridge.subscribe`."""
         request = qos.request()
         return await self._bridge.subscribe(
             topic, type_name, request, keep="all", max_samples=max_samples, max_bytes=max_bytes
         )
 
     def session(self, principal: Principal = LOCAL, accepted: Accepted | None = None) -> Session:
-        """What is done in it is done for that principal, and not after a stop that comes after it was accepted, which
-        is now if it is not said.
+        """Return a session for this principal. `accepted` is when its call was accepted (default: now): a stop after
+        that time ends the session.
         """
         return Session(principal=principal, accepted=accepted or self.stops.now())
 
     def check_stop(self, session: Session) -> None:
-        """To be asked after every await and before anything is sent.
+        """Check, after every await and before anything is sent, that no stop has ended the session.
 
         Raises:
             Stopped: if a stop came after the session was accepted.
@@ -61,10 +62,10 @@ class Core:
         self.stops.check(session.principal, session.accepted)
 
     async def act(self, session: Session, op: str, body: bytes = b"", *, timeout_s: float, **arguments: Any) -> Reply:
-        """One request to the bridge that acts, ended where the client that asks for it goes.
+        """Send a request that acts to the bridge, and return the reply. It is cancelled if its client disconnects.
 
         Raises:
-            Stopped: if a stop came after its session was accepted; nothing was sent.
+            Stopped: if a stop came after the session was accepted; nothing was sent.
             RobotError: as `Graph.ask`.
         """
         self.check_stop(session)

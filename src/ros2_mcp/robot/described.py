@@ -1,8 +1,9 @@
-"""Definitions of types that are not installed where the bridge runs, as the nodes that use them tell them.
+"""Definitions of types that are not installed where the bridge runs, from the nodes that use them.
 
-Since Jazzy each node describes the messages of its topics (`~/get_type_description`, REP 2016), for whoever knows the
-hash of the type, which discovery tells. A service is described only by the topic of its events, where its node has
-service introspection on: discovery tells the hash of its request, and the node asks for that of the whole.
+Since Jazzy each node describes the messages of its topics (`~/get_type_description`, REP 2016) to clients that know the
+hash of the type, which discovery provides. For a service discovery provides only the hash of the request, while the
+node requires the hash of the service. A service is therefore described only through the topic of its events, if its
+node has service introspection on.
 """
 
 from __future__ import annotations
@@ -19,26 +20,27 @@ if TYPE_CHECKING:
 
 _SERVICE = "type_description_interfaces/srv/GetTypeDescription"
 _ANSWER_S = 2.0
-"""A node that spins answers within milliseconds, over a wireless network as well."""
+"""The time limit for an answer, in s: a node that spins answers within milliseconds, also over a wireless network."""
 _APPEAR_S = 1.0
-"""For a service of a node that has only just come up."""
+"""The time limit for the service of a node that has just started to appear, in s."""
 _ASKED_NODES = 3
-"""All that use a type describe it alike: others are asked only because one may hang, or be told not to describe."""
+"""The most nodes that are asked. All nodes with a type describe it alike; a second one is asked only because the first
+may hang, or be configured not to describe."""
 
 _BASES: Mapping[int, str] = {
     2: "int8", 3: "uint8", 4: "int16", 5: "uint16", 6: "int32", 7: "uint32", 8: "int64", 9: "uint64", 10: "float32",
     11: "float64", 13: "char", 15: "bool", 16: "byte", 17: "string", 18: "wstring", 21: "string<={}", 22: "wstring<={}",
 }  # fmt: skip
-"""`type_description_interfaces/msg/FieldType`: what its numbers mean. Those of arrays, and of bounded and unbounded
-sequences, are greater by 48, 96 and 144; the others are of IDL, which messages do not have."""
+"""Names for the numbers in `type_description_interfaces/msg/FieldType`. Arrays, bounded and unbounded sequences are
+greater by 48, 96 and 144. The numbers that are missing here belong to IDL types, which messages do not have."""
 _NESTED, _STEP = 1, 48
 _ARITIES = ("", "[{}]", "[<={}]", "[]")
 _FILLER = "structure_needs_at_least_one_member"
-"""The field that the generator gives to messages without any."""
+"""The field that the generator adds to empty messages."""
 
 
 class _Values(Protocol):
-    """What it needs of `Values`, which imports this module."""
+    """The methods of `Values` that are used here; `Values` imports this module."""
 
     async def encode(self, type_name: str, value: object) -> bytes: ...
 
@@ -46,9 +48,9 @@ class _Values(Protocol):
 
 
 async def described(graph: Graph, values: _Values, type_name: str) -> dict[str, DefinitionText]:
-    """The definition of a type with all that it contains, from a node that uses it; empty where none tells it.
+    """Return the definition of a type and all types in it, from a node that uses it; empty if no node provides it.
 
-    Of a `msg` its own text, with constants, defaults and comments, where the node was built with it.
+    For a `msg` the text is the original, with constants, defaults and comments, if the node was built with it.
     """
     wanted = type_name if "/msg/" in type_name else f"{type_name}_Event"
     asked: set[str] = set()
@@ -77,7 +79,7 @@ async def _ask(graph: Graph, values: _Values, node: str, type_name: str, type_ha
             within_s=_APPEAR_S + _ANSWER_S,
         )
         told = await values.in_full(f"{_SERVICE}_Response", reply.body)
-    except RobotError:  # it offers none, as before Jazzy, or it hangs
+    except RobotError:  # the node has no such service, as before Jazzy, or hangs
         return {}
     if not told["successful"]:
         return {}
@@ -92,8 +94,10 @@ async def _ask(graph: Graph, values: _Values, node: str, type_name: str, type_ha
 
 
 def definitions_of(descriptions: Sequence[Mapping[str, Any]]) -> dict[str, DefinitionText]:
-    """Definitions with the fields of `IndividualTypeDescription`s; of a service whose request and response are among
-    them, one of the service. A type with a field that no message has is left out.
+    """Convert `IndividualTypeDescription`s to definitions.
+
+    A service whose request and response are among them gets one definition. A type with a field type that messages do
+    not have is omitted.
     """
     texts: dict[str, str] = {}
     for one in descriptions:
@@ -109,7 +113,7 @@ def definitions_of(descriptions: Sequence[Mapping[str, Any]]) -> dict[str, Defin
 
 
 def _type_of(told: Mapping[str, Any]) -> str:
-    """A type as a definition writes it; empty for what no message has."""
+    """Return a field type as definitions spell it; "" for one that messages do not have."""
     number = int(told["type_id"])
     if not 0 < number <= len(_ARITIES) * _STEP:
         return ""

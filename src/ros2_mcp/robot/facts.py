@@ -1,4 +1,4 @@
-"""What a decision needs besides the command: the full value, and who else publishes."""
+"""The facts that a policy needs besides the command: the full value, other publishers, and states of joints."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from ros2_mcp_common.policy.verbs import meaning
 async def facts_of(
     core: Core, prepared: Prepared[Any], joints: RobotJoints, ruling: Ruling | None, with_value: bool = False
 ) -> Facts:
-    """What the policy needs to know about a command by its ruling, and its value in any case if asked for that.
+    """Collect the facts that the ruling on a command needs; with `with_value` also its value and sentences about it.
 
     Raises:
         BadValue: if the value does not fit its definition.
@@ -32,7 +32,7 @@ async def facts_of(
     value = await _judged(prepared) if is_asked and prepared.has_value else None
     facts = Facts(value=value)
     if value is None and ruling and ruling.curves:
-        await joints.look()  # of a relay or playback the bridge alone sees the trajectories
+        await joints.look()  # the bridge alone sees the trajectories of a relay or playback, and needs the limits
     trajectories = list(trajectories_in(value)) if with_value or (ruling and ruling.curves) else []
     if trajectories:
         names = dict.fromkeys(str(name) for _, found in trajectories for name in found["joint_names"])
@@ -51,7 +51,7 @@ async def facts_of(
 
 
 async def _judged(prepared: Prepared[Any]) -> object:
-    """The part of the full value that rules are about: the message, the goal, the parameters by their names."""
+    """Return the part of the full value that rules check: the message, the goal, or the parameters by name."""
     command, full = prepared.command, await prepared.full()
     if not isinstance(command, ServiceBorne):
         return full

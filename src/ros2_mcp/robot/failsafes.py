@@ -1,8 +1,8 @@
-"""Fail-safes: what the bridge does for us when this process dies, however it dies.
+"""Fail-safes: actions of the bridge if this process dies.
 
-A fail-safe is a request that stays open, and that is written before the command it is for. The bridge carries it out
-when the stream ends or its link lease lapses; withdrawing it cancels the request. Here too is what we have driven, so
-that it can be stopped.
+A fail-safe is a request that stays open and is written before the command that it belongs to. The bridge carries it out
+when the stream ends or the link lease lapses; cancelling the request withdraws it. This module also tracks the topics
+that this server has driven, so that they can be stopped.
 """
 
 from __future__ import annotations
@@ -36,24 +36,30 @@ if TYPE_CHECKING:
     from ros2_mcp.robot.values import Values
 
 MATCH_S = 0.2
-"""Before a zero: the publisher is there already, as it drove. Only one whose endpoint had expired needs a moment."""
+"""The time limit for a zero to match subscribers, in s: its publisher exists, because it published the command. Only a
+publisher whose endpoint had expired needs a moment."""
 ACKNOWLEDGED_S = 0.5
-"""A reliable subscriber acknowledges a zero within milliseconds; what comes later is not confirmed."""
+"""The time limit for acknowledgements, in s. A reliable subscriber acknowledges a zero within milliseconds; later
+acknowledgements are not counted."""
 _LOOK_S = 1.0
-"""For looking up who subscribes: the bridge knows it at once, unless discovery is still under way."""
+"""The time limit for looking up subscribers, in s: the bridge answers at once, unless discovery is still in
+progress."""
 ZERO_S = 3.0
-"""For the answer about zeros, beyond these two: a bridge that is alive has given it long before."""
+"""The time limit for the reply about zeros, in s, beyond the matching and acknowledgement times; a bridge that lives
+answers long before."""
 _STILL_S = 0.5
-"""For the zero on a topic of others: its publisher is new, and subscribers match it within 0.2 s on one host."""
+"""The duration of the request for a zero on a topic that this server does not drive, in s: its publisher is new, and
+subscribers match it within 0.2 s on one host."""
 _AGAIN_S = 1.0
-"""While no bridge can be started: how often it is asked for again. The link itself pauses between its attempts."""
+"""The period of attempts to post the request again while no bridge can be started, in s. The link has its own pauses
+between starts."""
 _logger = logging.getLogger(__name__)
 
 
 class _Kept:
-    """One fail-safe, kept in force in one bridge after the other until it is closed. `what` is its name in the log.
+    """One fail-safe, kept in force across restarts of the bridge until it is closed. `what` names it in the log.
 
-    `post` writes its request; it is told whether a bridge was lost that may have left something moving.
+    `post` writes its request; its argument says whether a lost bridge may have left something moving.
     """
 
     def __init__(self, graph: Graph, what: str, post: Callable[[bool], Posted]) -> None:
@@ -66,13 +72,15 @@ class _Kept:
         self._task = asyncio.create_task(self._keep())
 
     def renew(self) -> None:
-        """Before a command: writes the request again where no bridge has it, so that it precedes the command."""
+        """Write the request again if no bridge has it. Called before a command, so that the request precedes the
+        command.
+        """
         if not self._posted.is_open:
             self._post_again()
             self._was_posted_again.set()
 
     def close(self) -> None:
-        """Withdraws it, before anything that is sent later."""
+        """Withdraw the fail-safe, before anything that is sent later."""
         self._task.cancel()
         self._posted.cancel()
 
@@ -84,7 +92,7 @@ class _Kept:
     async def _keep(self) -> None:
         is_told = False
         while True:
-            posted, wait_s = self._posted, math.inf  # what was refused is asked for again by the next command only
+            posted, wait_s = self._posted, math.inf  # after a refusal only the next command posts the request again
             self._was_posted_again.clear()
             try:
                 await self._graph.reply_to(posted)
@@ -93,9 +101,9 @@ class _Kept:
             except RobotError as error:
                 if self._graph.is_closed:
                     return
-                if not is_told:  # of an outage once
+                if not is_told:  # logged once per outage
                     _logger.warning("the fail-safe of %s is not in force: %s", self._what, error)
-                if not was_refused(error):  # nobody was reached: the next bridge is to have it
+                if not was_refused(error):  # no bridge was reached: post it to the next one
                     is_told, wait_s = True, _AGAIN_S
             if wait_s:
                 with anyio.move_on_after(wait_s):
@@ -106,14 +114,14 @@ class _Kept:
 
 @dataclass(eq=False, slots=True, kw_only=True)
 class Driven:
-    """A velocity topic that this server has driven, with its fail-safes: one for each reliability and durability that
-    it was driven with, as a publisher of one does not reach every subscriber that one of the other does.
+    """A velocity topic that this server has driven, with one fail-safe for each reliability and durability that it was
+    driven with: a publisher with other QoS may not reach every subscriber.
 
-    `owner` is who commanded it last, `users` whose commands are under way on it and how many, `commands` counts all.
-    It is at rest once every subscriber has acknowledged a zero, or there is none, and nothing was commanded since;
-    `has_ended` if the last command on it ended with a zero of which that is not known, or by itself. `joints` are those
-    that were commanded, where it is trajectories of joints that it takes. Since the robot was last seen to stand:
-    `takers` are the robot's nodes that subscribed when it was commanded, and `was_taken` says that a command reached a
+    `owner` is the principal of the last command, `users` counts the commands in progress by principal, and `commands`
+    counts all commands. `is_at_rest`: every subscriber has acknowledged a zero, or there is none, and no command
+    followed. `has_ended`: the last command ended with a zero without such confirmation, or on its own. `joints` are the
+    commanded joints, if the topic takes trajectories. `takers` and `was_taken` refer to the time since the robot was
+    last observed still: the robot's nodes that subscribed when commands were sent, and whether a command reached a
     subscriber.
     """
 
@@ -130,16 +138,16 @@ class Driven:
     held: dict[tuple[str, str], _Kept] = field(default_factory=dict[tuple[str, str], _Kept])
 
     def close(self) -> None:
-        """Withdraws its fail-safes."""
+        """Withdraw the topic's fail-safes."""
         for held in self.held.values():
             held.close()
 
 
 class Failsafes:
-    """The fail-safes in force: a zero for each topic that is driven, a request to cancel for each goal by its id.
+    """The fail-safes in force: a zero for each driven topic, a cancel request for each goal, brakes for each flight.
 
-    Of too many goals the oldest one's is withdrawn. Of too many topics the next is refused: a fail-safe is only given
-    up for a topic that is at rest.
+    Beyond the limit of goals, the oldest goal's fail-safe is withdrawn. Beyond the limit of topics, the next topic is
+    refused: a topic loses its fail-safe only when it is at rest.
     """
 
     def __init__(self, graph: Graph, values: Values) -> None:
@@ -150,7 +158,9 @@ class Failsafes:
         self._flights: dict[str, list[_Kept]] = {}
 
     def close(self) -> None:
-        """Ends all that keeps them in force; safe to call twice. The bridge has carried them out, or is to."""
+        """Stop keeping all fail-safes in force. Safe to call twice. The bridge has carried them out by then, or
+        will.
+        """
         for driven in self.driven:
             driven.close()
         for kept in itertools.chain(self._goals.values(), *self._flights.values()):
@@ -163,17 +173,19 @@ class Failsafes:
 
     @property
     def driven(self) -> Sequence[Driven]:
-        """Every velocity topic that this server has driven, but those that have given up their place at rest."""
+        """The velocity topics that this server has driven, except those that were dropped at rest to make room."""
         return list(self._driven.values())
 
     @property
     def moving(self) -> Sequence[str]:
-        """The topics that have got no zero since they were commanded, as far as is known."""
+        """The topics without a zero since their last command, as far as is known."""
         return sorted({driven.topic for driven in self.driven if not (driven.is_at_rest or driven.has_ended)})
 
     def owned(self, owner: Principal) -> Sequence[Driven]:
-        """Those on which a command of this client is under way, and those that it was the last to command, that have
-        got no zero since, and on which no command of another is under way.
+        """Return the topics that a client keeps moving.
+
+        These are the topics on which one of its commands is in progress, and those whose last command it sent, if they
+        got no zero since and no other client's command is in progress on them.
         """
         return [
             driven
@@ -183,14 +195,14 @@ class Failsafes:
         ]
 
     def give_up(self, owner: Principal) -> Sequence[str]:
-        """Takes from a client that has gone what it owns. Returns the topics to be zeroed: nobody else uses them."""
+        """Release what a disconnected client owns, and return the topics to be zeroed, which no other client uses."""
         topics: set[str] = set()
         for driven in self.driven:
             others = [user for user in driven.users if user != owner]
             if others and driven.owner == owner:
                 driven.owner = others[-1]
             elif not others and driven in self.owned(owner):
-                driven.has_ended = True  # what is to be sent now is not sent again and again if nobody acknowledges it
+                driven.has_ended = True  # the zero that is about to be sent is not repeated if it is never acknowledged
                 topics.add(driven.topic)
         return sorted(topics)
 
@@ -198,11 +210,11 @@ class Failsafes:
     async def driving(
         self, topic: str, type_name: str, qos: QoS, owner: Principal, joints: Collection[str] = ()
     ) -> AsyncGenerator[Driven | None, None]:
-        """Around a command that publishes: writes the fail-safe of a velocity topic, or of one that moves `joints`,
-        before it; no other type needs one.
+        """A context manager around a command that publishes: the fail-safe of a velocity topic, or of a topic that
+        moves `joints`, is written first. Other types need none, and yield None.
 
         Raises:
-            Refused: if it would be one topic more than there can be fail-safes, and none of them is at rest.
+            Refused: if the limit of fail-safes is reached, and no driven topic is at rest.
         """
         if type_name not in MOTION_TYPES:
             yield None
@@ -226,16 +238,16 @@ class Failsafes:
         try:
             yield driven
         finally:
-            driven.users -= Counter([owner])  # keeps no zeros
+            driven.users -= Counter([owner])  # also removes entries with count zero
 
     def settled(self, topic: str, type_name: str) -> None:
-        """Notes that what was commanded on a topic has come to its end by itself, and was seen there."""
+        """Record that the motion commanded on a topic was observed to end on its own."""
         if driven := self._driven.get((topic, type_name)):
             driven.has_ended = not driven.users
 
     def stands(self, before: Mapping[tuple[str, str], int]) -> None:
-        """Notes that the robot was seen to stand: a subscriber that leaves from now on leaves nothing moving, unless it
-        was commanded since `before`.
+        """Record that the robot was observed still: a subscriber that disappears later leaves nothing moving, unless
+        the topic got a command after `before`.
         """
         for key, driven in self._driven.items():
             if not driven.users and driven.commands == before.get(key):
@@ -243,12 +255,14 @@ class Failsafes:
                 driven.was_taken = False
 
     def commands(self) -> Mapping[tuple[str, str], int]:
-        """How many commands each topic has had: what `rest` is to be told, taken before zeros are asked for."""
+        """Return the number of commands of each topic so far. Taken before zeros are requested, it is the argument
+        `before` of `rest`.
+        """
         return {key: driven.commands for key, driven in self._driven.items()}
 
     async def rest(self, zeros: Sequence[StoppedTopic], before: Mapping[tuple[str, str], int]) -> None:
-        """Notes which topics are at rest: those whose zero has arrived at every subscriber in the graph, unless they
-        were commanded since `before`.
+        """Mark the topics as at rest whose zero has reached every subscriber in the graph, unless they got a command
+        after `before`.
         """
         arrived = await asyncio.gather(*(self._has_arrived(zero) for zero in zeros))
         for zero in itertools.compress(zeros, arrived):
@@ -258,7 +272,7 @@ class Failsafes:
                 driven.is_at_rest = True
 
     async def _has_arrived(self, zero: StoppedTopic) -> bool:
-        """Whether every subscriber in the graph is known to have got this zero; true where there is none."""
+        """Return whether every subscriber in the graph has received this zero; true if there is none."""
         if zero["matched"] and not zero["acked"]:
             return False
         try:
@@ -268,7 +282,7 @@ class Failsafes:
         return present.settled and zero["matched"] >= present.subscribers_of(zero["type"])
 
     async def zero(self, topics: Collection[str]) -> Sequence[StoppedTopic]:
-        """Publishes the zero on some of these topics, and says what became of each. Raises as `Graph.ask`."""
+        """Publish the zero on these of the driven topics, and return the delivery on each. Raises as `Graph.ask`."""
         before = self.commands()
         reply = await self._graph.query(
             ZeroReply,
@@ -282,10 +296,10 @@ class Failsafes:
         return reply["topics"]
 
     async def still(self, topic: str, type_name: str) -> str:
-        """Publishes the zero on a topic that this server has not driven, as one that another bridge has left moving.
+        """Publish the zero on a topic that this server has not driven, such as one that another bridge left moving.
 
         Returns:
-            Why that could not be; empty where it was sent.
+            The reason if that failed; "" if the zero was sent.
         """
         try:
             with anyio.move_on_after(_STILL_S):
@@ -304,7 +318,7 @@ class Failsafes:
         return ""
 
     async def _make_room(self) -> None:
-        """Lets a topic that is at rest give up its place, if there is no other place."""
+        """Drop a topic that is at rest if the limit is reached."""
         has_asked = False
         while len(self._driven) >= MAX_FAILSAFES:
             at_rest = next((driven for driven in self.driven if driven.is_at_rest), None)
@@ -323,7 +337,7 @@ class Failsafes:
                 )
 
     def _post_zero(self, driven: Driven, qos: QoS, was_lost: bool) -> Posted:
-        """What a lost bridge left moving, its successor stops at once."""
+        """Post the zero of a topic. If a lost bridge left it moving, its successor publishes the zero at once."""
         return self._graph.post(
             "failsafe_publish",
             topic=driven.topic,
@@ -337,7 +351,7 @@ class Failsafes:
     # ── goals ──────────────────────────────────────────────────────────────────────────────────────────────────
 
     def leave_cancel(self, goal_id: str, action: str) -> None:
-        """Before a goal is sent: writes the request that cancels it. `CANCEL_TYPE` must have been learnt."""
+        """Write the request that cancels a goal, before the goal is sent. `CANCEL_TYPE` must have been learnt."""
         if goal_id in self._goals:
             self._goals[goal_id].renew()
             return
@@ -348,16 +362,17 @@ class Failsafes:
         self._goals[goal_id] = self._kept_call(f"goal {goal_id}", body, service)
 
     def withdraw(self, goal_id: str) -> None:
-        """Takes the fail-safe of a goal back; without effect where there is none."""
+        """Withdraw the fail-safe of a goal, if there is one."""
         if goal_id in self._goals:
             self._goals.pop(goal_id).close()
 
     # ── flights ────────────────────────────────────────────────────────────────────────────────────────────────
 
     def leave_brake(self, vehicle: str) -> None:
-        """Before an order to a vehicle: writes the requests that make it stand. `SET_MODE` must have been learnt.
+        """Write the requests that make a vehicle hold its position, before an order to it. `SET_MODE` must have been
+        learnt.
 
-        All modes are sent, the best one last: an autopilot does not take those that it does not have.
+        All brake modes are requested, the best one last: an autopilot rejects the modes that it does not have.
         """
         if vehicle in self._flights:
             for kept in self._flights[vehicle]:
@@ -369,7 +384,7 @@ class Failsafes:
         ]
 
     def withdraw_brake(self, vehicle: str) -> None:
-        """Takes the fail-safe of a vehicle back; without effect where there is none."""
+        """Withdraw the fail-safe of a vehicle, if there is one."""
         for kept in self._flights.pop(vehicle, ()):
             kept.close()
 

@@ -1,7 +1,8 @@
-"""Flights: the jobs that an autopilot carries out, and the orders that begin them.
+"""Flights: jobs that an autopilot carries out, and the orders that start them.
 
-A mode, arming, a take-off, a landing, a mission or a command through MAVROS makes a vehicle move, and goes on doing so
-when its call has been answered. So it is a job; what stops it is a mode in which the vehicle stands, never disarming.
+A mode, arming, a take-off, a landing, a mission or a command through MAVROS makes a vehicle move, and the motion goes
+on after the call has been answered. It is therefore a job. It is stopped by a mode in which the vehicle holds its
+position, never by disarming.
 """
 
 from __future__ import annotations
@@ -27,24 +28,28 @@ from ros2_mcp_common.policy.flight import BRAKE_MODES, DESCENT_MODES, SET_MODE, 
 
 STATE_TYPE = "mavros_msgs/msg/State"
 BRAKED_S = 3.0
-"""MAVROS answers within milliseconds, and tells the new mode with the next heartbeat of the autopilot, each second."""
+"""The time limit for the brake mode to appear in the vehicle's state, in s. MAVROS answers within milliseconds, and
+reports the new mode with the autopilot's next heartbeat, once per second."""
 _CALL_S = 1.0
-"""For one mode that is tried: the answer must come soon."""
+"""The time limit for the answer to one brake mode, in s."""
 _EFFECT_S = 2.0
-"""After an order was answered its effect may not be in the next state yet: two heartbeats, which come each second."""
+"""The time after the answer to an order during which the state may lack its effect, in s: two heartbeats at 1 Hz."""
 _AGAIN_S = 1.0
-"""Between attempts to listen to a vehicle whose state nobody publishes yet, and after a lost bridge."""
+"""The pause between attempts to subscribe to a vehicle's state, in s, if it has no publisher or the bridge was lost."""
 _CLOSE_S = 0.5
-"""A bridge that is alive answers within milliseconds; the end of the server does not wait longer for another."""
+"""The time limit for unsubscribing, in s: a bridge that lives answers within milliseconds, and the end of the server
+does not wait longer for another."""
 _MOST_STATES, _MOST_STATE_BYTES = 50, 100_000
-"""Of the state that wait: one comes each second, and with each change."""
+"""Bounds on the waiting messages of the state: one arrives each second, and with each change."""
 _logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
 class Braked:
-    """What became of the order to stand: the `mode` that the vehicle took ("" where none is known to be sent), whether
-    its state said so, and what kept it from it.
+    """The result of a brake order.
+
+    `mode` is the mode that the vehicle accepted ("" if none is known to be sent), `confirmed` whether its state
+    reported that mode, and `error` the reason if not.
     """
 
     mode: str
@@ -53,15 +58,15 @@ class Braked:
 
 
 class Flight(Job):
-    """One vehicle that this server has given an order to.
+    """One vehicle that this server has sent an order to.
 
-    `vehicle` is the name of its MAVROS, such as `/mavros`; `mode` and `armed` are what it said last ("" and None: not
-    heard yet). It is running until the vehicle is heard to be disarmed.
+    `vehicle` is the name of its MAVROS, such as `/mavros`; `mode` and `armed` are the last reported values ("" and None
+    before the first report). The flight runs until the vehicle is reported disarmed.
     """
 
     kind = "flight"
     most_running = 16
-    """More vehicles than one MAVROS and one server are used for."""
+    """The most vehicles at a time: more than one server is used for."""
     ends_elsewhere = True
 
     def __init__(self, *, owner: Principal, vehicle: str, core: Core) -> None:
@@ -77,16 +82,18 @@ class Flight(Job):
 
     @property
     def is_running(self) -> bool:
-        """Whether it has not been heard to end: at once, and not only when its task has run."""
+        """Whether the flight has not ended yet. Changes at once, before the job's task ends."""
         return super().is_running and not self._has_ended.is_set()
 
     @property
     def comes_down(self) -> bool:
-        """Whether it is on its way home or down by itself."""
+        """Whether the vehicle returns or lands on its own."""
         return self.mode in DESCENT_MODES
 
     async def run(self) -> None:
-        """Listens to the vehicle until it is disarmed. Where it is given up before, its fail-safe stays in force."""
+        """Follow the vehicle's state until it is disarmed. If the job is abandoned earlier, its fail-safe stays in
+        force.
+        """
         self.begun()
         async with anyio.create_task_group() as group:
             group.start_soon(self._follow)
@@ -94,23 +101,23 @@ class Flight(Job):
             group.cancel_scope.cancel()
 
     def ordered(self) -> None:
-        """An order is to be sent: it does not end before its effect has been heard of."""
+        """Register an order that is about to be sent: the flight does not end before its effect is reported."""
         self._under_way += 1
         self._core.failsafes.leave_brake(self.vehicle)
 
     def answered(self, was_sent: bool) -> None:
-        """That order was answered, or it is known that it was not sent."""
+        """Record that the order was answered, or is known not to be sent."""
         self._under_way -= 1
         self._ordered_ns = self._core.now_ns()
         if not was_sent and not self._under_way and not self.armed:
             self._end()
 
     async def stop(self) -> None:
-        """Its client has gone: it is told to stand, unless it is on its way down, where it does better to go on.
+        """Make the vehicle hold its position, because its client has gone, unless it already descends.
 
-        It is running until it is heard to be disarmed, as it may move until then.
+        The flight runs until the vehicle is reported disarmed, because it may move until then.
         """
-        if self.is_stopping:  # it has been given up: the bridge's fail-safe makes it stand
+        if self.is_stopping:  # the job was abandoned: the bridge's fail-safe brakes the vehicle
             await self.wait()
         elif self.is_running and not self.comes_down:
             braked = await self.brake()
@@ -118,9 +125,9 @@ class Flight(Job):
                 _logger.warning("%s was not made to stand: %s", self.vehicle, braked.error)
 
     async def brake(self) -> Braked:
-        """Tells it to stand, in the best mode that it has, and waits for its state to say so.
+        """Order the best brake mode that the vehicle has, and wait for its state to confirm it.
 
-        Never raises a `RobotError`. What stops does not pass the policy, and no stop holds it up.
+        Never raises a `RobotError`. A brake does not pass the policy, and no stop holds it back.
         """
         try:
             mode = await self._order_to_stand()
@@ -136,7 +143,7 @@ class Flight(Job):
         return Braked(mode, False, f"The mode {mode} was sent, but {said}.")
 
     async def until(self, holds: Callable[[], bool], within_s: float) -> bool:
-        """Waits until something holds of what the vehicle says; whether it does."""
+        """Wait until a condition on the vehicle's state holds; return whether it does."""
         with anyio.move_on_after(within_s):
             while not holds():
                 self._news.clear()
@@ -144,7 +151,7 @@ class Flight(Job):
         return holds()
 
     async def _order_to_stand(self) -> str:
-        """The first mode that MAVROS takes; "" if it takes none."""
+        """Return the first brake mode that MAVROS accepts; "" if it accepts none."""
         core, service = self._core, f"{self.vehicle}/set_mode"
         await core.values.learn(SET_MODE)
         for mode in BRAKE_MODES:
@@ -157,7 +164,7 @@ class Flight(Job):
         return ""
 
     async def _follow(self) -> None:
-        """Listens to the vehicle's state, in one bridge after the other."""
+        """Follow the vehicle's state across restarts of the bridge."""
         while True:
             try:
                 await self._take_states()
@@ -179,18 +186,18 @@ class Flight(Job):
         try:
             while True:
                 samples = await subscription.take(60.0)
-                # MAVROS keeps its last ten states for whoever comes late: of what was before, only the newest counts.
+                # MAVROS keeps its last ten states for late subscribers: of those from before, only the newest counts.
                 samples = [sample for sample in samples if _said_ns(sample) >= began_ns] or samples[-1:]
                 for sample, state in zip(samples, await core.values.decode_all(STATE_TYPE, samples), strict=True):
                     self._hear(state, _said_ns(sample))
         finally:
-            with anyio.move_on_after(_CLOSE_S, shield=True):  # a scope that is cancelled cancels every await again
+            with anyio.move_on_after(_CLOSE_S, shield=True):  # a cancelled scope cancels every await again
                 await subscription.close()
 
     def _hear(self, state: Any, said_ns: int) -> None:
         self.mode, self.armed = str(state.mode), bool(state.armed)
         self._news.set()
-        if self.comes_down and not self._under_way:  # an order under way may end its descent, and needs the fail-safe
+        if self.comes_down and not self._under_way:  # an order in progress may end its descent, and needs the fail-safe
             self._core.failsafes.withdraw_brake(self.vehicle)
         elif self.is_running:
             self._core.failsafes.leave_brake(self.vehicle)
@@ -205,12 +212,12 @@ class Flight(Job):
 
 
 def _said_ns(sample: Sample) -> int:
-    """When it was published, by the robot's clock."""
-    return sample.source_ns or sample.received_ns  # some middlewares give no time of sending
+    """Return when a sample was published, by the robot's clock, in ns."""
+    return sample.source_ns or sample.received_ns  # some middlewares provide no source time
 
 
 async def call(core: Core, prepared: Prepared[ServiceCall]) -> Answer:
-    """Carries out a service call; where it is an order to a vehicle, that is a flight before it leaves.
+    """Carry out a service call. An order to a vehicle becomes a flight before it is sent.
 
     Raises as `services.call`.
     """
@@ -218,11 +225,11 @@ async def call(core: Core, prepared: Prepared[ServiceCall]) -> Answer:
     vehicle = vehicle_of(command.name, command.type)
     if not vehicle or only_asks(command.type, command.value):
         return await services.call(core, prepared)
-    await prepared.body()  # an order that does not fit becomes no flight
+    await prepared.body()  # an order with an invalid value starts no flight
     core.check_stop(prepared.session)
     try:
         await core.values.learn(SET_MODE)
-    except UnknownInterface:  # what stops it is not known here
+    except UnknownInterface:  # the brake's type is unknown here, so there can be no flight
         return await services.call(core, prepared)
     flight = flight_of(core, vehicle)
     if flight is None:
@@ -241,11 +248,11 @@ async def call(core: Core, prepared: Prepared[ServiceCall]) -> Answer:
 
 
 def flight_of(core: Core, vehicle: str) -> Flight | None:
-    """The flight of a vehicle that has not ended."""
+    """Return the running flight of a vehicle, or None."""
     return next((flight for flight in core.jobs.running(Flight) if flight.vehicle == vehicle), None)
 
 
 def takes_setpoints(core: Core, topic: str) -> bool:
-    """Whether a vehicle that is in flight takes its setpoints from that topic: it follows none when it is braked."""
+    """Return whether a vehicle in flight takes its setpoints from this topic: once braked, it ignores them."""
     vehicle, found, _ = topic.rpartition("/setpoint_")
     return bool(found) and flight_of(core, vehicle) is not None

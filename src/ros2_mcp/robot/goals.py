@@ -1,4 +1,4 @@
-"""Goals: the jobs that the robot itself carries out, and the command that sends one."""
+"""Goals: jobs that the robot itself carries out, and the command that sends one."""
 
 from __future__ import annotations
 
@@ -24,39 +24,41 @@ from ros2_mcp.robot.services import call
 
 UNKNOWN_GOAL = 2
 TERMINATED_GOAL = 3
-"""Codes of action_msgs/srv/CancelGoal (`CANCEL_CODES`)."""
+"""Return codes of action_msgs/srv/CancelGoal (`CANCEL_CODES`)."""
 _AGAIN_S = 0.1
-"""Between requests to cancel a goal that its server has yet to accept."""
+"""The pause between requests to cancel a goal that its server has not accepted yet, in s."""
 _FOLLOWED_AFTER_S = 1.0
-"""A goal that is over before needs no subscription."""
+"""The time after which a goal's status is subscribed to, in s: a shorter goal needs no subscription."""
 _MOST_FOLLOWED = 32
-"""Actions whose status is subscribed to for this, one subscription each: more than a robot carries out at a time."""
+"""The most actions whose status is subscribed to, with one subscription each: more than a robot runs at a time."""
 _FOLLOW_AGAIN_S = 5.0
-"""Between looks whether a goal that nobody follows is to be followed now, and after a lost bridge."""
+"""The period at which a goal checks whether to subscribe to its status, in s; also the pause after a lost bridge."""
 _CLOSE_S = 0.5
-"""A bridge that is alive answers within milliseconds; the end of the server does not wait longer for another."""
+"""The time limit for unsubscribing, in s: a bridge that lives answers within milliseconds, and the end of the server
+does not wait longer for another."""
 _MOST_STATES, _MOST_STATE_BYTES = 100, 1_000_000
-"""Messages of one status topic that wait; each has all goals of its action, so that the newest would do."""
+"""Bounds on the waiting messages of one status topic. Each has all goals of the action, so the newest would do."""
 _STATUS_QOS = QoS(durability="transient_local", depth=1)
-"""As every action server publishes its status: whoever comes late gets the newest."""
+"""The QoS with which every action server publishes its status: a late subscriber gets the newest message."""
 CANCELLED_S = 3.0
-"""A server that is alive answers within milliseconds; the end of a client does not wait longer for one that is not."""
+"""The time limit for an action server's response to a cancel request, in s: a server that lives responds within
+milliseconds, and a disconnecting client does not wait longer for another."""
 _logger = logging.getLogger(__name__)
 
 
 class Goal(Job):
-    """A goal that this server sent; its id is the goal's own.
+    """A goal that this server sent; the job's id is the goal id.
 
-    It is running until somebody has seen it end, and may move the robot until then. Where nobody awaits it, that is
-    `follow`, which listens to its action's status while it `is_followed`. `is_accepted` is false as long as its server
-    has not said that it takes it, and so may know nothing of it; `was_sent` is false once it is known that it never
-    left; `is_unanswered` where its server did not answer the last stop. `at_end` is told once of its end, and
-    `ended_as` is how that was, in words.
+    The job runs until the goal was observed to end, because it may move the robot until then. If no caller awaits the
+    result, `follow` observes it: it subscribes to the status of the action while `is_followed`. `is_accepted` is false
+    until the action server has accepted the goal: before that, the server may not know it. `was_sent` is false once the
+    goal is known not to be sent; `is_unanswered` is true if the server did not answer the last stop. `at_end` is called
+    once at the end, and `ended_as` describes the end in words.
     """
 
     kind = "goal"
     most_running = 1000
-    """Those that nobody follows to their end would otherwise be kept for ever."""
+    """The most running goals that are kept: those whose end is never observed must not accumulate."""
     most_kept = 1000
     is_displaced = True
     ends_elsewhere = True
@@ -86,7 +88,7 @@ class Goal(Job):
         self._has_ended = asyncio.Event()
 
     async def run(self) -> None:
-        """Waits until somebody has seen it end."""
+        """Wait until the goal was observed to end."""
         self.begun()
         with anyio.move_on_after(_FOLLOWED_AFTER_S):
             await self._has_ended.wait()
@@ -99,17 +101,20 @@ class Goal(Job):
             group.cancel_scope.cancel()
 
     async def stop(self) -> None:
-        """Asks its server to cancel it. It is running until it is seen to end, as it may move the robot until then."""
-        if self.is_stopping:  # it has been given up: the bridge's fail-safe cancels it
+        """Ask the action server to cancel the goal. The job runs until the goal was observed to end, because it may
+        move the robot until then.
+        """
+        if self.is_stopping:  # the job was abandoned: the bridge's fail-safe cancels the goal
             await self.wait()
         elif self.is_running:
             await self.request_cancel(CANCELLED_S)
 
     async def request_cancel(self, within_s: float) -> Mapping[str, Any]:
-        """Asks its server to cancel it; the fields of the answer (`action_msgs/srv/CancelGoal`).
+        """Ask the action server to cancel the goal, and return the fields of the response
+        (`action_msgs/srv/CancelGoal`).
 
-        What stops does not pass the policy. A server that has yet to accept the goal does not know it: it is asked
-        again, for `within_s`. Raises as a `ServiceBorne`.
+        A cancellation does not pass the policy. A server that has not accepted the goal yet does not know it, and is
+        asked again for up to `within_s` seconds. Raises as a `ServiceBorne`.
         """
         deadline = monotonic() + within_s
         while True:
@@ -120,7 +125,7 @@ class Goal(Job):
             await asyncio.sleep(_AGAIN_S)
 
     def has_been_seen_to_end(self, how: str = "") -> None:
-        """Notes that it has ended, and how if that was seen, or was not accepted."""
+        """Record that the goal has ended or was not accepted, and how, if known."""
         if not self._has_ended.is_set():
             self.ended_as = how or "it was not seen how"
             self._has_ended.set()
@@ -128,14 +133,16 @@ class Goal(Job):
 
     @property
     def is_running(self) -> bool:
-        """Whether it has not been seen to end: at once, and not only when its task has run."""
+        """Whether the goal was not observed to end yet. Changes at once, before the job's task ends."""
         return super().is_running and not self._has_ended.is_set()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CancelWhen:
-    """A goal that is to be cancelled as soon as a condition on a topic holds: its own feedback (`is_of_feedback`: the
-    fields are those of the feedback itself), or any other topic.
+    """A goal to be cancelled as soon as a condition on a topic holds.
+
+    The topic is the goal's own feedback (`is_of_feedback`: the condition's fields are those of the feedback itself), or
+    any other topic.
     """
 
     action: str
@@ -147,23 +154,22 @@ class CancelWhen:
 
 
 async def send(core: Core, prepared: Prepared[SendGoal]) -> Answer:
-    """Sends a goal that is a job before it leaves: `ros2_stop` cancels it, and the bridge does if this process dies.
-
-    It ends at once if its server does not take it.
+    """Send a goal. It becomes a job before it is sent, so that `ros2_stop` cancels it, and the bridge does if this
+    process dies. The job ends at once if the action server rejects the goal.
 
     Raises:
-        BadValue: if the id is that of a goal of another action: a stop, or a fail-safe, would find only one of the two.
-        RobotError: as a `ServiceBorne` raises it.
+        BadValue: if a goal of another action has this id: a stop or a fail-safe would find only one of the two.
+        RobotError: as a `ServiceBorne`.
     """
     command = prepared.command
     await core.values.learn(command.type, CANCEL_TYPE)
-    await prepared.body()  # a goal that does not fit becomes no job
+    await prepared.body()  # a goal with an invalid value becomes no job
     core.check_stop(prepared.session)
     former = core.jobs.get(Goal, command.goal_id)
     if former and former.action != command.name:
         problem = f"{command.goal_id} is the id of a goal of {named(former.action)} already; nothing was sent."
         raise BadValue("goal_id.uuid", problem, "Give 16 random bytes.")
-    if former and former.is_running:  # its server refuses a second one of that id, and goes on with the first
+    if former and former.is_running:  # the server rejects a second goal with this id, and continues the first
         core.failsafes.leave_cancel(command.goal_id, command.name)
         return await call(core, prepared)
     cancel = CancelGoals(principal=command.principal, name=command.name, goal_id=command.goal_id, timeout_s=CANCELLED_S)
@@ -184,14 +190,14 @@ async def send(core: Core, prepared: Prepared[SendGoal]) -> Answer:
         ask_to_cancel=ask_to_cancel,
         follow=lambda goal: _follow(core, goal),
     )
-    if len(core.jobs.running(Goal)) >= Goal.most_running:  # the oldest one is forgotten, and may still be running
+    if len(core.jobs.running(Goal)) >= Goal.most_running:  # the oldest goal is forgotten, and may still run
         core.stops.unknown.note("service", f"{command.service} ({command.service_type})")
     await core.jobs.start(goal)
     core.failsafes.leave_cancel(command.goal_id, command.name)
     try:
         answer = await call(core, prepared)
     except RobotError as error:
-        if was_refused(error):  # any other was sent, and may run: its server was out of sight for a while
+        if was_refused(error):  # after any other error the goal may have been sent, and may run
             goal.was_sent = False
             ended(core, command.name, command.goal_id)
         raise
@@ -203,7 +209,9 @@ async def send(core: Core, prepared: Prepared[SendGoal]) -> Answer:
 
 
 async def _follow(core: Core, goal: Goal) -> None:
-    """Listens to the status of the goal's action, which tells of all its goals, unless another goal does it already."""
+    """Subscribe to the status of the goal's action, which covers all its goals, unless another goal's job has
+    done so.
+    """
     while True:
         followed = [other for other in core.jobs.running(Goal) if other.is_followed]
         if len(followed) < _MOST_FOLLOWED and all(other.action != goal.action for other in followed):
@@ -218,7 +226,7 @@ async def _follow(core: Core, goal: Goal) -> None:
 
 
 async def _take_states(core: Core, action: str) -> None:
-    """Notes which goals of an action have ended, as its server tells it, until this is cancelled."""
+    """Record the goals of an action that have ended, as its server reports them, until cancelled."""
     await core.values.learn(STATUS_TYPE)
     topic = f"{action}/_action/status"
     subscription = await core.subscribe(
@@ -233,15 +241,16 @@ async def _take_states(core: Core, action: str) -> None:
                 if state.status in TERMINAL:
                     ended(core, action, goal_id, STATUS.get(state.status, ""))
     finally:
-        with anyio.move_on_after(_CLOSE_S, shield=True):  # a scope that is cancelled cancels every await again
+        with anyio.move_on_after(_CLOSE_S, shield=True):  # a cancelled scope cancels every await again
             await subscription.close()
 
 
 @dataclass(frozen=True, slots=True)
 class WhenMet:
-    """What a condition was met by, and what the server of its goal said to the request to cancel it.
+    """The report of a met condition, and the response to the cancel request.
 
-    `report` is that of `ros2_mcp_bridge.motion.asking.Asking`; `was_taken` whether the server cancels the goal.
+    `report` is that of `ros2_mcp_bridge.motion.asking.Asking`; `was_taken` is whether the action server cancels the
+    goal.
     """
 
     report: Mapping[str, Any]
@@ -249,9 +258,10 @@ class WhenMet:
 
 
 async def cancel_when(core: Core, asked: CancelWhen, name: str) -> WhenMet:
-    """Has the bridge ask a condition until it is met, and then cancel the goal; `name` is that of this asking there.
+    """Have the bridge evaluate a condition until it holds, and then cancel the goal. `name` identifies this request in
+    the bridge.
 
-    A bridge that is lost leaves it to the next one. What stops does not pass the policy. Raises as `Graph.ask`.
+    If the bridge is lost, the next one continues. A cancellation does not pass the policy. Raises as `Graph.ask`.
     """
     await core.values.learn(CANCEL_TYPE, asked.topic_type)
     body = core.values.encode_known(f"{CANCEL_TYPE}_Request", cancel_request(asked.goal_id))
@@ -282,7 +292,7 @@ async def cancel_when(core: Core, asked: CancelWhen, name: str) -> WhenMet:
 
 
 def ended(core: Core, action: str, goal_id: str, how: str = "") -> None:
-    """Notes that a goal of an action has ended, and how, or was not accepted, if it is one of ours."""
+    """Record that a goal of this action has ended or was not accepted, and how, if this server sent it."""
     goal = core.jobs.get(Goal, goal_id)
     if goal and goal.action != action:
         return  # another client's goal, with the id of one of ours

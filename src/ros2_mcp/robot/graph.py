@@ -1,4 +1,4 @@
-"""Questions to the robot's graph, and the mapping of the bridge's refusals to this package's errors."""
+"""Queries about the robot's graph, and the mapping of the bridge's errors to this package's errors."""
 
 from __future__ import annotations
 
@@ -41,17 +41,21 @@ if TYPE_CHECKING:
     from ros2_mcp.link.client import Bridge, Posted, Reply
 
 SETTLE_S = 4.0
-"""A little longer than the 3.5 s after which the bridge is sure that nobody else is there (its `graph.py`)."""
+"""The time limit for discovery to settle before a query, in s: slightly longer than the 3.5 s after which the bridge
+considers discovery complete (its `graph.py`)."""
 REQUEST_S = 10.0
-"""For what the bridge answers from memory: only one that hangs takes so long, and it is declared dead before."""
+"""The time limit for a reply that the bridge gives from memory, in s. Only a hung bridge takes that long, and it is
+given up earlier."""
 NO_END_S = 1e9
-"""32 years: of requests that stay open, fail-safes and relays. Every request on the stream has a time-out."""
+"""32 years, in s: the time-out of requests that stay open, such as fail-safes and relays. Every request on the stream
+needs a time-out."""
 _COUNTED_AT_ONCE = 200
-"""Topics whose endpoints the bridge counts at once, 2 ms in a graph of 2,000: between two parts a stop goes first."""
+"""The most topics whose endpoints the bridge counts at once, which takes 2 ms in a graph of 2,000 topics: a stop can
+pass between two such requests."""
 _ASKED_AT_ONCE = 32
-"""Questions to the bridge that are under way together; it answers one after the other."""
+"""The most concurrent requests about nodes; the bridge answers one after the other."""
 _SETTLING = 0.8
-"""The part of a bounded wait that discovery may take; the rest is for the answer with what is found by then."""
+"""The share of a bounded wait that discovery may use; the rest is for the reply."""
 _KINDS: Mapping[str, type[RobotError]] = {
     "unknown_type": UnknownInterface,
     "not_found": NotFound,
@@ -64,12 +68,12 @@ _KINDS: Mapping[str, type[RobotError]] = {
 _NOTHING_SENT: Collection[str] = (
     "bad_request", "unknown_type", "not_found", "stopped", "lapsed", "latched", "refused",
 )  # fmt: skip
-"""Kinds of errors with which the bridge says that what it was asked to send has not left."""
+"""Kinds of errors by which the bridge reports that it sent nothing."""
 _Shape = TypeVar("_Shape")
 
 
 class Graph:
-    """The graph as the bridge sees it."""
+    """The ROS graph as the bridge sees it."""
 
     def __init__(self, bridge: Bridge) -> None:
         self._bridge = bridge
@@ -78,23 +82,25 @@ class Graph:
 
     @property
     def is_closed(self) -> bool:
-        """Whether the link to the robot was closed by us."""
+        """Whether this server has closed the link to the robot."""
         return self._bridge.is_closed
 
     async def ask(self, op: str, body: bytes = b"", *, timeout_s: float = REQUEST_S, **arguments: Any) -> Reply:
-        """One request to the bridge, with its refusals mapped to this package's errors."""
+        """Send a request to the bridge, and return the reply. The bridge's errors are raised as this package's
+        errors.
+        """
         return await self.reply_to(self._bridge.request(op, body, timeout_s=timeout_s, **arguments))
 
     def post(self, op: str, body: bytes = b"", **arguments: Any) -> Posted:
-        """One request that is written now, before all that is sent later. `reply_to` awaits its reply."""
+        """Write a request now, before everything that is sent later. `reply_to` awaits its reply."""
         return self._bridge.post(op, body, **arguments)
 
     async def reply_to(self, request: Awaitable[Reply]) -> Reply:
-        """The reply to a request, with the bridge's refusals mapped to this package's errors."""
+        """Await the reply to a request. The bridge's errors are raised as this package's errors."""
         try:
             return await request
         except BridgeRefused as refused:
-            if refused.kind == "latched":  # the bridge has told by whom before it answered
+            if refused.kind == "latched":  # the bridge's event with the originator came before this reply
                 raise Latched(refused.message, refused.hint, by=self.latched_by) from refused
             raise _KINDS.get(refused.kind, LinkError)(refused.message, refused.hint) from refused
 
@@ -107,119 +113,124 @@ class Graph:
         timeout_s: float = REQUEST_S,
         **arguments: Any,
     ) -> _Shape:
-        """The `ok` part of one reply, in the shape that `protocol.OPERATIONS` has for it. Raises as `ask`."""
+        """Return the `ok` part of one reply, with the shape that `protocol.OPERATIONS` gives it. Raises as `ask`."""
         reply = await self.ask(op, body, timeout_s=timeout_s, **arguments)
-        return cast("_Shape", reply.ok)  # the two sides are of one release: its shape is not checked again
+        return cast("_Shape", reply.ok)  # server and bridge have the same release: the shape needs no check
 
     async def _settled(self, shape: type[_Shape], op: str, within_s: float | None = None, **arguments: Any) -> _Shape:
-        """The same after discovery has settled; or within a time, with what is found by then."""
+        """Query once discovery has settled; with a time limit, answer with the present state of the graph when it is
+        nearly over.
+        """
         if within_s is None:
             return await self.query(shape, op, timeout_s=REQUEST_S + SETTLE_S, settle_s=SETTLE_S, **arguments)
         return await self.query(shape, op, timeout_s=within_s, settle_s=_SETTLING * within_s, **arguments)
 
     async def topics(self, within_s: float | None = None) -> Rows[TopicRow]:
-        """Every topic."""
+        """Return every topic."""
         reply = await self._settled(protocol.TopicsReply, "topics", within_s)
         return Rows([TopicRow(*row) for row in reply["topics"]], reply["settled"])
 
     async def topics_and_absence(self, count_most: int) -> tuple[Rows[TopicRow], str]:
-        """Every topic, and what `absence` says, in one round trip; where there are more topics than `count_most`, or
-        than are counted at once, their publishers and subscribers are not counted: `counted` does that for those that
-        are shown.
+        """Return every topic, and the result of `absence`, in one round trip.
+
+        With more topics than `count_most`, or than are counted at once, their publishers and subscribers are not
+        counted; `counted` does so for the topics that are shown.
         """
         reply = await self._settled(protocol.TopicsReply, "topics", count_most=min(count_most, _COUNTED_AT_ONCE))
         topics = Rows([TopicRow(*row) for row in reply["topics"]], reply["settled"])
         return topics, await self.absence(found=_nodes(reply["nodes"], settled=reply["settled"]))
 
     async def counted(self, rows: Sequence[TopicRow]) -> Sequence[TopicRow]:
-        """These rows with their numbers of publishers and subscribers."""
+        """Return these rows with their numbers of publishers and subscribers."""
         if all(row.publishers != protocol.NOT_COUNTED for row in rows):
             return rows
         reply = await self.query(protocol.CountedReply, "counted", topics=[row.name for row in rows])
         return [TopicRow(row.name, row.types, *counts) for row, counts in zip(rows, reply["counted"], strict=True)]
 
     async def services(self, within_s: float | None = None) -> Rows[ServiceRow]:
-        """Every service."""
+        """Return every service."""
         reply = await self._settled(protocol.ServicesReply, "services", within_s)
         return Rows([ServiceRow(*row) for row in reply["services"]], reply["settled"])
 
     async def servers(self, service: str) -> list[str]:
-        """The full names of the nodes that serve a service; a name twice where two nodes share it."""
+        """Return the full names of the nodes that provide a service; a name appears twice if two nodes share it."""
         reply = await self._settled(protocol.ServersReply, "servers", service=service)
         return [row.name for row in _nodes(reply["servers"], settled=True)]
 
     async def nodes(self, within_s: float | None = None) -> Rows[NodeRow]:
-        """Every node, ours among them."""
+        """Return every node, including those of this server."""
         reply = await self._settled(protocol.NodesReply, "nodes", within_s)
         return _nodes(reply["nodes"], settled=reply["settled"])
 
     async def node(self, node: str) -> NodeEndpoints:
-        """What one node uses and offers; raises `NotFound` if it is not there."""
+        """Return the endpoints of one node; raises `NotFound` if the node does not exist."""
         name, namespace = names.node_name(node)
         reply = await self._settled(protocol.NodeReply, "node", name=name, namespace=namespace)
         sides = (reply["publishers"], reply["subscribers"], reply["servers"], reply["clients"])
         return NodeEndpoints(*([NamedTypes(*row) for row in side] for side in sides))
 
     async def interfaces(self, within_s: float = REQUEST_S) -> list[str]:
-        """The full names of every message, service and action that is installed where the bridge runs, sorted."""
+        """Return the full names of all interfaces that are installed where the bridge runs, sorted."""
         return sorted((await self.query(protocol.InterfacesReply, "interfaces", timeout_s=within_s))["interfaces"])
 
     async def relays(self) -> Mapping[str, RelayCounts]:
-        """What became of the messages of every relay that runs in the bridge, by the names of the relays."""
+        """Return the counts of every relay that runs in the bridge, by name of the relay."""
         reply = await self.query(protocol.RelaysReply, "relays")
         return {name: RelayCounts(**counts) for name, counts in reply["relays"].items()}
 
     def relay_ended(self, name: str) -> RelayCounts | None:
-        """The last counts of a relay whose request was cancelled; None until the bridge has told them."""
+        """Return the last counts of a relay whose request was cancelled; None until the bridge has reported them."""
         counts = self._bridge.relays_ended.get(name)
         return RelayCounts(**counts) if counts else None
 
     def repeat_begun_at(self, name: str) -> float | None:
-        """When it was heard that the first message of a repeat had been sent (monotonic, in s); None before."""
+        """Return when the event arrived that a repeat's first message was sent (monotonic, in s); None before."""
         return self._bridge.repeats_begun.get(name)
 
     def motion_report(self, name: str) -> Mapping[str, Any]:
-        """What was told last of a motion that is under way; empty before."""
+        """Return the last report of a running motion; empty before the first."""
         return self._bridge.motions.get(name, {})
 
     @property
     def was_reached(self) -> bool:
-        """Whether a bridge has ever said hello: before that this server can have nothing in motion there."""
+        """Whether any bridge has ever connected: before that, this server cannot have moved anything there."""
         return bool(self._bridge.nodes)
 
     @property
     def is_connected(self) -> bool:
-        """Whether a bridge is there now."""
+        """Whether a bridge is connected now."""
         return self._bridge.hello is not None
 
     @property
     def silent_s(self) -> float:
-        """How long ago the robot's bridge was last heard of, in s; infinite while there is none."""
+        """The time since the bridge's last message, in s; infinite while there is no bridge."""
         return self._bridge.silent_s
 
     @property
     def unheard_s(self) -> float:
-        """How long ago the robot was last heard of, by whichever bridge, in s; infinite where it never was."""
+        """The time since the last message of any bridge of this robot, in s; infinite before the first."""
         return self._bridge.unheard_s
 
     @property
     def failure(self) -> str:
-        """Why the robot was not reached the last time; empty once it was."""
+        """The reason why the last attempt to reach the robot failed; "" once an attempt succeeded."""
         return self._bridge.failure
 
     @property
     def bridge_age_s(self) -> float:
-        """For how long the bridge that answers now has been there; 0 while there is none."""
+        """The age of the present connection to a bridge, in s; 0 while there is none."""
         return self._bridge.age_s
 
     async def contact(self) -> Contact:
-        """Who answers at the other end of the link, which begins if need be; raises as `ask`."""
+        """Return distribution, middleware, domain and clock of the bridge, which is started if necessary. Raises as
+        `ask`.
+        """
         hello, clock = await self._bridge.ready(), self._bridge.clock
         offset_s = clock.offset_ns / 1e9 if clock.is_known else None
         return Contact(hello.distro, hello.rmw, hello.domain_id, offset_s, clock.rtt_s)
 
     async def bridge_status(self) -> BridgeStatus:
-        """How the bridge is."""
+        """Return the state of the bridge process and its link."""
         stats = await self.query(protocol.StatsReply, "stats")
         hello = self._bridge.hello
         assert hello is not None  # it has just answered
@@ -240,19 +251,20 @@ class Graph:
 
     @property
     def is_remote(self) -> bool:
-        """Whether a network lies between this server and the robot, so that large messages take their time."""
+        """Whether a network lies between this server and the robot, so that large messages take time."""
         return self._bridge.is_remote
 
     @property
     def outages(self) -> Sequence[Outage]:
-        """The times in which a robot elsewhere was out of reach."""
+        """The times during which a remote robot was unreachable."""
         return self._bridge.outages
 
     async def absence(self, within_s: float | None = None, found: Rows[NodeRow] | None = None) -> str:
-        """In words, that no robot is there, in which domain, and what was seen of it earlier; empty where one is there.
+        """Return a sentence if no robot is present, with the domain and the earlier observations; "" if a robot is
+        present.
 
-        Servers like this one and the tools of ROS's command line are no robot; a publisher without a node may be one.
-        A caller that has just asked for the nodes hands them over as `found`.
+        Servers like this one and the ROS command-line tools are not robots; a publisher without a node may be one. A
+        caller that has just listed the nodes passes them as `found`.
         """
         found = await self.nodes(within_s) if found is None else found
         nodes = [row.name for row in found if is_of_robot(row.name)]
@@ -272,16 +284,16 @@ class Graph:
         return " ".join(filter(None, (f"No robot is seen in {domain}.", left, place)))
 
     async def _look_at(self, node: str) -> None:
-        """Notes a node that has not been seen before, with what it publishes."""
+        """Record a node that was not seen before, with the topics that it publishes."""
         async with self._looking:
             try:
                 topics = {row.name: row.types[0] for row in (await self.node(node)).publishers if row.types}
-            except RobotError:  # it has gone meanwhile, or its name is none that ROS allows
+            except RobotError:  # the node has gone meanwhile, or its name is invalid in ROS
                 return
         self.seen.note(node, topics)
 
     async def _has_other_publishers(self, within_s: float | None) -> bool:
-        """Whether somebody publishes who is no node, as a flight controller does."""
+        """Return whether a publisher without a node exists, such as a flight controller."""
         topics = [row for row in await self.topics(within_s) if row.name not in OF_EVERY_NODE and row.publishers]
         for row in topics:
             if any(is_of_robot(one.node) for one in (await self.endpoints(row.name, within_s)).publishers):
@@ -290,45 +302,49 @@ class Graph:
 
     @property
     def own_nodes(self) -> Collection[str]:
-        """The full names of the nodes of our bridge, and of lost ones: the graph shows those for some seconds more."""
+        """The full names of the nodes of this server's bridges. The graph shows those of lost bridges for some seconds
+        more.
+        """
         return self._bridge.nodes
 
     def frame_id_of(self, topic: str) -> str:
-        """The frame (`header.frame_id`) of the last velocity command on a topic, as far as it is known."""
+        """Return the frame (`header.frame_id`) of the last velocity command on a topic; "" if unknown."""
         return self._bridge.frame_ids.get(topic, "")
 
     def note_frame_id(self, topic: str, frame_id: str) -> None:
-        """Notes the frame of a command that is about to be published; the bridge tells of those that it publishes."""
+        """Record the frame of a command that is about to be published; the bridge reports those of its own commands."""
         self._bridge.frame_ids[topic] = frame_id
 
     @property
     def losses(self) -> int:
-        """How many bridges this server has lost so far."""
+        """The number of bridges that this server has lost so far."""
         return self._bridge.losses
 
     @property
     def last_loss(self) -> str:
-        """Why the last bridge was lost; empty where none was."""
+        """The reason for the last loss of a bridge; "" if there was none."""
         return self._bridge.restarts[-1] if self._bridge.restarts else ""
 
     @property
     def lapses(self) -> Sequence[float]:
-        """For how long this server had been silent, in seconds, each time that a link lease lapsed."""
+        """The durations of this server's silence at each lapse of the link lease, in s."""
         return self._bridge.lapses
 
     @property
     def lapsed_at(self) -> float:
-        """When the last lapse of a link lease was heard of (monotonic, in s); 0 where none was."""
+        """The time of the report of the last lapse of the link lease (monotonic, in s); 0 if there was none."""
         return self._bridge.lapsed_at
 
     @property
     def latched_by(self) -> str:
-        """By whom and why the latch was set, in words, as a bridge told it last; empty where none did."""
+        """The originator and the reason of the last setting of the latch that a bridge reported; "" if there
+        was none.
+        """
         return self._bridge.latched_by
 
     @property
     def latched_at(self) -> float:
-        """When that was heard of (monotonic, in s)."""
+        """The time of the report of the last setting of the latch (monotonic, in s)."""
         return self._bridge.latched_at
 
     @property
@@ -337,15 +353,15 @@ class Graph:
         return self._bridge.hello.domain_id if self._bridge.hello else None
 
     async def ready(self) -> None:
-        """Waits until there is a bridge; raises `LinkError` with the reason where there can be none."""
+        """Wait until a bridge is connected; raises `LinkError` with the reason if that is impossible."""
         await self._bridge.ready()
 
     async def name_of(self, topic: str) -> str:
-        """The full name of a topic that somebody asks for; raises `BadName` where ROS allows no such name."""
+        """Return the full name of a topic; raises `BadName` for an invalid name."""
         return names.absolute(topic)
 
     async def endpoints(self, topic: str, within_s: float | None = None) -> TopicEndpoints:
-        """The publishers and subscribers of a topic; empty where the graph does not know it."""
+        """Return the publishers and subscribers of a topic; empty if the graph does not have it."""
         return self._present(topic, await self._settled(protocol.EndpointsReply, "endpoints", within_s, topic=topic))
 
     async def wait_for(
@@ -357,9 +373,10 @@ class Graph:
         timeout_s: float,
         present: TopicEndpoints | None = None,
     ) -> TopicEndpoints:
-        """The endpoints of a topic as soon as it has that many; what there is when the time is over.
+        """Wait until a topic has at least these numbers of endpoints, and return its endpoints, after a time-out as
+        they are.
 
-        A caller that has just asked for them hands them over as `present`, which saves a round trip.
+        A caller that has just queried the endpoints passes them as `present`, which saves a round trip.
         """
         present = present or await self.endpoints(topic)
         if len(present.publishers) >= publishers and len(present.subscribers) >= subscribers:
@@ -378,7 +395,7 @@ class Graph:
         return self._present(topic, reply)
 
     def _present(self, topic: str, reply: protocol.EndpointsReply) -> TopicEndpoints:
-        """The endpoints as rows; their publishers have been seen from now on."""
+        """Return the endpoints as rows, and record them as seen."""
         own = self.own_nodes
         publishers = [Endpoint.parse(endpoint, own) for endpoint in reply["publishers"]]
         for publisher in publishers:
@@ -388,7 +405,7 @@ class Graph:
         return TopicEndpoints(topic, publishers, subscribers, reply["settled"])
 
     async def no_such_topic(self, topic: str) -> NotFound:
-        """The error for a topic that is not there, or not seen yet, with the nearest right spelling."""
+        """Return the error for a topic that does not exist, or was not discovered yet, with the nearest name."""
         found = await self.topics()
         if not found.settled:
             return NotFound(f"{topic} is not seen yet, but discovery is still under way.", "Ask again in a moment.")
@@ -397,17 +414,21 @@ class Graph:
         return NotFound(f"There is no topic {topic}: nobody publishes or subscribes to it.", hint)
 
     async def missing(self, message: str, hint: str) -> NotFound:
-        """The error for a part of the robot that is not seen; where no robot is seen at all, it says that instead."""
+        """Return the error for a missing part of the robot; if no robot is present at all, the error says that
+        instead.
+        """
         if absence := await self.absence():
             return NotFound(absence, "ros2_status shows domain and middleware.")
         return NotFound(message, hint)
 
     async def near_topic(self, topic: str) -> str:
-        """A hint for a topic that is not there: the one that was most likely meant; empty where none is near."""
+        """Return a hint with the topic that was most likely meant; "" if no name is near."""
         return names.did_you_mean(topic, _others(topic, [row.name for row in await self.topics()]))
 
     async def near(self, name: str, known: Sequence[str], tool: str) -> str:
-        """A hint for a name that is not there: the nearest one; that there is no robot; or the tool that lists them."""
+        """Return a hint for a name that does not exist: the nearest name, that no robot is present, or the listing
+        tool.
+        """
         return names.did_you_mean(name, _others(name, known)) or await self.absence() or f"{tool} shows what is there."
 
 
@@ -416,12 +437,12 @@ def _nodes(found: Sequence[tuple[str, str]], *, settled: bool) -> Rows[NodeRow]:
 
 
 def _others(name: str, known: Sequence[str]) -> list[str]:
-    """The known names that may have been meant with this one: hidden ones only if it is hidden."""
+    """Return the known names that may have been meant; hidden ones only if the given name is hidden."""
     return [each for each in known if each != name and (names.is_hidden(name) or not names.is_hidden(each))]
 
 
 def was_refused(error: RobotError) -> bool:
-    """Whether nothing was sent of a request that raised this: it was stopped before, or the bridge refused it."""
+    """Return whether nothing was sent of the request that raised this error: it was stopped before, or refused."""
     if isinstance(error, Stopped):
         return not error.may_have_left
     refused = error if isinstance(error, BridgeRefused) else error.__cause__

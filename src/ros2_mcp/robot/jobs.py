@@ -1,7 +1,7 @@
-"""One registry of everything that outlives a call: recordings, playbacks, relays, repeats, goals.
+"""One registry of everything that outlives a call: recordings, playbacks, relays, repeats, goals and others.
 
-A new kind of job is one subclass of `Job` and nothing else: `Jobs` starts it, finds it, bounds how many there are, and
-stops it with all others. Every job runs in one task group, so that none is ever loose.
+A new kind of job is one subclass of `Job` and nothing else: `Jobs` starts it, finds it, limits the number, and stops it
+with all others. All jobs run in one task group, so that no task is left over.
 """
 
 from __future__ import annotations
@@ -23,47 +23,47 @@ from ros2_mcp.model.errors import BadInput, NotFound, Refused, RobotError, Stopp
 from ros2_mcp.model.names import did_you_mean
 
 Report = Callable[[], Awaitable[None]]
-"""Reports how a job proceeds."""
+"""Reports the progress of a job."""
 State = Literal["starting", "running", "ended", "stopped", "failed"]
 _logger = logging.getLogger(__name__)
 
 
 class Job(ABC):
-    """Work that goes on after the call that began it has returned.
+    """Work that continues after the call that began it has returned.
 
-    `state` is `starting`, `running`, `ended` (by itself), `stopped` (somebody stopped it) or `failed` (`failure` says
-    why); `is_stopping` from the time on at which somebody asks it to end. `stop_reason` is what stopped it, where that
-    was not its own tool; `doubt` a sentence on what of it may go on although it has ended, which no stop is confirmed
-    beside; `started_at` when it was made (monotonic, in s). `owner` is who began it. `moves` are the
-    topics and actions that it may move something on: `ros2_stop` and the end of its owner stop all jobs that have some,
-    and leave the others. `at_most_s` is the time after which it ends by itself, in s.
+    `state` is `starting`, `running`, `ended` (on its own), `stopped` (by a request) or `failed` (`failure` has the
+    error). `is_stopping` is set once the job was asked to end. `stop_reason` is the cause of a stop, unless it was the
+    job's own tool. `doubt` is a sentence about what may go on although the job has ended; with one, no stop is
+    confirmed. `started_at` is the time of creation (monotonic, in s). `owner` is the principal that began the job.
+    `moves` are the topics and actions by which the job may move something: `ros2_stop` and the disconnection of the
+    owner stop all jobs with `moves`, and no others. `at_most_s` is the time after which the job ends on its own, in s.
 
-    Started and awaited with `Jobs`; neither the state nor the id survives this process.
+    Start and await it with `Jobs`. Neither state nor id survive this process.
     """
 
     kind: ClassVar[str]
-    """What it is in a word; the id begins with it, and messages name it."""
+    """The name of the kind in one word; ids begin with it, and messages use it."""
     most_running: ClassVar[int] = 4
-    """How many may run at the same time, so that a client that never stops its jobs cannot exhaust the robot."""
+    """The most that may run at the same time, so that a client that never stops its jobs cannot exhaust the robot."""
     most_kept: ClassVar[int] = 20
-    """How many that have ended are kept, so that their last state can be asked for."""
+    """The most ended jobs that are kept, so that their last state can be queried."""
     is_displaced: ClassVar[bool] = False
-    """Whether a new one makes the oldest one forgotten when too many run, instead of being refused itself."""
+    """Whether, beyond `most_running`, the oldest job is forgotten instead of the new one being refused."""
     has_its_topics_alone: ClassVar[bool] = False
-    """Whether nothing else of this server may publish on what it moves, as long as it runs."""
+    """Whether nothing else in this server may publish on the job's topics while it runs."""
     ends_elsewhere: ClassVar[bool] = False
-    """Whether the robot itself carries it out, so that cancelling it here only forgets it."""
+    """Whether the robot itself carries out the work, so that cancelling the job here only forgets it."""
     listed_by: ClassVar[str] = ""
-    """The tool that lists them, for the hints of errors."""
+    """The tool that lists these jobs, for the hints of errors."""
     stopped_by: ClassVar[str] = "ros2_stop"
-    """The tool that stops one, for the hints of errors."""
+    """The tool that stops such a job, for the hints of errors."""
     needs_no_id: ClassVar[bool] = True
-    """Whether a tool may mean it where it is the only one of its kind and no id is given."""
+    """Whether a tool may be called without an id when this job is the only one of its kind."""
     patience_s: ClassVar[float] = 5.0
-    """How long `wind_down` and the end that it asks for may take before the work is cancelled."""
+    """The time limit for `wind_down` and the end that it causes, in s; after it the work is cancelled."""
 
     def __init__(self, *, owner: Principal, moves: Sequence[str] = (), job_id: str = "") -> None:
-        # Random: nobody can guess the id of another client's job, and after a restart of the server no id means
+        # Random: the id of another client's job cannot be guessed, and after a restart of the server no id refers to
         # another job than before.
         self.id = job_id or f"{self.kind}_{secrets.token_hex(4)}"
         self.owner = owner
@@ -84,52 +84,52 @@ class Job(ABC):
 
     @abstractmethod
     async def run(self) -> None:
-        """The whole work. Calls `begun()` as soon as it runs, and cleans up when it is cancelled, wherever it is.
+        """Do the whole work. Call `begun()` once it runs, and clean up on cancellation at any await.
 
-        What must be awaited while it cleans up stands under `anyio.CancelScope(shield=True)`. A job that knows better
-        than whether `stop` was called how it ended sets `outcome`.
+        Awaits during the clean-up need `anyio.CancelScope(shield=True)`. A job sets `outcome` if the call of `stop`
+        alone does not tell how it ended.
         """
 
     def doing(self) -> str:
-        """What it does, in some words beside its kind, for a person; "" where the kind says all."""
+        """Return a short description of the work besides its kind, for a person; "" if the kind says everything."""
         return ""
 
     def check_beside(self, running: Sequence[Job]) -> None:  # noqa: B027 - most kinds may run beside any other
-        """Raises a `RobotError` if it must not run beside those that do; nothing can start in between."""
+        """Raise a `RobotError` if the job must not run alongside the running ones; no job can start in between."""
 
     async def wind_down(self) -> None:
-        """Asks work that has begun to end in good order; without it, `stop` cancels the work at once."""
+        """Ask running work to end in good order. By default the work is cancelled at once."""
         self.cancel()
 
     @property
     def about(self) -> str:
-        """What it can be called beside its id, such as the bag that is recorded; empty for nothing."""
+        """Another name for the job besides its id, such as the bag that is recorded; "" for none."""
         return ""
 
     def begun(self) -> None:
-        """Notes that the work runs, so that the call that began it returns."""
+        """Mark the work as running, so that the call that began it returns."""
         self.has_begun, self.state = True, "running"
         self._settled.set()
 
     @property
     def is_running(self) -> bool:
-        """Whether it has not ended; true from the beginning, also while it is starting."""
+        """Whether the job has not ended; true from the beginning, also while it starts."""
         return self.state in ("starting", "running")
 
     @property
     def elapsed_s(self) -> float:
-        """How long it has run, or ran."""
+        """The duration of the job so far, in s; after its end, the total."""
         return (self._ended_at or monotonic()) - self.started_at
 
     async def stop(self) -> None:
-        """Ends it, also while it is still beginning, and returns when it has ended; without effect on one that has.
+        """End the job, also while it starts, and return when it has ended. No effect on a job that has ended.
 
         Raises:
-            RobotError: what kept it from ending in good order; it was cancelled then, and has ended all the same.
+            RobotError: the reason why it did not end in good order; the job was then cancelled, and has ended.
         """
         if not self.is_running:
             return
-        is_first, self.is_stopping = not self.is_stopping, True  # who comes second waits for the first
+        is_first, self.is_stopping = not self.is_stopping, True  # a second caller waits for the first
         try:
             with anyio.move_on_after(self.patience_s):
                 if is_first and self.state == "running":
@@ -143,19 +143,21 @@ class Job(ABC):
                 await self._over.wait()
 
     def cancel(self) -> None:
-        """Ends the work at once, without waiting for it."""
+        """Cancel the work, without waiting for its end."""
         self.is_stopping = True
         if self._scope:
             self._scope.cancel()
 
     async def wait(self, timeout_s: float = math.inf) -> bool:
-        """Waits until it has ended, at most that long; whether it has. Leaves it running when cancelled."""
+        """Wait for the end for at most `timeout_s`; return whether the job has ended. Cancelling the wait leaves it
+        running.
+        """
         with anyio.move_on_after(timeout_s):
             await self._over.wait()
         return not self.is_running
 
     async def _supervise(self) -> None:
-        """Runs it, and lets no failure out: the other jobs in the task group go on."""
+        """Run the job, and catch all its errors, so that the other jobs in the task group go on."""
         assert self._scope
         try:
             with self._scope:
@@ -163,7 +165,7 @@ class Job(ABC):
         except asyncio.CancelledError:  # not by its scope: the event loop ends, and this process with it
             self.is_stopping = True
             raise
-        except Exception as error:  # whatever it is, it ends this job and no other
+        except Exception as error:  # any error ends this job only
             self.failure = _single(error)
             if isinstance(self.failure, Stopped):
                 self.outcome, self.stop_reason = "stopped", self.stop_reason or self.failure.reason
@@ -182,7 +184,7 @@ _Job = TypeVar("_Job", bound=Job)
 
 
 class Jobs:
-    """All jobs of a server: those that run, and of each kind the last ones that ended."""
+    """All jobs of a server: the running ones, and the last ended ones of each kind."""
 
     def __init__(self) -> None:
         self._by_id: dict[str, Job] = {}
@@ -193,11 +195,11 @@ class Jobs:
         self._is_closed = False
 
     async def start(self, job: Job, *, within_s: float = math.inf) -> None:
-        """Starts a job, and returns when it runs, has ended, or `within_s` is over; ends it if that is cancelled.
+        """Start a job, and return when it runs, has ended, or `within_s` is over. End the job if this is cancelled.
 
         Raises:
             Refused: if too many of its kind run, or the server is ending.
-            Exception: whatever kept it from beginning.
+            Exception: the error that kept the job from starting.
         """
         group = await self._task_group()
         self.require_room(type(job))
@@ -209,29 +211,31 @@ class Jobs:
         try:
             with anyio.move_on_after(within_s):
                 await job._settled.wait()  # pyright: ignore[reportPrivateUsage]
-        except BaseException:  # cancelled: who began it will never learn its id
+        except BaseException:  # cancelled: the caller will never learn the id
             await abandon(job)
             raise
         if job.failure:
             raise job.failure
 
     async def wait(self, job: Job, timeout_s: float = math.inf, *, every_second: Report | None = None) -> None:
-        """Waits for the end of a job, at most that long, reporting every second; ends the job if it is cancelled."""
+        """Wait for the end of a job for at most `timeout_s`, with a report every second; end the job if this is
+        cancelled.
+        """
         deadline = monotonic() + timeout_s
         try:
             while job.is_running and (left_s := deadline - monotonic()) > 0:
                 await job.wait(min(1.0, left_s) if every_second else left_s)
                 if every_second:
                     await every_second()
-        except BaseException:  # cancelled, or the client that is reported to has gone
+        except BaseException:  # cancelled, or the client that gets the reports has gone
             await abandon(job)
             raise
 
     async def run(self, job: Job, *, every_second: Report | None = None) -> None:
-        """Starts a job that the call awaits, and waits for its end; ends the job if the call is cancelled.
+        """Start a job that the call awaits, and wait for its end; end the job if the call is cancelled.
 
         Raises:
-            Exception: as `start`, and whatever it failed with.
+            Exception: as `start`, or the error with which the job failed.
         """
         await self.start(job)
         await self.wait(job, every_second=every_second)
@@ -241,20 +245,20 @@ class Jobs:
     # ── finding ────────────────────────────────────────────────────────────────────────────────────────────────
 
     def all(self, kind: type[_Job]) -> list[_Job]:
-        """The jobs of a kind, in the order of their start. Safe to call from threads."""
+        """Return the jobs of a kind, in order of their start. Safe to call from other threads."""
         return [job for job in list(self._by_id.values()) if isinstance(job, kind)]
 
     def running(self, kind: type[_Job]) -> list[_Job]:
-        """The jobs of a kind that have not ended."""
+        """Return the jobs of a kind that have not ended."""
         return [job for job in self.all(kind) if job.is_running]
 
     def get(self, kind: type[_Job], job_id: str) -> _Job | None:
-        """One by its id; None where there is none."""
+        """Return the job with this id, or None."""
         job = self._by_id.get(job_id)
         return job if isinstance(job, kind) else None
 
     def find(self, kind: type[_Job], job_id: str) -> _Job:
-        """One by its id, or the last one that is about this.
+        """Return the job with this id, or the last one with this name in `about`.
 
         Raises:
             NotFound: with the nearest id.
@@ -268,14 +272,14 @@ class Jobs:
         raise NotFound(f"There is no {kind.kind} {job_id!r}.", did_you_mean(job_id, ids, hint))
 
     def chosen(self, kind: type[_Job], job_id: str) -> list[_Job]:
-        """The one of that id, or all of the kind where the id is empty; raises as `find`."""
+        """Return the job with this id, or all of the kind for an empty id. Raises as `find`."""
         return [self.find(kind, job_id)] if job_id else self.all(kind)
 
     def one(self, kind: type[_Job], job_id: str = "") -> _Job:
-        """The one of that id; without an id the only one that runs, else the one that ended last.
+        """Return the job with this id; without an id the only running one, or else the last one that was started.
 
         Raises:
-            NotFound: as `find`, or because there was none.
+            NotFound: as `find`, or if there was none.
             BadInput: if several run and no id is given.
         """
         if job_id:
@@ -290,24 +294,24 @@ class Jobs:
         return running[0] if running else begun[-1]
 
     def require_room(self, kind: type[Job]) -> None:
-        """Raises `Refused` if no other of that kind may start now."""
+        """Raise `Refused` if no further job of this kind may start now."""
         if len(self.running(kind)) >= kind.most_running and not kind.is_displaced:
             raise Refused(f"{kind.most_running} {kind.kind}s run already.", f"Stop one with {kind.stopped_by}.")
 
     # ── ending ─────────────────────────────────────────────────────────────────────────────────────────────────
 
     async def stop(self, kind: type[_Job], job_id: str) -> _Job:
-        """Stops one, and returns it with its last state; raises as `one`, and as `Job.stop`."""
+        """Stop a job, and return it with its last state. Raises as `one` and as `Job.stop`."""
         job = self.one(kind, job_id)
         await job.stop()
         return job
 
     async def stop_moving(self, reason: str = "") -> Mapping[Job, str]:
-        """Stops all jobs that move something, at the same time, and notes the reason; returns those that ran, each with
-        what kept it from ending in good order, if something did.
+        """Stop all jobs that move something, concurrently, and set their `stop_reason`. Return the jobs that ran, each
+        with the problem if it did not end in good order.
 
-        Goals, which the robot itself carries out, are left: their caller waits to see them end. A job that is still
-        starting moves nothing from the time of the call on.
+        Goals and flights, which the robot itself carries out, are left running: the caller waits to observe their end.
+        A job that is still starting moves nothing from this call on.
         """
         moving = [job for job in self.running(Job) if job.moves and not job.ends_elsewhere]
         for job in moving:
@@ -317,9 +321,10 @@ class Jobs:
         return await _stop_all(moving)
 
     async def stop_owned(self, owner: Principal, reason: str = "") -> list[Job]:
-        """Stops all that one owner, who is gone, has left in motion, goals too; returns the jobs that ran.
+        """Stop the jobs that move something of an owner that has disconnected, including goals; return the jobs that
+        ran.
 
-        What moves nothing, such as a recording, goes on: another client can still stop it.
+        Jobs that move nothing, such as recordings, go on: another client can still stop them.
         """
         owned = [job for job in self.running(Job) if job.owner == owner and job.moves]
         for job in owned:
@@ -327,7 +332,7 @@ class Jobs:
         return list(await self._end(owned))
 
     async def close(self) -> None:
-        """Stops all, and starts no other: the end of the server. Safe to call twice."""
+        """Stop all jobs, and start no further ones: the end of the server. Safe to call twice."""
         self._is_closed = True
         for job in self.running(Job):
             if job.ends_elsewhere:
@@ -338,7 +343,9 @@ class Jobs:
             await asyncio.wait({self._host})
 
     async def _end(self, jobs: Sequence[Job]) -> Mapping[Job, str]:
-        """Stops jobs whose owner has gone. What moves something does not wind down: nobody awaits its result."""
+        """Stop jobs whose caller has gone. Jobs that move something do not wind down, because no caller awaits the
+        result.
+        """
         for job in jobs:
             if job.moves and not job.ends_elsewhere:
                 job.cancel()
@@ -353,7 +360,7 @@ class Jobs:
             del self._by_id[job.id]
 
     async def _task_group(self) -> TaskGroup:
-        """The group in which all jobs run; it belongs to no call, so that no call's end is theirs."""
+        """Return the task group of all jobs. It belongs to no call, so that the end of a call does not end the jobs."""
         if self._is_closed:
             raise Refused("This server is ending.", "Start it again.")
         if self._host is None or self._host.done():
@@ -386,14 +393,14 @@ async def _stop_all(jobs: Sequence[Job]) -> Mapping[Job, str]:
 
 
 async def abandon(job: Job) -> None:
-    """Ends a job whose caller has gone at once, without winding down: it may be moving the robot."""
+    """End a job whose caller has gone at once, without winding down, because it may be moving the robot."""
     job.cancel()
     with anyio.CancelScope(shield=True):
         await job.wait()
 
 
 def _single(error: Exception) -> Exception:
-    """The one error of which a task group of the job has made a group."""
+    """Return the single error in the exception groups that a job's own task groups have made."""
     while isinstance(inner := getattr(error, "exceptions", (None,))[0], Exception):
         error = inner
     return error

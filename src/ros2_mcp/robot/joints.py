@@ -1,4 +1,4 @@
-"""How the robot's joints move now, as its bridge measures it, and what its description (URDF) lets them do."""
+"""The measured states of the robot's joints, and the limits in its description (URDF)."""
 
 from __future__ import annotations
 
@@ -21,19 +21,23 @@ from ros2_mcp_common.wire.protocol import JointsReply
 
 DESCRIPTION, TEXT = "robot_description", "std_msgs/msg/String"
 MOST_DESCRIPTION_BYTES = 16_000_000
-"""One description with meshes inside; `world/urdf.py` reads less."""
+"""The largest description that is read, in bytes: one with embedded meshes; `world/urdf.py` accepts less."""
 _SAID_S = 4.0
-"""A latched message comes with the matching; a publisher that missed our announcement is discovered 3 s later."""
+"""The time limit for a description, in s. A latched message arrives on matching; a publisher that missed this
+subscriber's announcement is discovered 3 s later."""
 _KEPT_S = 10.0
-"""A description hardly ever changes; reading it takes some hundredths of a second, and MB of a large one."""
+"""The time for which a description is reused, in s. It rarely changes; reading takes some hundredths of a second, and
+megabytes for a large one."""
 _MEASURED_S = 3.5
-"""For the first joint states: as in the bridge (`joint_states.MEASURED_S`)."""
+"""The time limit for the first joint states, in s, as in the bridge (`joint_states.MEASURED_S`)."""
 
 Listen = Callable[[str], AbstractAsyncContextManager[Listening]]
 
 
 class RobotJoints(Kept):
-    """What trajectories are judged by. `listen` subscribes to a topic with texts."""
+    """Joint states and joint limits, by which trajectories are judged. `listen` subscribes to a topic with text
+    messages.
+    """
 
     def __init__(self, listen: Listen, graph: Graph, values: Values) -> None:
         self._listen = listen
@@ -43,15 +47,17 @@ class RobotJoints(Kept):
         self._read_at = -math.inf
 
     async def urdf(self) -> Urdf | None:
-        """The robot's description, also of a publisher that has gone: its limits do not go with it. None where nobody
-        has published one that can be read.
+        """Return the robot's description; None if no readable one was published.
+
+        The description of a publisher that has gone is kept: its limits still hold.
         """
         if monotonic() - self._read_at > _KEPT_S and (topics := await self.description_topics()):
             self._urdf, self._read_at = await self._read(topics[0]) or self._urdf, monotonic()
         return self._urdf
 
     async def look(self, names: Sequence[str] = ()) -> LookAtJoints:
-        """Measures these joints, and tells the bridge what the description lets joints do, by which it judges, too.
+        """Measure these joints, and send the description's joint limits to the bridge, which judges trajectories as
+        well.
 
         Raises as `Graph.ask`.
         """
@@ -69,13 +75,13 @@ class RobotJoints(Kept):
         return known(Joints(measured, limits))
 
     async def description_topics(self) -> Sequence[str]:
-        """Where descriptions are published, `/robot_description` first; none while none is discovered."""
+        """Return the topics with descriptions, `/robot_description` first; empty until one is discovered."""
         rows = [row for row in await self._graph.topics() if row.publishers and TEXT in row.types]
         found = [row.name for row in rows if row.name.rpartition("/")[2] == DESCRIPTION]
         return sorted(found, key=lambda name: (name.count("/"), name))
 
     async def description_on(self, topic: str) -> str:
-        """The description that a topic has; empty where no message comes. Raises as `Robot.listen`."""
+        """Return the description on a topic; "" if no message arrives. Raises as `Robot.listen`."""
         async with self._listen(topic) as listening:
             samples = await listening.take(_SAID_S)
         return str((await self._values.in_full(TEXT, samples[-1].data))["data"]) if samples else ""
@@ -89,7 +95,7 @@ class RobotJoints(Kept):
 
 
 def limits_of(urdf: Urdf | None) -> Mapping[str, JointBounds]:
-    """What a description lets its joints do, by name."""
+    """Return the limits of a description's joints, by name."""
     joints = urdf.joints.values() if urdf else ()
     return {
         joint.name: JointBounds(
@@ -101,7 +107,7 @@ def limits_of(urdf: Urdf | None) -> Mapping[str, JointBounds]:
 
 
 def known(joints: Joints) -> LookAtJoints:
-    """Looks at joints that were measured before."""
+    """Return a lookup function over these measured joints. It raises `ValueError` for a joint without a measurement."""
 
     def look(names: Sequence[str]) -> Joints:
         if missing := [name for name in names if name not in joints.measured]:

@@ -1,4 +1,6 @@
-"""What rooms keep of a robot from one call to the next, such as its places or the plans that were published last."""
+"""Objects that the rooms of the server keep for each robot between calls, such as its places or last published
+plans.
+"""
 
 from __future__ import annotations
 
@@ -7,36 +9,36 @@ from typing import TypeVar, cast
 
 
 class Kept:
-    """What one room keeps of one robot. The subclass stands in that room, and a function beside it asks the robot for
-    it (`robot.kept.get`).
+    """An object that one room keeps for a robot. The subclass is defined in that room, next to a function that gets it
+    from the robot (`robot.kept.get`).
     """
 
     async def close(self) -> None:
-        """Ends what it does by itself, at the end of the robot's work. Most do nothing."""
+        """End the object's own work, at the end of the robot's work. Most objects have none."""
 
 
 K = TypeVar("K", bound=Kept)
 
 
 class KeptByRooms:
-    """One object of each kind. What needs settings is given where the robot is built; the rest is made when a room
-    first asks for it.
+    """One object of each kind for a robot. Objects that need settings are passed in; others are created on
+    first use.
     """
 
     def __init__(self, given: Iterable[Kept] = ()) -> None:
         self._kept: dict[type[Kept], Kept] = {type(one): one for one in given}
 
     def get(self, kind: type[K], make: Callable[[], K]) -> K:
-        """The one of that kind, which is made if there is none."""
+        """Return the object of this kind; create it on first use."""
         if kind not in self._kept:
             self._kept[kind] = make()
         return self.of(kind)
 
     def of(self, kind: type[K]) -> K:
-        """The one of that kind; raises `KeyError` if there is none."""
+        """Return the object of this kind; raises `KeyError` if there is none."""
         return cast("K", self._kept[kind])
 
     async def close(self) -> None:
-        """Ends what they do."""
+        """Close all objects."""
         for one in self._kept.values():
             await one.close()

@@ -1,4 +1,4 @@
-"""A subscription as operations use it: what it was made for, its samples, and what became of them."""
+"""A subscription as operations use it: its parameters, its samples, and its counts."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class Listening:
-    """A subscription: its topic and type, the QoS it was made with, and the publishers of that time. `opened_ns` is
-    when it was asked for, by the robot's clock.
+    """A subscription: topic, type, QoS, and the publishers at its start. `opened_ns` is the time of the request by the
+    robot's clock, in ns.
     """
 
     topic: str
@@ -34,45 +34,50 @@ class Listening:
     opened_ns: int = 0
 
     def is_from_before(self, sample: Sample) -> bool:
-        """Whether it was sent before, by its publisher's clock, and came only because it is latched."""
+        """Return whether a sample was published before the subscription (by its publisher's clock), and is a latched
+        one.
+        """
         return self.choice.qos.durability == "transient_local" and 0 < sample.source_ns < self.opened_ns
 
     async def take(self, timeout_s: float) -> list[Sample]:
-        """The samples that wait; waits for the first one, returns an empty list when none came in time."""
+        """Return the waiting samples. Wait for the first one; return an empty list after the time-out."""
         return await self._subscription.take(timeout_s)
 
     async def end(self) -> None:
-        """Nothing more is wanted; what had come by then can still be taken, and the counts are the last ones."""
+        """Unsubscribe. Samples that have arrived can still be taken, and the counts are final."""
         await self._subscription.close()
 
     async def samples(self, duration_s: float) -> AsyncIterator[Sample]:
-        """The samples of that time, one by one as they come."""
+        """Yield samples as they arrive, for `duration_s` seconds."""
         ends_at = monotonic() + duration_s
         while (left_s := ends_at - monotonic()) > 0:
             for sample in await self.take(left_s):
                 yield sample
 
     def still_fits(self, present: TopicEndpoints) -> bool:
-        """Whether the topic would be subscribed to in the same way now; also where nobody publishes on it any more."""
+        """Return whether the QoS would be chosen again for the present publishers; also if there are none any more."""
         return still_fits(
             self.choice.qos, [publisher for publisher in present.publishers if publisher.type == self.type]
         )
 
     @property
     def counts(self) -> Counts:
-        """What became of the messages so far."""
+        """The numbers of received, dropped and lost messages so far."""
         return self._subscription.counts
 
 
 async def subscribed_while(subscribe: Coroutine[Any, Any, Subscription], other: Awaitable[T]) -> tuple[Subscription, T]:
-    """Both at the same time, in one round trip; no subscription is left behind if one fails or this is cancelled."""
+    """Subscribe and await `other` concurrently, in one round trip; return both results.
+
+    If one fails or this is cancelled, no subscription is left behind.
+    """
     subscribing = asyncio.create_task(subscribe)
     try:
         result = await other
         return await subscribing, result
-    except BaseException:  # whatever it is, it is raised again
-        subscribing.cancel()  # the link then takes back what is under way
-        with anyio.CancelScope(shield=True):  # a scope that is cancelled cancels every await again
+    except BaseException:  # any error is raised again
+        subscribing.cancel()  # the link then withdraws a request in progress
+        with anyio.CancelScope(shield=True):  # a cancelled scope cancels every await again
             await asyncio.wait({subscribing})
             if not subscribing.cancelled() and not subscribing.exception():
                 await subscribing.result().close()

@@ -1,4 +1,4 @@
-"""What the robot's nodes log on /rosout, kept as bytes in a bounded ring from its start on."""
+"""The messages that the robot's nodes log on /rosout, kept as bytes in a ring of bounded size."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ if TYPE_CHECKING:
 TOPIC = "/rosout"
 LOG_TYPE = "rcl_interfaces/msg/Log"
 MAX_LINES = 5000
-"""Some minutes of a talkative robot; nobody reads more of them, and the robot's own log files have them all."""
+"""Some minutes of a talkative robot: more is rarely read, and the robot's own log files have everything."""
 MAX_BYTES = 2_000_000
-"""What 5,000 lines of 400 bytes need; a node that logs whole messages is bounded by it."""
+"""The size of 5,000 lines of 400 bytes; bounds nodes that log whole messages."""
 _LEVEL_AT = 12
-"""Behind the 4 bytes of the CDR header and the 8 of the stamp, see rcl_interfaces/msg/Log."""
+"""The offset of the level in rcl_interfaces/msg/Log: after 4 bytes of CDR header and 8 bytes of stamp."""
 _QOS = QoS("reliable", "transient_local", depth=1000)
 _CHECK_EVERY_S = 1.0
-"""Whether there is a bridge again. Nobody waits for the log of a robot that cannot be reached."""
+"""The period of checks whether a bridge is connected again, in s: the log of an unreachable robot is not urgent."""
 _logger = logging.getLogger(__name__)
 
 LineListener = Callable[[int, Sample], None]
-"""Called with each new line: its level (10 debug, 20 info, 30 warn, 40 error, 50 fatal), and the line as it came."""
+"""Called with each new line: its level (10 debug, 20 info, 30 warn, 40 error, 50 fatal), and its sample."""
 
 
 class LogRing:
-    """The newest lines of /rosout. After a lost bridge it subscribes again, and keeps no line twice.
+    """The newest lines of /rosout. After a lost bridge it subscribes again, without storing a line twice.
 
-    `since_ns` is the Unix time, by the robot's clock, at which it was first subscribed (0: not yet). Older lines may be
-    in it: nodes send a new subscriber what they logged in the last ten seconds (by default). `dropped` counts the lines
-    that were there and had to give way, `interruptions` how often the bridge was lost.
+    `since_ns` is the time of the first subscription, in ns of Unix time by the robot's clock (0: not subscribed yet).
+    Older lines may be present: nodes send a new subscriber their lines of the last ten seconds (by default). `dropped`
+    counts lines that were discarded for newer ones, `interruptions` the losses of the bridge.
     """
 
     def __init__(self, bridge: Bridge, max_lines: int = MAX_LINES, max_bytes: int = MAX_BYTES) -> None:
@@ -57,37 +57,39 @@ class LogRing:
         self.interruptions = 0
 
     def start(self) -> bool:
-        """Begins to listen, in the running event loop, as soon as there is a bridge; whether this call began it."""
+        """Subscribe, in the running event loop, as soon as there is a bridge; return whether this call began it."""
         if self._work is not None:
             return False
         self._work = asyncio.create_task(self._listen())
         return True
 
     async def wait_listening(self, timeout_s: float) -> bool:
-        """Waits until it is subscribed; whether it is."""
+        """Wait for the subscription; return whether it exists."""
         with anyio.move_on_after(timeout_s):
             await self._listening.wait()
         return self._listening.is_set()
 
     async def close(self) -> None:
-        """Ends listening; what is kept stays."""
+        """Unsubscribe; the stored lines remain."""
         if self._work is not None:
             self._work.cancel()
             await asyncio.wait({self._work})
             self._work = None
 
     def on_line(self, listener: LineListener) -> Callable[[], None]:
-        """Calls the listener with every new line from now on; returns what ends that. It must not block."""
+        """Call the listener with every new line from now on; return a function that ends this. The listener must not
+        block.
+        """
         self._listeners.append(listener)
         return lambda: self._listeners.remove(listener) if listener in self._listeners else None
 
     @property
     def lines(self) -> list[Sample]:
-        """The lines that are kept, in the order they came."""
+        """The stored lines, in order of arrival."""
         return list(self._kept.values())
 
     def add(self, sample: Sample) -> None:
-        """Takes a line in, unless it is there already; the oldest give way."""
+        """Store a line, unless it is stored already; discard the oldest lines beyond the bounds."""
         if sample.data in self._kept:
             return
         self._kept[sample.data] = sample
@@ -106,7 +108,7 @@ class LogRing:
                 self.interruptions += 1
             except RobotError as error:
                 _logger.info("the log of the robot is not kept: %s", error)
-                while self._bridge.hello is None and not self._bridge.is_closed:  # the log is no reason to start one
+                while self._bridge.hello is None and not self._bridge.is_closed:  # the log alone starts no bridge
                     await asyncio.sleep(_CHECK_EVERY_S)
             finally:
                 self._listening.clear()
@@ -132,5 +134,5 @@ class LogRing:
 
 
 def level_of(data: bytes) -> int:
-    """The level of a line, from its bytes: it follows the stamp."""
+    """Return the level of a line, from its bytes."""
     return data[_LEVEL_AT]

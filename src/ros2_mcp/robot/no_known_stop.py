@@ -1,4 +1,4 @@
-"""What this server has sent without knowing how it is stopped: service calls, and messages that are no velocities."""
+"""The service calls and messages that this server has sent without knowing a way to stop their effect."""
 
 from __future__ import annotations
 
@@ -27,19 +27,18 @@ MOVES_NOTHING = frozenset(
         "robot_localization/srv/SetPose",
     }
 )
-"""Types that say where the robot is, clear or load maps, or start and pause nodes without a task: they are
+"""Types that set the robot's pose estimate, clear or load maps, or start and pause nodes without a task. They are
 configuration, as parameters are, and set nothing in motion. PoseWithCovarianceStamped is an estimate; a goal has no
-covariance.
-"""
+covariance."""
 _MOST_KEPT = 1000
-"""Of each kind: more names than any robot has. Beyond, the oldest is forgotten, never that there were some."""
+"""The most names of each kind: more than any robot has. Beyond, the oldest name is forgotten."""
 
 
 class NoKnownStop:
-    """The names of services that were called, and of topics that were published on, for as long as the server lives.
+    """The names of called services and of topics that were published on, for the life of the server.
 
-    Whether what they set in motion continues cannot be seen from here: `ros2_stop` names them. What was sent before
-    the robot was seen to stand is *settled*: it no longer keeps a stop from being confirmed.
+    Whether their effects continue cannot be observed here, so `ros2_stop` names them. Entries from before the robot was
+    observed still are *settled*: they no longer keep a stop from being confirmed.
     """
 
     def __init__(self) -> None:
@@ -48,12 +47,12 @@ class NoKnownStop:
         self._under_way: Counter[tuple[Kind, str]] = Counter()
 
     def names(self, kind: Kind) -> Sequence[str]:
-        """Each with its type, such as `/arm/home (std_srvs/srv/Trigger)`; the last one sent comes first."""
+        """Return the names with their types, such as `/arm/home (std_srvs/srv/Trigger)`, most recent first."""
         under_way = [name for (of_kind, name), count in self._under_way.items() if of_kind == kind and count > 0]
         return list(dict.fromkeys([*under_way, *reversed(self._sent[kind])]))
 
     def unsettled(self) -> Sequence[tuple[Kind, str]]:
-        """Kinds and names of what was sent since the robot was last seen to stand, or has not been answered."""
+        """Return kind and name of each entry sent since the robot was last observed still, or not answered yet."""
         return [
             (kind, name)
             for kind in self._sent
@@ -62,11 +61,11 @@ class NoKnownStop:
         ]
 
     def settle(self, unsettled: Sequence[tuple[Kind, str]]) -> None:
-        """Notes that the robot was seen to stand after these were sent; those under way stay unsettled."""
+        """Record that the robot was observed still after these entries were sent; those in progress stay unsettled."""
         self._settled.update(one for one in unsettled if not self._under_way[one])
 
     def note(self, kind: Kind, name: str) -> None:
-        """Notes that it was sent."""
+        """Record that a request or message was sent."""
         self._settled.discard((kind, name))
         sent = self._sent[kind]
         sent.pop(name, None)
@@ -78,7 +77,9 @@ class NoKnownStop:
 
     @contextmanager
     def sending(self, kind: Kind, name: str, type_name: str) -> Generator[None, None, None]:
-        """Around a request: it is noted, unless its type moves nothing, or the bridge says that nothing was sent."""
+        """A context manager around a request: it is recorded, unless its type moves nothing or the bridge sent
+        nothing.
+        """
         if type_name in MOVES_NOTHING:
             yield
             return

@@ -1,4 +1,4 @@
-"""A command on its way out, with its bytes: its value is checked and encoded once."""
+"""A command on its way to the bridge, with its bytes: its value is checked and encoded once."""
 
 from __future__ import annotations
 
@@ -14,9 +14,7 @@ Other = TypeVar("Other", bound=Command[Any])
 
 
 class Prepared(Generic[C]):
-    """A command, and the session in which it is given. Policy, audit and executor get the same bytes, which are made
-    when one of them first asks for them.
-    """
+    """A command and its session. Policy, audit and execution use the same bytes, which are encoded at first use."""
 
     def __init__(self, values: Values, session: Session, command: C, body: bytes | None = None) -> None:
         self.session = session
@@ -27,40 +25,40 @@ class Prepared(Generic[C]):
 
     @property
     def has_value(self) -> bool:
-        """Whether it sends a value of its own: a message, or the request to a service."""
+        """Whether the command sends a value of its own: a message, or a request to a service."""
         return isinstance(self.command, ServiceBorne | Publish | Repeat | Move)
 
     async def body(self) -> bytes:
-        """The value as CDR bytes.
+        """Return the value as CDR bytes.
 
         Raises:
-            BadValue: naming the path of what does not fit the definition.
+            BadValue: with the path of the field that does not fit the definition.
         """
         if self._body is None:
             try:
                 self._body = await self._values.encode(*self._typed())
             except BadValue as error:
-                if isinstance(self.command, SendGoal):  # the caller gave the goal, and not the request around it
+                if isinstance(self.command, SendGoal):  # the caller gave the goal, without the request around it
                     raise error.below("goal") from error
                 raise
         return self._body
 
     async def full(self) -> dict[str, Any]:
-        """The whole value as it will be sent, defaults filled in: read from the bytes. Raises as `body`."""
+        """Return the whole value as it will be sent, including defaults, decoded from the bytes. Raises as `body`."""
         if self._full is None:
             self._full = await self._values.in_full(self._typed()[0], await self.body())
         return self._full
 
     def meaning(self, command: Other) -> Prepared[Other]:
-        """Another command that stands for the same bytes."""
+        """Return another command with the same bytes."""
         return Prepared(self._values, self.session, command, self._body)
 
     def changed(self, command: C) -> Prepared[C]:
-        """A command with another value."""
+        """Return the command with another value."""
         return Prepared(self._values, self.session, command)
 
     def _typed(self) -> tuple[str, object]:
-        """The type of the value, and the value as it was given."""
+        """Return the type of the value, and the value as given."""
         if isinstance(self.command, ServiceBorne):
             return f"{self.command.service_type}_Request", self.command.request
         return self.command.type, self.command.value

@@ -1,4 +1,4 @@
-"""Carrying out the commands that publish: once, repeatedly, as a relay, or fed from a bag or from this server."""
+"""Carry out commands that publish: a single message, a repeat, a motion, a relay, or messages for a relay."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from ros2_mcp_common.policy.velocity import HOLD_TYPES, MOTION_TYPES
 from ros2_mcp_common.wire import protocol
 
 _HEARD_S = 6.0
-"""A motion waits 5 s for the first messages that it hears (`motion.FIRST_HEARD_S`)."""
+"""The time limit for the first messages that a motion receives, in s; the bridge waits 5 s (`motion.FIRST_HEARD_S`)."""
 
 
 async def publish(core: Core, prepared: Prepared[Publish]) -> Sent:
-    """One message, acknowledged where that is possible."""
+    """Publish one message, and wait for acknowledgement where that is possible."""
     command, body = prepared.command, await prepared.body()
     async with _sending(core, prepared, command.choice.qos) as driven:
         answer = await core.act(
@@ -55,7 +55,7 @@ async def publish(core: Core, prepared: Prepared[Publish]) -> Sent:
 
 
 async def repeat(core: Core, prepared: Prepared[Repeat]) -> Sent:
-    """One message at a rate for a time, with a zero at the end of what moves."""
+    """Publish one message at a rate for a time, with a zero at the end for types that move."""
     command, body = prepared.command, await prepared.body()
     async with _sending(core, prepared, command.choice.qos) as driven:
         number = driven.commands if driven else 0
@@ -77,9 +77,9 @@ async def repeat(core: Core, prepared: Prepared[Repeat]) -> Sent:
 
 
 async def move(core: Core, prepared: Prepared[Move]) -> Moved:
-    """A motion by feedback in the bridge from its beginning to its end, with a zero."""
+    """Run a motion by feedback in the bridge from its start to its final zero."""
     command = prepared.command
-    await prepared.body()  # which checks the fastest command; the bridge makes the commands itself
+    await prepared.body()  # checks the fastest command; the bridge generates the commands itself
     async with _sending(core, prepared, command.choice.qos) as driven:
         number = driven.commands if driven else 0
         answer = await core.act(
@@ -120,7 +120,7 @@ def _sent(command: Repeat | Move, reply: protocol.RepeatReply) -> Sent:
 
 
 async def relay(core: Core, prepared: Prepared[Relay | Play]) -> RelayCounts:
-    """A relay in the bridge from its beginning to its end, with a zero at the end of what moves."""
+    """Run a relay in the bridge from its start to its end, with a final zero for types that move."""
     command = prepared.command
     await core.values.learn(command.type)
     arguments: dict[str, Any] = {}
@@ -145,7 +145,7 @@ async def relay(core: Core, prepared: Prepared[Relay | Play]) -> RelayCounts:
 
 
 async def feed(core: Core, prepared: Prepared[Feed]) -> int:
-    """Messages for a relay that is open: opening it has left its fail-safe, which ends what these begin."""
+    """Send messages for an open relay, and return how many it published. The relay's fail-safe covers them."""
     command = prepared.command
     body, sizes = b"".join(command.messages), [len(message) for message in command.messages]
     answer = await core.act(
@@ -156,16 +156,17 @@ async def feed(core: Core, prepared: Prepared[Feed]) -> int:
 
 @asynccontextmanager
 async def _sending(core: Core, prepared: Prepared[Any], qos: QoS) -> AsyncGenerator[Driven | None, None]:
-    """Around a request that publishes: its fail-safe is in force, or it is noted that none is known.
+    """A context manager around a request that publishes: its fail-safe is in force, or it is recorded that no stop is
+    known.
 
     Raises:
-        Stopped: if a stop came after it was accepted.
+        Stopped: if a stop came after the session was accepted.
         Refused: if too many velocity topics are driven.
     """
     core.check_stop(prepared.session)
     command = prepared.command
     if command.type not in MOTION_TYPES and flights.takes_setpoints(core, command.name):
-        yield None  # what stops it is the brake of that flight
+        yield None  # the brake of that flight stops it
         return
     if command.type not in MOTION_TYPES:
         with core.stops.unknown.sending("topic", command.name, command.type):
@@ -179,29 +180,29 @@ async def _sending(core: Core, prepared: Prepared[Any], qos: QoS) -> AsyncGenera
 
 
 def _note_taken(driven: Driven | None, matched: int) -> None:
-    """Notes whether a command on a topic reached anybody but this server."""
+    """Record whether a command reached a subscriber other than this server."""
     if driven and matched > 0:
         driven.was_taken = True
 
 
 def _note_end(driven: Driven | None, number: int, has_final: bool) -> None:
-    """Notes that a topic got its final zero, unless a later command than that of this number moves it."""
+    """Record whether a topic got its final zero, unless a later command than `number` was sent on it."""
     if driven and driven.commands == number:
         driven.has_ended = has_final
 
 
 def _destination(command: Command[Any], qos: QoS) -> dict[str, Any]:
-    """Where it goes, as the bridge is told."""
+    """Return topic, type and QoS as arguments for the bridge."""
     return {"topic": command.name, "type": command.type, "qos": qos.request()}
 
 
 def _frame_id_of(value: object) -> str:
-    """The `header.frame_id` of a value that has been encoded; empty where it gives none."""
+    """Return the `header.frame_id` of a value that has been encoded; "" if it has none."""
     header = cast("Mapping[str, Any]", value).get("header") if isinstance(value, Mapping) else None
     return str(header.get("frame_id", "")) if header else ""
 
 
 def _joints_of(value: object) -> Sequence[str]:
-    """The joints of a trajectory that has been encoded."""
+    """Return the joints of a trajectory that has been encoded."""
     names = cast("Mapping[str, Any]", value).get("joint_names", ()) if isinstance(value, Mapping) else ()
     return [str(name) for name in names]

@@ -1,4 +1,4 @@
-"""Which type a name has: the requested one, or the only one in the graph."""
+"""Resolve types: of a topic, service or action, from the requested type and the graph."""
 
 from __future__ import annotations
 
@@ -17,23 +17,24 @@ if TYPE_CHECKING:
     from ros2_mcp.robot.graph import Graph
 
 INFRASTRUCTURE = ("rcl_interfaces/srv/", "type_description_interfaces/srv/")
-"""Types of services that every node has."""
+"""Prefixes of the types of services that every node has."""
 _SEND_GOAL = "/_action/send_goal"
 _LISTED = "ros2_interface_list shows what is there."
 _MOST_TOLD = 6
-"""Endpoints of a topic with several types that its error names: more are no help in one sentence."""
+"""The most endpoints that the error for a topic with several types names."""
 _SEEN_S = 1.0
-"""How long it is taken that a topic has the endpoints that it had when its last message left: who publishes faster
-asks the graph once, and not before each message. What comes meanwhile may miss one message. Chosen."""
+"""The time for which a topic's endpoints are assumed unchanged after a message was sent, in s: a fast publisher then
+queries the graph once instead of before each message. A subscriber that appears meanwhile may miss one message. Not
+measured."""
 _MOST_SEEN = 256
-"""Topics whose endpoints are remembered: more than a robot is sent messages on at a time."""
+"""The most topics whose endpoints are remembered: more than are published on at a time."""
 _APPEARING_S = 1.0
-"""How long a publication without a type waits for a topic that is coming up; discovery on one machine takes less."""
+"""The time limit for a topic to appear when a publication gives no type, in s; discovery on one machine takes less."""
 
 
 @dataclass(frozen=True, slots=True)
 class Destination:
-    """A topic to publish on: its absolute name, full type, and the QoS that reaches its subscribers."""
+    """A topic to publish on: absolute name, full type, and the QoS that reaches its subscribers."""
 
     topic: str
     type: str
@@ -42,8 +43,10 @@ class Destination:
 
 @dataclass(slots=True)
 class _Seen:
-    """A destination as the graph had it, the number of endpoints when the last message left, and until when that is
-    taken to be so.
+    """A destination found in the graph.
+
+    `endpoints` are the topic's numbers of publishers and subscribers when the last message was sent; `until` is when
+    the destination has to be looked up again (monotonic, in s).
     """
 
     destination: Destination
@@ -52,7 +55,7 @@ class _Seen:
 
 
 class Types:
-    """The types of topics, services and actions. Raises `TypeConflict` and `NotFound` with the way out."""
+    """The types of topics, services and actions. Raises `TypeConflict` and `NotFound` with a hint."""
 
     def __init__(self, graph: Graph) -> None:
         self._graph = graph
@@ -60,18 +63,18 @@ class Types:
         self._seen: dict[tuple[str, str], _Seen] = {}
 
     async def full_name(self, requested: str, kind: str = "", in_use: Collection[str] = ()) -> str:
-        """The full name of a type: `Twist` and `geometry_msgs/Twist` are `geometry_msgs/msg/Twist`.
+        """Return the full name of a type: `Twist` and `geometry_msgs/Twist` become `geometry_msgs/msg/Twist`.
 
         Args:
-            requested: a full name, one without its kind, or the name alone: of the types `in_use`, else of all that are
-                installed where the bridge runs.
-            kind: `msg`, `srv` or `action`; empty is any, in this order.
+            requested: a full name, a name without its kind, or the last part alone. Short names are looked up in the
+                types `in_use`, and then in all types that are installed where the bridge runs.
+            kind: `msg`, `srv` or `action`; "" is any, in this order.
             in_use: the types that the topic, service or action has.
 
         Raises:
-            BadName: if it is not a type's name, or of another kind.
-            TypeConflict: if several have this name; names them.
-            UnknownInterface: if none has it.
+            BadName: if the name is not that of a type, or of another kind.
+            TypeConflict: if several types have this name; the error names them.
+            UnknownInterface: if no type has this name.
         """
         text = requested.strip()
         if kind and not names.is_short(text):
@@ -80,7 +83,7 @@ class Types:
             return names.interface_type(text, text.split("/")[1])
         used = [name for name in in_use if names.is_type(text, name)]
         installed = used or await self._graph.interfaces()
-        if not (used or any(names.is_type(text, name) for name in installed)):  # a node may describe what it uses
+        if not (used or any(names.is_type(text, name) for name in installed)):  # nodes may describe others
             installed = [*installed, *{name for row in await self._graph.topics() for name in row.types}]
         if names.is_short(text):
             found = [name for name in installed if names.is_type(text, name) and f"/{kind}" in name]
@@ -99,7 +102,7 @@ class Types:
     # ── topics ─────────────────────────────────────────────────────────────────────────────────────────────────
 
     async def topic(self, present: TopicEndpoints, requested: str = "") -> str:
-        """The type of a topic with these endpoints; the requested one where it has none yet."""
+        """Return the type of a topic with these endpoints; the requested one if the topic has none yet."""
         if requested and not names.is_derived(requested):
             requested = await self.full_name(requested, "msg", present.types)
         if not (requested or present.types):
@@ -113,7 +116,9 @@ class Types:
         )
 
     async def destination(self, topic: str, requested: str = "") -> Destination:
-        """Where a message for this topic goes; raises `NotFound` if it has no type and none is requested."""
+        """Return where to publish a message for this topic; raises `NotFound` if it has no type and none is
+        requested.
+        """
         topic = names.absolute(topic)
         seen = self._seen.get((topic, requested))
         if seen and monotonic() < seen.until:
@@ -130,9 +135,9 @@ class Types:
         return found
 
     def note_sent(self, destination: Destination, requested: str, endpoints: tuple[int, int] | None) -> None:
-        """Notes how many endpoints a topic had when a message had left for that destination.
+        """Record how many endpoints a topic had when a message to this destination was sent.
 
-        As many as when the one before had left: then none has come or gone since, and the destination stays as it is.
+        If the numbers are those of the message before, the destination is reused for a second.
         """
         seen = self._seen.get((destination.topic, requested))
         if not seen or seen.destination is not destination:
@@ -143,9 +148,9 @@ class Types:
     # ── services ───────────────────────────────────────────────────────────────────────────────────────────────
 
     async def service(self, service: str, requested: str = "") -> str:
-        """The type to call a service with; the requested one where its server is not in the graph yet.
+        """Return the type to call a service with; the requested one if its server is not in the graph yet.
 
-        A service that had the requested type and no other at its last call costs no round trip.
+        If the service had only the requested type at its last call, this needs no round trip.
         """
         if requested and self._only_type.get(service) == requested:
             return requested
@@ -160,7 +165,9 @@ class Types:
         return _one_of(types, requested, service)
 
     async def absent_service(self, service: str) -> NotFound | None:
-        """The error for a service that is not there although discovery has settled; None if it is, or may be."""
+        """Return an error if a service does not exist although discovery has settled; None if it exists or may
+        exist.
+        """
         if service in self._only_type:
             return None
         found = await self._graph.services()
@@ -168,23 +175,23 @@ class Types:
         return None if is_there else await self.no_such_service(service)
 
     async def no_such_service(self, service: str) -> NotFound:
-        """The error for a service that is not there, with the nearest right spelling."""
+        """Return the error for a service that does not exist, with the nearest name."""
         return NotFound(f"There is no service {service}.", await self.near_service(service))
 
     async def near_service(self, service: str) -> str:
-        """A hint for a service that is not there: the one that was most likely meant."""
+        """Return a hint for a service that does not exist: the one that was most likely meant."""
         others = [row for row in await self._graph.services() if row.name != service]
         likely = [row.name for row in others if not is_infrastructure(row.name, row.types)]
         return await self._graph.near(service, likely, "ros2_service_list")
 
     def forget_service(self, service: str) -> None:
-        """Forgets the type of a service whose server has gone: it may come back with another one."""
+        """Forget the type of a service whose server has gone: it may return with another type."""
         self._only_type.pop(service, None)
 
     # ── actions ────────────────────────────────────────────────────────────────────────────────────────────────
 
     async def actions(self) -> dict[str, Sequence[str]]:
-        """Action → its types, of every action with a server or a client in the graph."""
+        """Return the types of every action with a server or a client in the graph, by name."""
         return {
             row.name.removesuffix(_SEND_GOAL): [kind.removesuffix("_SendGoal") for kind in row.types]
             for row in await self._graph.services()
@@ -192,7 +199,7 @@ class Types:
         }
 
     async def action(self, action: str, requested: str = "") -> str:
-        """The type of an action, which must be there."""
+        """Return the type of an action, which must exist."""
         present = await self.actions()
         types = present.get(action, ())
         requested = await self.full_name(requested, "action", types) if requested else ""
@@ -201,12 +208,12 @@ class Types:
         return _one_of(types, requested, action)
 
     async def near_action(self, action: str) -> str:
-        """A hint for an action that is not there: the one that was most likely meant."""
+        """Return a hint for an action that does not exist: the one that was most likely meant."""
         return await self._graph.near(action, list(await self.actions()), "ros2_list_actions")
 
 
 def _like(text: str, installed: Sequence[str], kind: str) -> str:
-    """A hint for a type that is not there: the most similar one, of that kind first."""
+    """Return a hint for a type that does not exist: the most similar one, of that kind first."""
     if not names.is_short(text):
         return names.did_you_mean(names.interface_type(text, "msg"), installed, _LISTED)
     of_kind = {name.rpartition("/")[2]: name for name in installed if f"/{kind}" in name}
@@ -218,7 +225,7 @@ def _like(text: str, installed: Sequence[str], kind: str) -> str:
 
 
 def _who_has_which(present: TopicEndpoints) -> str:
-    """Who publishes and who subscribes with which type, as a sentence."""
+    """Return a sentence with each publisher and subscriber and its type."""
     told = [f"{named(each.node)} publishes {named(each.type)}" for each in present.publishers]
     told += [f"{named(each.node)} subscribes to {named(each.type)}" for each in present.subscribers]
     more = f", and {len(told) - _MOST_TOLD} more" if len(told) > _MOST_TOLD else ""
@@ -226,7 +233,11 @@ def _who_has_which(present: TopicEndpoints) -> str:
 
 
 def _one_of(types: Collection[str], requested: str, name: str) -> str:
-    """The requested type of those in use; any where there is none yet, the only one where none is requested."""
+    """Return the requested type if it is in use or no type is yet, or the only type if none is requested.
+
+    Raises:
+        TypeConflict: if the requested type is not in use, or several types are and none is requested.
+    """
     if requested and types and requested not in types:
         raise TypeConflict(
             f"{name} has the type {' and '.join(map(named, types))}, not {requested}.",
@@ -238,5 +249,5 @@ def _one_of(types: Collection[str], requested: str, name: str) -> str:
 
 
 def is_infrastructure(name: str, types: Sequence[str]) -> bool:
-    """Whether every node has such a service (parameters, type descriptions), or it is a part of an action."""
+    """Return whether every node has such a service (parameters, type descriptions), or it is part of an action."""
     return names.is_hidden(name) or any(kind.startswith(INFRASTRUCTURE) for kind in types)

@@ -1,4 +1,4 @@
-"""The robot: reading it by name and value, and the one way to act on it."""
+"""The robot: reading by name and value, and `do`, the only way to act."""
 
 from __future__ import annotations
 
@@ -42,19 +42,19 @@ if TYPE_CHECKING:
 
 MAX_WAITING = 20_000
 MAX_WAITING_BYTES = 64_000_000
-"""Of the samples of one subscription that nobody has taken yet: 20 s of a topic of 1,000 Hz, or a second of raw camera
-pictures. What is more is dropped, the oldest first, and counted."""
+"""Bounds on the waiting samples of one subscription: 20 s of a topic at 1,000 Hz, or a second of raw camera images.
+Beyond, the oldest samples are dropped and counted."""
 _BACKLOG_BYTES = 1_000_000
-"""Of those that wait in the bridge where a network lies between: 1.6 s at 5 Mbit/s. Of larger pictures only the
+"""Bound on the samples that wait in the bridge if a network lies between: 1.6 s at 5 Mbit/s. Of larger images only the
 newest one waits."""
 _DEPTH = 1000
-"""The queue of the middleware bridges the time between two rounds of the bridge (docs/decisions/0007)."""
+"""The queue of the middleware covers the time between two turns of the bridge (docs/decisions/0007)."""
 _MOST_REMEMBERED = 256
-"""Topics of which the last subscription is remembered: more than any robot has that are read again and again."""
+"""The most topics whose last subscription is remembered: more than are read repeatedly."""
 
 
 async def _nothing(_core: Core, _prepared: Prepared[Any]) -> None:
-    """A recording is only decided about: it sends nothing to the robot."""
+    """Do nothing: a recording needs a decision only, and sends nothing to the robot."""
 
 
 _EXECUTORS: Mapping[type[Command[Any]], Callable[[Core, Prepared[Any]], Awaitable[Any]]] = {
@@ -71,24 +71,26 @@ _EXECUTORS: Mapping[type[Command[Any]], Callable[[Core, Prepared[Any]], Awaitabl
     commands.SendGoal: goals.send,
     commands.CancelGoals: services.call,
 }
-"""How each command is carried out, once it has been decided: its fail-safe is left, and its bytes are sent."""
+"""The function that carries out each command once it is allowed: it establishes the fail-safe, and sends the bytes."""
 _PUBLISHING = (commands.Publish, commands.Repeat, commands.Relay, commands.Play)
 _NEVER_STOPPED = (commands.CancelGoals, commands.Record)
-"""The first one stops; the other writes files and sends nothing."""
+"""Commands that no stop holds back: the first one stops; the second writes files and sends nothing."""
 _logger = logging.getLogger(__name__)
 
 
 def _ends_own_goal(core: Core, command: Command[Any]) -> bool:
-    """Whether it cancels one goal that this server sent, and no other: what stops is never held."""
+    """Return whether a command cancels one goal that this server sent, and no other: such a command is never
+    held back.
+    """
     if not isinstance(command, commands.CancelGoals) or any((command.stamp or {}).values()):
-        return False  # with a time, all goals that were accepted before it are cancelled besides
+        return False  # with a time, all goals that were accepted before it are cancelled as well
     own = core.jobs.get(goals.Goal, command.goal_id)
     return own is not None and own.action == command.name
 
 
 def _check_room(core: Core, command: Command[Any]) -> None:
-    """Raises `Refused` where a motion by feedback has the topic for itself: what came between its commands would lead
-    it past its guard.
+    """Raise `Refused` if a motion by feedback has sole use of the topic: other messages between its commands would
+    bypass its guard distance.
     """
     if not isinstance(command, _PUBLISHING):
         return
@@ -101,8 +103,8 @@ def _check_room(core: Core, command: Command[Any]) -> None:
 
 
 def _check_action_topic(command: Command[Any]) -> None:
-    """Raises `Refused` for what only an action's server publishes. A stop believes the status of goals: a forged one
-    would make it forget a goal that still moves the robot.
+    """Raise `Refused` for topics that only an action server may publish. A stop relies on the status of goals: a forged
+    status would make it forget a goal that still moves the robot.
     """
     if isinstance(command, _PUBLISHING) and names.is_of_action(command.name):
         raise Refused(
@@ -112,9 +114,9 @@ def _check_action_topic(command: Command[Any]) -> None:
 
 
 class Robot(Core):
-    """One robot, which all callers share: its graph, its definitions, its topics, services and actions.
+    """One robot, shared by all callers: its graph, its definitions, its topics, services and actions.
 
-    `kept` has what rooms keep of it. Whatever is done with it is done in a `Session`.
+    `kept` has the objects that rooms keep for the robot. Everything that acts belongs to a `Session`.
     """
 
     def __init__(
@@ -141,21 +143,22 @@ class Robot(Core):
 
     @property
     def policy(self) -> Policy:
-        """What this server allows."""
+        """The policy of this server."""
         return self.guard.policy
 
     # ── acting ─────────────────────────────────────────────────────────────────────────────────────────────────
 
     async def do(self, command: Command[R], session: Session | None = None) -> R:
-        """Decides about a command and carries it out. Nothing is registered, left or sent before it is decided.
+        """Decide about a command and carry it out. Before the decision nothing is registered, prepared in the bridge,
+        or sent.
 
-        Without a session it is accepted when this begins, for the command's own principal.
+        Without a session the command is accepted at the time of this call, for its own principal.
 
         Raises:
             Refused: if the policy of this server forbids it, or a limit is reached.
-            BadValue: naming the path of a value that does not fit its definition; nothing is sent.
+            BadValue: with the path of a value that does not fit its definition; nothing is sent.
             Stopped: if a stop came after it was accepted; nothing was sent, unless the error says so.
-            RobotError: what the command itself may raise.
+            RobotError: the errors of the command itself.
         """
         session = session or self.session(command.principal)
         prepared = await as_meant(Prepared(self.values, session, command))
@@ -180,7 +183,7 @@ class Robot(Core):
             return result
 
     def _audit_end(self, command: commands.SendGoal) -> None:
-        """Has the end of an accepted goal leave a line, as its sending did."""
+        """Write a line in the audit when an accepted goal ends."""
         goal, audit = self.jobs.get(goals.Goal, command.goal_id), self.guard.audit
         if not goal or not goal.is_accepted or not audit:
             return
@@ -193,15 +196,15 @@ class Robot(Core):
         if not goal.is_running:
             tell(goal)
 
-    # What stops is never refused: it does not pass the policy, and no stop that comes later holds it up.
+    # Stopping is never refused: it does not pass the policy, and no later stop holds it back.
 
     def raise_stop_epoch(self) -> None:
-        """Begins a stop of everything: at once, nothing leaves this server any more that was accepted before."""
+        """Begin a stop of everything: from now on this server sends nothing that was accepted before."""
         self.stops.raise_epoch()
 
     async def stop_bridge(self) -> StopReply:
-        """Ends what is under way in the bridge and was accepted before the last `raise_stop_epoch`; publishes the zero
-        on every velocity topic that is driven. Raises as `Graph.ask`.
+        """End the requests in the bridge that were accepted before the last `raise_stop_epoch`, and publish the zero on
+        every driven velocity topic. Raises as `Graph.ask`.
         """
         before = self.failsafes.commands()
         reply = await self.graph.query(
@@ -216,19 +219,19 @@ class Robot(Core):
         return reply
 
     async def zero(self, topics: Sequence[str]) -> Sequence[StoppedTopic]:
-        """Publishes the zero on some of the velocity topics that are driven. Raises as `Graph.ask`."""
+        """Publish the zero on some of the driven velocity topics. Raises as `Graph.ask`."""
         return await self.failsafes.zero(topics)
 
     async def still(self, topics: Mapping[str, str]) -> Mapping[str, str]:
-        """Publishes the zero on topics (with their types) that another server has left moving, and for a tenth of a
-        second to whoever is discovered. Returns why it could not be sent, by topic.
+        """Publish the zero on topics (by name, with types) that another server left moving, for half a second, so that
+        subscribers can match. Return the reasons of failures, by topic.
         """
         said = await asyncio.gather(*(self.failsafes.still(*topic) for topic in topics.items()))
         return {topic: why for topic, why in zip(topics, said, strict=True) if why}
 
     def moves_for(self, principal: Principal) -> bool:
-        """Whether this client may keep something moving: a job, a goal, a velocity topic that it drives, or a request
-        that acts and has not been answered.
+        """Return whether this client may keep something moving: by a job, a goal, a velocity topic that it drives, or a
+        request that acts and was not answered.
         """
         running = self.jobs.running(Job)
         return (
@@ -238,12 +241,14 @@ class Robot(Core):
         )
 
     async def stop_owned(self, principal: Principal, reason: str = "") -> Sequence[str]:
-        """Ends what one client has in motion, who has gone: what it sent and has not been answered is ended, its jobs
-        that move something end, for that reason, its goals are cancelled, and the zero goes out on every velocity topic
-        that it drives and nobody else uses. What others do goes on. Never raises a `RobotError`: what fails is logged.
+        """End everything that a disconnected client has in motion. The work of other clients goes on.
+
+        Its unanswered requests are ended, its jobs that move something are stopped with this reason, its goals are
+        cancelled, and the zero is published on every velocity topic that only it drives. Never raises a `RobotError`:
+        failures are logged.
 
         Returns:
-            In words, what was ended: `repeat repeat_0f3a9c21`, `zero on /cmd_vel`.
+            What was ended, in words: `repeat repeat_0f3a9c21`, `zero on /cmd_vel`.
         """
         self.stops.end_of(principal)
         if self.guard.approvals:
@@ -253,7 +258,7 @@ class Robot(Core):
         return [*(f"{job.kind} {job.id}" for job in ended), *(f"zero on {topic}" for topic in topics)]
 
     async def _zero(self, topics: Sequence[str]) -> None:
-        """Publishes the zero on these topics, if there are any. The bridge ends repeats with theirs, too."""
+        """Publish the zero on these topics, if there are any. The bridge ends repeats with a zero as well."""
         if not topics:
             return
         try:
@@ -266,22 +271,22 @@ class Robot(Core):
                 _logger.warning("the zero on %s has not been acknowledged", zero["topic"])
 
     async def end_repeat(self, repeat_id: str) -> None:
-        """Ends one repeat in the bridge, whose answer then says what was sent; without effect where there is none."""
+        """End one repeat in the bridge; the reply to the repeat then has its counts. No effect if there is none."""
         await self.graph.ask("repeat_stop", name=repeat_id)
 
     async def end_relay(self, relay_id: str) -> None:
-        """Ends one relay or playback in the bridge; without effect where there is none."""
+        """End one relay or playback in the bridge. No effect if there is none."""
         await self.graph.ask("relay_stop", name=relay_id)
 
     async def cancel_when(self, asked: goals.CancelWhen, name: str) -> goals.WhenMet:
-        """Has the bridge cancel a goal as soon as a condition holds, and returns then; `name` is that of this asking.
+        """Have the bridge cancel a goal as soon as a condition holds, and return then. `name` identifies this request.
 
-        `graph.repeat_begun_at(name)` tells when it is being asked. Raises as `Graph.ask`.
+        `graph.repeat_begun_at(name)` is when the condition began to be evaluated. Raises as `Graph.ask`.
         """
         return await goals.cancel_when(self, asked, name)
 
     def goal_ended(self, action: str, goal_id: str, how: str = "") -> None:
-        """Notes that a goal of an action has ended, and how, or was not accepted, if it is one of ours."""
+        """Record that a goal of this action has ended or was not accepted, and how, if this server sent it."""
         goals.ended(self, action, goal_id, how)
 
     # ── reading ────────────────────────────────────────────────────────────────────────────────────────────────
@@ -303,25 +308,25 @@ class Robot(Core):
         drain_s: float | None = None,
         is_volatile: bool = False,
     ) -> AsyncGenerator[Listening, None]:
-        """A subscription that matches every publisher there is.
+        """A context manager of a subscription with QoS that match every publisher.
 
         Args:
-            topic: its name; it need not be there yet.
+            topic: its name; it may appear later.
             type_name: needed only if the topic has several types or none yet.
-            wait_s: how long to wait for a first publisher.
-            absent: is called first where the topic is not there at all; may raise.
-            keep: `all` samples that wait, or only the `latest`.
-            max_samples: bound on the samples that wait; the oldest are dropped and counted.
-            max_bytes: bound on their bytes. Without it, 64 MB here, and over a network 1 MB in the bridge, so that what
-                comes is new; with it, as much in the bridge.
-            head_bytes: only so many of the first bytes of each sample are needed (0: all).
-            every_n: only every n-th sample is needed; those between stay on the robot, and count as received.
-            newest_of_old: of what a latched topic replays, only the newest.
-            drain_s: how long a sample may wait in the bridge; None: as mostly.
-            is_volatile: get nothing that was published before, whatever a latched topic has kept.
+            wait_s: how long to wait for a first publisher, in s.
+            absent: called first if the topic does not exist; may raise.
+            keep: `all` waiting samples, or only the `latest`.
+            max_samples: bound on the waiting samples; the oldest are dropped and counted.
+            max_bytes: bound on their bytes. Without it, 64 MB here and, over a network, 1 MB in the bridge, so that
+                samples arrive fresh; with it, the same bound in the bridge.
+            head_bytes: only this many of the first bytes of each sample are transferred (0: all).
+            every_n: only every n-th sample is transferred; the others stay on the robot, and count as received.
+            newest_of_old: of the samples that a latched topic replays, only the newest is transferred.
+            drain_s: how long a sample may wait in the bridge, in s; None is the default of the link.
+            is_volatile: receive nothing that was published before, even from a latched topic.
 
         Raises:
-            NotFound: if the topic is not there and no type is given.
+            NotFound: if the topic does not exist and no type is given.
             TypeConflict: if it has several types and none is given, or not the given one.
         """
         topic, asked_at = names.absolute(topic), monotonic()
@@ -344,8 +349,8 @@ class Robot(Core):
             )
 
         subscription: Subscription | None = None
-        former = self._listened.pop(key, None)  # remembered again if it was right: a wrong guess fails only once
-        if former:  # subscribed as the last time, while the graph is asked whether that is still right: one round trip
+        former = self._listened.pop(key, None)  # stored again if it was right: a wrong guess fails only once
+        if former:  # subscribe as last time while the graph is queried whether that is still right: one round trip
             subscription, present = await subscribed_while(subscribed(*former), self.graph.endpoints(topic))
         else:
             present = await self.graph.endpoints(topic)
@@ -361,14 +366,14 @@ class Robot(Core):
                     await subscription.close()
                 subscription, _ = await subscribed_while(subscribed(full_type, choice), self.values.learn(full_type))
             self._remember(key, (full_type, choice))
-            opened_ns = self.now_ns() - round((monotonic() - asked_at) * 1e9)  # only now is its clock known
+            opened_ns = self.now_ns() - round((monotonic() - asked_at) * 1e9)  # its clock is known only now
             yield Listening(topic, full_type, choice, publishers, subscription, opened_ns)
         finally:
             if subscription:
                 await subscription.close()
 
     def _remember(self, key: tuple[str, str, str, bool], how: tuple[str, Choice]) -> None:
-        """Notes how a topic was subscribed to, for the next time; the topic that was read longest ago is forgotten."""
+        """Remember the subscription of a topic for the next time; forget the topic that was read longest ago."""
         self._listened.pop(key, None)
         self._listened[key] = how
         if len(self._listened) > _MOST_REMEMBERED:
@@ -376,7 +381,7 @@ class Robot(Core):
 
     @asynccontextmanager
     async def listen_again(self, former: Listening, *, max_bytes: int) -> AsyncGenerator[Listening, None]:
-        """The same subscription anew, without asking the graph: a new bridge has not discovered anything yet."""
+        """Repeat a former subscription without querying the graph: a new bridge has not discovered anything yet."""
         request = former.choice.qos.request()
         async with await self._bridge.subscribe(
             former.topic, former.type, request, keep="all", max_samples=MAX_WAITING, max_bytes=max_bytes
@@ -392,32 +397,32 @@ class Robot(Core):
         timeout_s: float,
         wait_s: float | None = None,
     ) -> Answer:
-        """Asks a service that only reads something, such as `get_parameters`; any other takes a command.
+        """Call a service that only reads, such as `get_parameters`; any other service needs a command.
 
-        Without `wait_s` the time-out holds for waiting for a server and for its answer together.
+        Without `wait_s`, the time-out covers the wait for a server and for its answer together.
 
         Raises:
-            ValueError: for a type that is not known to change nothing.
+            ValueError: for a type that is not known to be read-only.
             NotFound: if no server appeared in time, or it left before it answered.
             TimedOut: if it did not answer in time.
         """
         if not only_reads(service_type):
             raise ValueError(f"{service_type} may change something: calling {service} takes a command.")
-        # In the form of a command, but not decided about: reading is always allowed.
+        # In the form of a command, but without a decision: reading is always allowed.
         asking = commands.ServiceCall(
             principal=SERVER, name=service, type=service_type, value=request, timeout_s=timeout_s, wait_s=wait_s
         )
         return await services.call(self, Prepared(self.values, self.session(SERVER), asking))
 
     async def attach(self) -> None:
-        """Connects to the robot's bridge, which is started if it is not coming up already. Returns at once."""
+        """Connect to the robot's bridge, and start it unless it is starting already. Returns at once."""
         await self._bridge.attach()
 
     async def leave(self) -> None:
-        """Ends all work on the robot: jobs first, while the bridge can still stop what they move; the bridge last.
+        """End all work on the robot: jobs first, while the bridge can still stop what they move; the bridge last.
 
-        Where nobody would be told of the end the link is closed first, so that no job waits for a robot that is away:
-        this server has nothing in motion there, or the far bridge's lease ends it.
+        If no bridge can receive the end of the jobs, the link is closed first, so that no job waits for an unreachable
+        robot: this server has nothing in motion there, or the lease of the remote bridge ends it.
         """
         if not self.graph.was_reached or (self.graph.is_remote and not self.graph.is_connected):
             await self._bridge.close()
@@ -434,5 +439,5 @@ class Robot(Core):
                     self.guard.audit.close()
 
     async def fields_of(self, answer: Answer) -> dict[str, Any]:
-        """The answer of a service in full, for this program and not for display."""
+        """Return the response of a service in full, for this program and not for display."""
         return await self.values.in_full(answer.type, answer.body)

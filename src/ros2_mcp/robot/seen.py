@@ -1,6 +1,6 @@
-"""What has been seen of the robot in this session, and what of it has left.
+"""The nodes and topics of the robot that were seen in this session, and those that have disappeared since.
 
-Servers like this one and the tools of ROS's command line are no part of a robot.
+Servers like this one and the ROS command-line tools are not part of a robot.
 """
 
 from __future__ import annotations
@@ -15,20 +15,23 @@ from ros2_mcp.model.text import listed
 from ros2_mcp_common.wire.protocol import BRIDGE_NODE
 
 _MOST = 5000
-"""Names that are remembered: ten times what large robots have. A system that makes new ones for ever must not fill the
-memory; what was seen first is forgotten."""
+"""The most names that are remembered: ten times the number in large robots. A system that creates new names without end
+must not fill the memory; the names that were seen first are forgotten."""
 _BRIDGES = re.compile(rf"/{BRIDGE_NODE}\d+")
 _OF_ONE_PROCESS = re.compile(r"_(\d{3,}|[0-9a-f]{8,})$")
-"""Of `launch_ros_4711` or `transform_listener_impl_5581ab4b0a20`: it never comes back, and nobody misses it."""
+"""The end of names such as `launch_ros_4711` or `transform_listener_impl_5581ab4b0a20`: such a node never returns, and
+is not missed."""
 _MAX_LISTED = 20
-"""Names of each kind in one sentence: they say which robot it was. No more are kept of who published on a topic."""
+"""The most names of each kind in one sentence: enough to recognise the robot. Also the most publishers that are kept
+per topic."""
 
 
 @dataclass(frozen=True, slots=True)
 class Left:
-    """What was seen earlier and is not there any more: nodes, and topics without a publisher by who published them.
+    """Nodes that were seen earlier and have disappeared, and topics without a publisher, each with its former
+    publishers.
 
-    `types` are those of the topics.
+    `types` are the types of the topics.
     """
 
     nodes: Collection[str] = ()
@@ -36,7 +39,7 @@ class Left:
     types: Mapping[str, str] = field(default_factory=dict[str, str])
 
     def __str__(self) -> str:
-        """In words; empty where nothing has left."""
+        """Return a sentence, or "" if nothing has disappeared."""
         parts = [
             f"{kind} {listed(sorted(found), _MAX_LISTED)}"
             for kind, found in (("nodes", self.nodes), ("topics", self.topics))
@@ -46,7 +49,7 @@ class Left:
 
 
 class Seen:
-    """The robot's nodes and the topics that they published on, as far as the graph was asked in this session."""
+    """The robot's nodes and the topics that they published, as far as the graph was queried in this session."""
 
     def __init__(self) -> None:
         self._nodes: dict[str, None] = {}
@@ -56,25 +59,25 @@ class Seen:
         self._ran: dict[str, None] = {}
 
     def note_stream(self, topic: str) -> None:
-        """Notes that messages come on a topic all the time."""
+        """Record that a topic has a continuous stream of messages."""
         self._ran.setdefault(topic)
         if len(self._ran) > _MOST:
             del self._ran[next(iter(self._ran))]
 
     @property
     def ran(self) -> Collection[str]:
-        """The topics that were a stream at some time of this session."""
+        """The topics that were streams at some time in this session."""
         return self._ran.keys()
 
     def knows(self, node: str) -> bool:
-        """Whether the node was seen before, or is one that is never noted."""
+        """Return whether the node was seen before, or is one that is never recorded."""
         return node in self._nodes or not _is_missed(node)
 
     def note(self, node: str, topics: Mapping[str, str] | None = None) -> None:
-        """Notes that a node is there and publishes on these topics; `topics` are their types by their names."""
+        """Record that a node exists and publishes these topics; `topics` maps their names to their types."""
         if not _is_missed(node):
             return
-        if node.startswith("/"):  # else the endpoint is of no ROS node
+        if node.startswith("/"):  # otherwise the endpoint belongs to no ROS node
             self._nodes.setdefault(node)
         for topic, type_name in (topics or {}).items():
             if topic in OF_EVERY_NODE or names.is_hidden(topic):
@@ -88,26 +91,28 @@ class Seen:
                 del kept[next(iter(kept))]
 
     def note_subscribers(self, topic: str, nodes: Collection[str]) -> None:
-        """Notes which nodes subscribe to a topic now."""
+        """Record the present subscribers of a topic."""
         self._subscribers.pop(topic, None)
         self._subscribers[topic] = frozenset(node for node in nodes if is_of_robot(node) and node != names.UNKNOWN_NODE)
         if len(self._subscribers) > _MOST:
             del self._subscribers[next(iter(self._subscribers))]
 
     def subscribers(self, topic: str) -> Collection[str]:
-        """The robot's nodes that subscribed to a topic when its endpoints were last looked up."""
+        """Return the robot's nodes that subscribed to a topic when its endpoints were last queried."""
         return self._subscribers.get(topic, frozenset())
 
     def published(self, types: Collection[str]) -> Sequence[str]:
-        """The topics of these types that a node of the robot was ever seen to publish."""
+        """Return the topics of these types that a node of the robot was ever seen to publish."""
         return [topic for topic, type_name in self._types.items() if type_name in types]
 
     def left(self, nodes: Collection[str], topics: Mapping[str, TopicEndpoints]) -> Left:
-        """What of it is not there any more, where these are the nodes, and the topics with their endpoints."""
+        """Return the nodes and topics that have disappeared, given the present nodes, and the topics with their present
+        endpoints.
+        """
         published = {
             name for name, found in topics.items() if any(is_of_robot(one.node) for one in found.publishers)
         }  # fmt: skip
-        # a node that has only just appeared is seen by what it publishes before it is among the nodes
+        # a node that has just appeared may be known by its publishers before it is listed as a node
         present = {*nodes, *(one.node for found in topics.values() for one in found.publishers)}
         silenced = {topic: sorted(by) for topic, by in self._publishers.items() if topic not in published}
         return Left(
@@ -118,10 +123,12 @@ class Seen:
 
 
 def _is_missed(node: str) -> bool:
-    """Whether somebody may ask for the node when it has left."""
+    """Return whether a node may be missed after it has disappeared."""
     return is_of_robot(node) and not _OF_ONE_PROCESS.search(node) and node != names.UNKNOWN_NODE
 
 
 def is_of_robot(node: str) -> bool:
-    """Whether a node may be a robot's: no bridge of a server like this one, and hidden as ROS's own tools are."""
+    """Return whether a node may belong to a robot: no bridge of a server like this one, and not hidden, as ROS's tools
+    are.
+    """
     return not (_BRIDGES.fullmatch(node) or names.is_hidden(node))

@@ -1,4 +1,4 @@
-"""Carrying out the commands that are requests to services."""
+"""Carry out the commands that are service requests."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from ros2_mcp_common.policy.verbs import only_reads
 
 
 async def call(core: Core, prepared: Prepared[Any]) -> Answer:
-    """The answer to one request, which is checked against its definition. Raises as a `ServiceBorne`.
+    """Send one request and return the response. Raises as a `ServiceBorne`.
 
     Raises:
-        BadValue: naming the path of a value that does not fit; nothing is sent.
-        Stopped: if a stop came after it was accepted; nothing was sent.
+        BadValue: with the path of a value that does not fit its definition; nothing is sent.
+        Stopped: if a stop came after the session was accepted; nothing was sent.
     """
     command: ServiceBorne = prepared.command
     body, timeout_s, wait_s = await prepared.body(), command.timeout_s, command.wait_s
@@ -29,7 +29,7 @@ async def call(core: Core, prepared: Prepared[Any]) -> Answer:
     }
     if isinstance(command, CancelGoals) or only_reads(command.service_type):
         reply = await core.graph.ask("call", body, **arguments)
-    elif isinstance(command, SendGoal):  # it is a job, and cancelled whatever becomes of this request
+    elif isinstance(command, SendGoal):  # it is a job, and will be cancelled whatever the reply
         core.check_stop(prepared.session)
         reply = await core.graph.ask("call", body, epoch=prepared.session.accepted.epoch, **arguments)
     elif isinstance(command, SetParameters | ChangeState) or vehicle_of(command.service, command.service_type):

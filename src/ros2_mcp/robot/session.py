@@ -1,4 +1,4 @@
-"""What belongs to one caller of a robot, beside the robot that all callers share."""
+"""The state of one caller of a robot; the robot itself is shared by all callers."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from ros2_mcp.robot.stops import Accepted
 
 @dataclass(eq=False, slots=True, kw_only=True)
 class Session:
-    """One call of one caller, or one job that it has begun. Whatever acts is given one (`Robot.session`).
+    """One call of a caller, or one job that it has begun. Everything that acts has a session (`Robot.session`).
 
-    `principal` is who asks. `accepted` is when the call was accepted: a stop that comes after it holds back all that
-    the call has not sent. `notes` are sentences for its result. With a list `rehearsed` nothing is done: what would be
-    done is written there, with what the policy says of it.
+    `principal` is the caller. `accepted` is when the call was accepted: a later stop holds back everything that the
+    call has not sent. `notes` are sentences for the result. With a list `rehearsed` nothing is carried out: the list
+    gets each command with the policy's decision.
     """
 
     principal: Principal

@@ -1,4 +1,4 @@
-"""The stop epoch: what was accepted before a stop is not sent after it."""
+"""The stop epoch: commands that were accepted before a stop are not sent after it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from ros2_mcp.link.client import Bridge
 
 _MOST_ENDED = 1000
-"""Clients whose ends are remembered: more than can have a call under way that was accepted before their end."""
+"""The most disconnected clients that are remembered: more than can have a call in progress that was accepted before."""
 _STOPPED = "ros2_stop came after this call was accepted: nothing was sent."
 _DEPARTURE = "the end of its client"
 _CLIENT_GONE = "Ended: the client that asked for it has gone."
@@ -25,17 +25,17 @@ _CLIENT_GONE = "Ended: the client that asked for it has gone."
 
 @dataclass(frozen=True, slots=True)
 class Accepted:
-    """When a call was accepted: the stop epoch of that time, and how many ends of clients there had been."""
+    """The time at which a call was accepted: the stop epoch, and the number of disconnected clients so far."""
 
     epoch: int
     ends: int
 
 
 class Stops:
-    """How often all work, and that of each client, has been ended. The bridge keeps the epoch, too: it is told of it
-    with every request that acts and with every ping, and refuses what is older where it would leave.
+    """Counters of stops and of disconnected clients. The bridge has the epoch as well: it gets it with every request
+    that acts and with every ping, and refuses to send anything older.
 
-    `unknown` names what was sent whose stop is not known.
+    `unknown` has the names of what was sent without a known way to stop it.
     """
 
     def __init__(self, bridge: Bridge) -> None:
@@ -47,12 +47,12 @@ class Stops:
         self.unknown = NoKnownStop()
 
     def raise_epoch(self) -> None:
-        """A stop of everything begins: from now on nothing leaves that was accepted before."""
+        """Begin a stop of everything: from now on nothing is sent that was accepted before."""
         self.epoch += 1
         self._bridge.stop_epoch = self.epoch
 
     def end_of(self, principal: Principal) -> None:
-        """Ends what one client has under way: what was accepted before and has not left, nor been answered."""
+        """End the work of a client that was accepted before now and has not been sent, or not been answered."""
         self._ends += 1
         self._ended_at.pop(principal, None)
         self._ended_at[principal] = self._ends
@@ -63,15 +63,15 @@ class Stops:
                 scope.cancel()
 
     def is_leaving(self, principal: Principal) -> bool:
-        """Whether a request of that client that acts has not been answered."""
+        """Return whether a request that acts, of this client, has not been answered."""
         return any(owner == principal for owner, _ in self._leaving)
 
     def now(self) -> Accepted:
-        """What a call is accepted with at this time."""
+        """Return the acceptance of a call at this time."""
         return Accepted(self.epoch, self._ends)
 
     def check(self, principal: Principal, accepted: Accepted) -> None:
-        """Raises `Stopped` if what was accepted then must not be sent any more."""
+        """Raise `Stopped` if work with this acceptance must no longer be sent."""
         if accepted.epoch != self.epoch:
             raise Stopped(_STOPPED)
         if accepted.ends < self._ended_at.get(principal, 0):
@@ -79,7 +79,7 @@ class Stops:
 
     @contextmanager
     def leaving(self, principal: Principal) -> Generator[None, None, None]:
-        """Around a request that acts, until it is answered; raises `Stopped` if `end_of` its client ends it."""
+        """A context manager around a request that acts; raises `Stopped` if `end_of` ends it for its client."""
         with anyio.CancelScope() as scope:
             self._leaving.add((principal, scope))
             try:

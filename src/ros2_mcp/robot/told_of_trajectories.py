@@ -1,6 +1,6 @@
-"""What a person who approves a trajectory has to know of it: where each joint goes, how fast, how long, how far out.
+"""Sentences about a trajectory for the person who approves it: range of each joint, top speed, duration and reach.
 
-The points alone do not tell it: between them a curve may go farther and faster (`ros2_mcp_common.policy.curves`).
+The points alone are not enough: between them a curve may go farther and faster (`ros2_mcp_common.policy.curves`).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from ros2_mcp_common.policy.field_values import Unfit
 from ros2_mcp_common.policy.trajectory_limits import Joints, LookAtJoints, Path, extremes_of, positions_at, read
 
 _LOOKS = 100
-"""Along a trajectory, for the farthest reach: of 10 s a look each 0.1 s."""
+"""The number of positions along a trajectory that are checked for the farthest reach: every 0.1 s of 10 s."""
 
 _NO_DESCRIPTION = "No description (URDF) of the robot was found: the limits of its joints are not known."
 
@@ -24,7 +24,9 @@ _NO_DESCRIPTION = "No description (URDF) of the robot was found: the limits of i
 def told_of(
     trajectories: Sequence[tuple[str, Mapping[str, Any]]], look: LookAtJoints, urdf: Urdf | None
 ) -> Sequence[str]:
-    """Sentences about trajectories, with their paths; one that cannot be judged is said to be so."""
+    """Return sentences about trajectories, given with their paths. For a trajectory that cannot be evaluated, one
+    sentence says so.
+    """
     told = [sentence for path, found in trajectories for sentence in _told(path or "trajectory", found, look, urdf)]
     return [*told, _NO_DESCRIPTION] if told and urdf is None else told
 
@@ -52,8 +54,9 @@ def _told(path: str, trajectory: Mapping[str, Any], look: LookAtJoints, urdf: Ur
 
 
 def _reach(points: Path, joints: Joints, urdf: Urdf | None) -> Sequence[str]:
-    """How far from its base the last link that these joints move comes, and how low. Empty where that is not known: no
-    description, or other joints on the way to it, which nobody has measured.
+    """Return a sentence about how far the last link that the joints move gets from its base, and how low.
+
+    Empty if this is unknown: without a description, or with other joints in the chain that were not measured.
     """
     if urdf is None:
         return ()
@@ -75,7 +78,7 @@ def _reach(points: Path, joints: Joints, urdf: Urdf | None) -> Sequence[str]:
 
 
 def _chain(names: Sequence[str], urdf: Urdf) -> Sequence[Joint]:
-    """The joints from the farthest link that these move up to the first that they move, the farthest first."""
+    """Return the joints from the farthest link that the named joints move, back to the first joint that they move."""
     ways = [urdf.moved_by(urdf.joints[name].child) for name in names if name in urdf.joints]
     way = list(max(ways, key=len, default=()))
     while way and way[-1].name not in names:
@@ -89,5 +92,5 @@ def _unit(urdf: Urdf | None, name: str) -> str:
 
 
 def _short(number: float) -> str:
-    """Extremes are computed, and read in a second: four digits."""
+    """Return a number with four digits: extremes are computed values, and are read quickly."""
     return f"{number + 0.0:.4g}"

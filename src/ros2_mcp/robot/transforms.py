@@ -1,4 +1,6 @@
-"""What /tf and /tf_static tell, kept as a tree of frames from the first question on: later ones need no wait."""
+"""The transforms on /tf and /tf_static as a tree of frames, kept from the first query on, so that later ones
+are fast.
+"""
 
 from __future__ import annotations
 
@@ -26,33 +28,39 @@ if TYPE_CHECKING:
 TF, TF_STATIC = "/tf", "/tf_static"
 TF_TYPE = "tf2_msgs/msg/TFMessage"
 LISTENS = {TF: QoS("reliable", "volatile", depth=100), TF_STATIC: QoS("reliable", "transient_local", depth=100)}
-"""As the nodes of a robot listen (`tf2_ros::TransformListener`): what does not reach us does not reach them either."""
+"""The QoS of the robot's own nodes (`tf2_ros::TransformListener`): transforms that do not reach this subscriber do not
+reach them either."""
 _IDLE_S = 60.0
-"""After the last question: an agent that looks around asks again within seconds, and /tf is not for nothing."""
+"""The lifetime of the subscriptions after the last query, in s: an agent queries again within seconds, and /tf has a
+cost."""
 _TURN_S = 5.0
-"""Between two looks at whether it is still needed, where nothing comes."""
+"""The period of checks whether the subscriptions are still needed, in s, while nothing arrives."""
 _MAX_WAITING, _MAX_BYTES = 5_000, 8_000_000
-"""Messages that may wait to be taken in: ten seconds of the busiest robot."""
+"""Bounds on the waiting messages: ten seconds of the busiest robot."""
 _DRAIN_S = 0.01
-"""Nobody reads a place more often, and the bridge may sleep that long."""
+"""The longest wait of a message in the bridge, in s: poses are not read more often."""
 _SEEN_S = 3.0
-"""Who publishes is asked again only then: it hardly changes, and a look-up is to cost no more than its arithmetic."""
+"""The period of queries for publishers, in s: they rarely change, and a lookup should cost no more than its
+arithmetic."""
 _ROLES_S = 30.0
-"""What a node publishes besides changes even less."""
+"""The period of queries for other topics of these nodes, in s: they change even less."""
 _ROLES = {
     "odometry": frozenset({"nav_msgs/msg/Odometry"}),
     "localisation": frozenset({"geometry_msgs/msg/PoseWithCovarianceStamped", "nav_msgs/msg/OccupancyGrid"}),
     "description": frozenset({"std_msgs/msg/String"}),
 }
 _AGAIN_S = 3.0
-"""For what is latched to come to a new subscription: its publishers are known, and a slow network takes a second."""
+"""The time limit for latched messages to reach a new subscription, in s: its publishers are known, and a slow network
+takes a second."""
 _logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
 class Life:
-    """Of a publisher: it was not there yet at `not_before_ns` (0: it was when first looked), and not any more at
-    `gone_by_ns` (None: it is there).
+    """The lifetime of a publisher, from repeated queries, in ns of the robot's clock.
+
+    `not_before_ns` is when it was last absent (0: it was present at the first query); `gone_by_ns` is when it was first
+    absent again (None: it is present).
     """
 
     not_before_ns: int = 0
@@ -60,10 +68,11 @@ class Life:
 
 
 class TransformListener:
-    """The frames of a robot as they are now.
+    """The present frames of a robot.
 
-    It listens from the first question on until nobody has asked for `idle_s`, or the bridge is lost; the next question
-    begins anew. `tree` is replaced then. `since` is when it was subscribed (monotonic, in s; None while it is not).
+    It is subscribed from the first query until there was none for `idle_s` seconds, or the bridge is lost; the next
+    query subscribes anew and replaces `tree`. `since` is the time of subscription (monotonic, in s; None while not
+    subscribed).
     """
 
     idle_s = _IDLE_S
@@ -85,7 +94,7 @@ class TransformListener:
         self._also: tuple[float, tuple[str, ...], Mapping[str, Sequence[str]]] = (0.0, (), {})
 
     async def listening(self) -> FrameTree:
-        """The tree, as soon as it is listened to.
+        """Return the tree, as soon as it is subscribed.
 
         Raises:
             UnknownInterface: if the robot has no tf2_msgs.
@@ -102,7 +111,7 @@ class TransformListener:
         return self.tree
 
     async def news(self, timeout_s: float) -> bool:
-        """Waits until something more is told; whether it was in time."""
+        """Wait for the next transforms; return whether they came in time."""
         with anyio.move_on_after(max(timeout_s, 0.0)):
             await self._news.wait()
             return True
@@ -110,15 +119,15 @@ class TransformListener:
 
     @property
     def listened_s(self) -> float:
-        """Since when it listens; 0 while it does not."""
+        """The duration of the subscription so far, in s; 0 while not subscribed."""
         return 0.0 if self.since is None else monotonic() - self.since
 
     def now_ns(self) -> int:
-        """The time of the robot's clock, in ns of Unix time."""
+        """Return the present time of the robot's clock, in ns of Unix time."""
         return self._bridge.clock.now_ns()
 
     async def publishers(self, topic: str) -> Sequence[Endpoint]:
-        """Who publishes on one of both topics, as it was seconds ago at most; raises as `Graph.endpoints`."""
+        """Return the publishers of /tf or /tf_static, at most seconds old. Raises as `Graph.endpoints`."""
         seen_at, seen = self._publishers.get(topic, (0.0, ()))
         if not seen or monotonic() - seen_at > 2 * _SEEN_S:
             seen = (await self._graph.endpoints(self.namespace + topic)).publishers
@@ -127,7 +136,7 @@ class TransformListener:
         return seen
 
     def _see(self, topic: str, names: set[str]) -> None:
-        """Keeps in mind when publishers came and went, as far as looks at them tell it."""
+        """Record when publishers came and went, as far as the queries show."""
         now_ns, lives = self.now_ns(), self._lives.setdefault(topic, {})
         for name in names:
             before = lives.get(name, Life(self._looked_ns.get(topic, 0)))
@@ -138,11 +147,11 @@ class TransformListener:
         self._looked_ns[topic] = now_ns
 
     def lives(self, topic: str) -> Mapping[str, Life]:
-        """The nodes that have published on it since it is listened to, those that are gone among them."""
+        """Return the nodes that have published on the topic since it was subscribed, including those that have gone."""
         return self._lives.get(topic, {})
 
     async def clock_publishers(self) -> Sequence[str]:
-        """The nodes that tell simulated time, as it was seconds ago at most; raises as `Graph.endpoints`."""
+        """Return the nodes that publish simulated time, at most seconds old. Raises as `Graph.endpoints`."""
         seen_at, names = self._clock
         if monotonic() - seen_at > _SEEN_S:
             names = sorted({one.who for one in (await self._graph.endpoints("/clock")).publishers})
@@ -150,9 +159,10 @@ class TransformListener:
         return names
 
     async def also_publish(self, nodes: Sequence[str]) -> Mapping[str, Sequence[str]]:
-        """Which of these nodes publish odometry, a localisation (a pose or a map) and a description besides.
+        """Return which of these nodes also publish odometry, a localisation (a pose or a map) and a description, by
+        role.
 
-        As it was half a minute ago at most, unless the nodes are others; raises as `Graph.topics`.
+        The answer is at most half a minute old, unless the nodes are others. Raises as `Graph.topics`.
         """
         seen_at, asked, also = self._also
         if asked != tuple(nodes) or monotonic() - seen_at > _ROLES_S:
@@ -168,13 +178,15 @@ class TransformListener:
         return also
 
     async def other_topics(self) -> Sequence[str]:
-        """Topics of the same type with other names, such as /robot1/tf; raises as `Graph.topics`."""
+        """Return topics of the same type with other names, such as /robot1/tf. Raises as `Graph.topics`."""
         rows = await self._graph.topics()
         return [row.name for row in rows if TF_TYPE in row.types and row.name not in LISTENS]
 
     async def moved(self) -> bool:
-        """Begins anew with the topics of the only namespace in which somebody publishes frames, where nobody does on
-        /tf and /tf_static themselves; whether it did. Raises as `Graph.topics`.
+        """Switch to the topics of the only namespace with published frames, if /tf and /tf_static have no publisher.
+
+        Returns:
+            Whether it switched. Raises as `Graph.topics`.
         """
         if self.namespace:
             return False
@@ -196,7 +208,7 @@ class TransformListener:
         return True
 
     async def close(self) -> None:
-        """Ends listening."""
+        """Unsubscribe."""
         if self._work is not None:
             self._work.cancel()
             await asyncio.wait({self._work})
@@ -242,7 +254,9 @@ class TransformListener:
                 self._tell()
 
     async def _watch_publishers(self, tree: FrameTree) -> None:
-        """Keeps in mind who publishes: so that one that goes is known to have been, and a look-up asks nobody."""
+        """Keep the publishers up to date: one that disappears must be known to have existed, and a lookup needs no
+        query.
+        """
         self._lives.clear()
         self._looked_ns.clear()
         gone, asked_for = frozenset[str](), 0
@@ -253,7 +267,7 @@ class TransformListener:
                     await self.publishers(topic)
             before, gone = gone, frozenset(who for who, life in self.lives(TF_STATIC).items() if life.gone_by_ns)
             with suppress(RobotError):
-                # More were heard than are there: one came and went between two looks.
+                # More publishers were received than exist: one came and went between two queries.
                 heard = tree.publishers(is_static=True)
                 if gone - before or heard > max(asked_for, len(await self.publishers(TF_STATIC))):
                     asked_for = heard
@@ -265,7 +279,7 @@ class TransformListener:
             await asyncio.sleep(_SEEN_S)
 
     async def _find_left(self, tree: FrameTree) -> None:
-        """Finds what is static and is left behind by a publisher that went: a new subscription does not get it."""
+        """Mark the static transforms whose publisher has disappeared: a new subscription does not receive them."""
         asked_ns = self.now_ns()
         left = {edge.child for edge in tree.edges.values() if edge.is_static and edge.last_received_ns < asked_ns}
         again = FrameTree()
@@ -274,11 +288,11 @@ class TransformListener:
             while left - again.edges.keys() and (wait_s := deadline - monotonic()) > 0:
                 again.take_in(again.decoded(self._values.codec, await subscription.take(wait_s)), is_static=True)
         is_heard = again.edges or not await self.publishers(TF_STATIC)
-        for child in left if is_heard else ():  # nothing at all from somebody who is there tells nothing
+        for child in left if is_heard else ():  # an empty replay shows nothing
             edge = tree.edges[child]
             edge.is_left = child not in again.edges and edge.last_received_ns < asked_ns
 
     def _tell(self) -> None:
-        """Wakes everybody who waits for news."""
+        """Wake all tasks that wait for new transforms."""
         news, self._news = self._news, asyncio.Event()
         news.set()

@@ -1,6 +1,6 @@
-"""What a service call means: one that sets parameters, makes a transition, sends or cancels goals is that command.
+"""Translate a service call that sets parameters, makes a transition, or sends or cancels goals into that command.
 
-So it is decided, tracked and stopped like it, whichever tool it came through.
+It is then decided, tracked and stopped as that command, whichever tool it came from.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from ros2_mcp_common.policy.verbs import meaning
 
 
 async def as_meant(prepared: Prepared[Any]) -> Prepared[Any]:
-    """The command itself, or the one that a service call stands for, of the same bytes; its request is checked first.
+    """Return the command itself, or the one that a service call means, with the same bytes; its request is checked
+    first.
 
     Raises:
         BadValue: if the request does not fit the definition of the service's type.

@@ -1,6 +1,6 @@
-"""Values of the robot's own types: definitions fetched once, bytes to JSON and back.
+"""Values of the robot's own types: definitions fetched once, conversion between bytes and JSON.
 
-The codec is imported with the first type: with NumPy and rosbags it takes 0.3 to 0.9 s, and the server answers
+The codec is imported with the first type: with NumPy and rosbags that takes 0.3 to 0.9 s, and the server answers
 tools/list before that. Large values are encoded, decoded and rendered in a thread (`aside`).
 """
 
@@ -28,12 +28,12 @@ if TYPE_CHECKING:
     from ros2_mcp.values.render import Rendered, RenderOptions
 
 _MAX_UNKNOWN = 5
-"""Types that are named in a note: mostly all are of one package."""
+"""The most types that a note names; usually all are of one package."""
 _CODEC = ("ros2_mcp.values.cdr", "ros2_mcp.values.check", "ros2_mcp.values.render")
 
 
 class Values:
-    """The types that have been learnt from the robot, and their values."""
+    """The types that were learnt from the robot, and the conversion of their values."""
 
     def __init__(self, graph: Graph) -> None:
         self._graph = graph
@@ -42,7 +42,7 @@ class Values:
 
     @property
     def codec(self) -> Codec:
-        """Bytes to values and back, loaded at first use."""
+        """The conversion between bytes and values, loaded at first use."""
         if self._codec is None:
             from ros2_mcp.values.cdr import Codec
             from ros2_mcp.values.definitions import Definitions
@@ -56,16 +56,16 @@ class Values:
         return self.codec.definitions
 
     async def learn(self, *types: str) -> None:
-        """Fetches the definitions of these types, with all they refer to, from the robot.
+        """Fetch the definitions of these types, with all types in them, from the robot.
 
-        What is not installed where the bridge runs, a node that uses it may describe (`described.py`).
+        A type that is not installed where the bridge runs may be described by a node that uses it (`described.py`).
 
         Raises:
-            UnknownInterface: if neither the robot's installation nor a node has a definition of one.
+            UnknownInterface: if neither the robot's installation nor a node provides the definition of a type.
         """
         await load(*_CODEC)
         if all(self.definitions.knows(name) for name in types):
-            return  # without waiting for others that are being fetched: what stops uses types that are known
+            return  # without waiting for other fetches: a stop uses types that are known
         async with self._loading:
             unknown = sorted({names.defining_type(name) for name in types if not self.definitions.knows(name)})
             if not unknown:
@@ -76,7 +76,7 @@ class Values:
             self.definitions.add(
                 {name: DefinitionText(text["format"], text["text"]) for name, text in answer["definitions"].items()}
             )
-        for name in answer["missing"]:  # without the lock: the nodes' answers are of a type to be learnt
+        for name in answer["missing"]:  # without the lock: the nodes' answers have a type that must be learnt itself
             told = await described(self._graph, self, name)
             self.definitions.add({each: text for each, text in told.items() if not self.definitions.knows(each)})
         missing = [name for name in answer["missing"] if not self.definitions.knows(name)]
@@ -94,25 +94,25 @@ class Values:
         return names.did_you_mean(name, installed, "ros2_interface_list shows what is there.")
 
     def decode(self, type_name: str, sample: Sample) -> Message:
-        """The values of a small sample whose type has been learnt."""
+        """Decode a small sample whose type has been learnt."""
         return self.codec.decode(type_name, sample.data)
 
     async def decode_all(self, type_name: str, samples: Sequence[Sample]) -> list[Message]:
-        """The values of several samples whose type has been learnt."""
+        """Decode several samples whose type has been learnt."""
         size = sum(len(sample.data) for sample in samples)
         return await aside(size, lambda: [self.decode(type_name, sample) for sample in samples])
 
     async def encode(self, type_name: str, value: object) -> bytes:
-        """The bytes of a JSON value, strictly checked.
+        """Encode a JSON value as bytes, after a strict check.
 
         Raises:
-            BadValue: naming the path of what does not fit.
+            BadValue: with the path of the field that does not fit.
         """
         await self.learn(type_name)
         return await aside(extent(value), self.encode_known, type_name, value)
 
     def encode_known(self, type_name: str, value: object) -> bytes:
-        """The same at once, for a small value of a type that has been learnt."""
+        """Encode at once a small value of a type that has been learnt."""
         from ros2_mcp.values.check import check
 
         message = check(self.definitions, type_name, value)
@@ -121,7 +121,7 @@ class Values:
         return self.codec.encode(type_name, message)
 
     def _require_finite(self, type_name: str, message: object, path: str) -> None:
-        """Raises `BadValue` for a number in a message with which nothing can be driven."""
+        """Raise `BadValue` for a number in a message that is not finite: it cannot drive anything."""
         for each in self.definitions.structure(type_name).fields:
             value: Any = getattr(message, each.name)
             shown = [(f"{path}{each.name}", value)]
@@ -135,7 +135,7 @@ class Values:
                     raise BadValue(below, what, "Give a number.")
 
     async def render(self, type_name: str, body: bytes, options: RenderOptions | None = None) -> Rendered:
-        """Bytes as bounded JSON values."""
+        """Render bytes as JSON values of bounded size."""
         return await aside(len(body), self._render, type_name, body, options)
 
     def _render(self, type_name: str, body: bytes, options: RenderOptions | None) -> Rendered:
@@ -146,32 +146,31 @@ class Values:
         )
 
     async def in_full(self, type_name: str, body: bytes) -> dict[str, Any]:
-        """Bytes as JSON values with nothing left out, for this program and not for display."""
+        """Decode bytes to complete JSON values, for this program and not for display."""
         from ros2_mcp.values.render import RenderOptions
 
         return (await self.render(type_name, body, RenderOptions(exact=True))).value
 
     def example(self, type_name: str) -> dict[str, Any]:
-        """A value of a learnt type with every field at its default, ready to fill in."""
+        """Return a value of a learnt type with every field at its default, for a user to fill in."""
         from ros2_mcp.values.render import example_of
 
         return example_of(self.definitions, type_name)
 
     def missing_fields(self, type_name: str, value: Mapping[str, Any]) -> list[str]:
-        """Top-level fields of a learnt type that the value does not give."""
+        """Return the top-level fields of a learnt type that the value lacks."""
         from ros2_mcp.values.check import missing_fields
 
         return missing_fields(self.definitions, type_name, value)
 
     def field_types(self, type_name: str) -> dict[str, Any]:
-        """Name → type of the top-level fields of a learnt message type."""
+        """Return the types of the top-level fields of a learnt message type, by name."""
         return {field.name: str(field.type) for field in self.definitions.structure(type_name).fields}
 
     async def fields_of(self, types: Iterable[str], part: str = "") -> tuple[dict[str, dict[str, Any]], str]:
-        """Type → name → type of its top-level fields, or those of its `part`, such as `_Request`; and a note.
+        """Return the top-level fields of these types, or of their `part`, such as `_Request`, by type; and a note.
 
-        There is nothing under a type that is not installed where the bridge runs: what has it is listed all the same,
-        and the note says why.
+        A type that is not installed where the bridge runs has no fields in the result, and the note says why.
         """
         fields: dict[str, dict[str, Any]] = {}
         unknown: dict[str, str] = {}
