@@ -1,5 +1,4 @@
-"""The WiseVision Data Black Box as a source: a node that keeps messages in InfluxDB, and returns them through a
-service.
+"""The WiseVision Data Black Box as a source: a node that keeps messages in InfluxDB and has a service to read them.
 
 Two generations use the same service name; the type of the service shows which one it is.
 """
@@ -269,7 +268,7 @@ class DataBlackBoxes(SourceKind):
         store: BagStore,  # noqa: ARG002
         request: SourceRequest,
     ) -> Sequence[Callable[[], Awaitable[Source]]]:
-        """The box of the graph, if there is one."""
+        """Return a function that opens the box in the graph, if there is one."""
         found = await self._found(robot, request)
 
         async def opened() -> Source:

@@ -183,7 +183,7 @@ def _print_place(client: Client) -> None:
         print(f"# {line}", file=sys.stderr)
 
 
-# ── the texts ──────────────────────────────────────────────────────────────────────────────────────────────────
+# ── formats of the clients ─────────────────────────────────────────────────────────────────────────────────────
 
 
 def _mcp_servers(entry: Entry) -> str:
@@ -395,7 +395,7 @@ CLIENTS: Mapping[str, Client] = {
 """All known clients, by their names on the command line."""
 
 
-# ── what is carried over ───────────────────────────────────────────────────────────────────────────────────────
+# ── settings that are carried over ─────────────────────────────────────────────────────────────────────────────
 
 
 CARRIED: Mapping[str, Option] = {name: option for name, option in OPTIONS.items() if name not in _OF_HTTP}

@@ -155,7 +155,7 @@ def granted(words: Sequence[str]) -> dict[str, Any]:
     return {"for_s": for_s, "most": most}
 
 
-# ── what is shown ────────────────────────────────────────────────────────────────────────────────────────────────────
+# ── the lines of the screen ──────────────────────────────────────────────────────────────────────────────────────────
 
 
 def shown(state: Row, width: int = 100, chosen: str = "") -> list[str]:

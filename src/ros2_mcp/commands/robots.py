@@ -24,6 +24,6 @@ LATER: Mapping[str, Sequence[str]] = {
 """For each robot, the packages that are built while it runs: nodes that need them start later, so that the user does
 not wait.
 
-Packages that others depend on are listed first.
+A robot's packages include those that its other packages need; these are built first.
 """
 DEFAULT = "rover"

@@ -20,8 +20,8 @@ _DRIFT = 1.5
 _LOOKS = 30
 """The most checks of its state, one per second: a landing from 10 m takes half of them."""
 _COMPILED_S, _PAUSE_S = 240, 4
-"""The time in s to compile MAVROS's interfaces, and between two checks: one minute on two busy cores, on a small
-machine longer.
+"""The longest wait for MAVROS's interfaces to be compiled, and the time between two checks, in s. Compiling takes one
+minute on two busy cores, on a small machine longer.
 """
 _ORDER = {"set_mode": "SetMode", "cmd/arming": "CommandBool", "cmd/takeoff": "CommandTOL"}
 

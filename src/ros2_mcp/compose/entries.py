@@ -121,7 +121,7 @@ def _check_states(entries: Iterable[Entry]) -> None:
         known[folder] = entry.name
 
 
-# ── the file ─────────────────────────────────────────────────────────────────────────────────────────────────────
+# ── the file of robots ───────────────────────────────────────────────────────────────────────────────────────────
 
 
 def _read(settings: Settings, path: Path) -> list[tuple[str, Settings]]:

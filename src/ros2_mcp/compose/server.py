@@ -82,12 +82,12 @@ class Assembly:
 
     @cached_property
     def leases(self) -> Leases:
-        """The leases of its clients over HTTP."""
+        """The leases of the server's clients over HTTP."""
         return Leases(*(member.robot for member in self.fleet.members.values()))
 
     @cached_property
     def scopes(self) -> Scopes:
-        """The check of its HTTP clients' tokens."""
+        """The check of the tokens of the server's HTTP clients."""
         return Scopes(self.toolset)
 
     @cached_property

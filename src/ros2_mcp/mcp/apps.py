@@ -1,5 +1,4 @@
-"""MCP Apps, an extension with which a chat host shows a server's page beside the chat. All its protocol strings are
-here.
+"""MCP Apps, an extension with which a chat host shows a server's page beside the chat.
 
 The page is that of `ros2-mcp view`. A host reads it as a resource, shows it in a frame under a strict content policy,
 and forwards the page's calls of tools that models do not see. See docs/decisions/0052-the-page-in-a-chat.md.

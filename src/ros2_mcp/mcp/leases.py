@@ -132,11 +132,11 @@ class Client:
     principal: Principal
     asked_at: float
     granted_at: float = 0.0
-    """When it began to move something: its lease lasts at least `CLIENT_LEASE_S` from then on."""
+    """When the client began to move something: its lease lasts at least `CLIENT_LEASE_S` from then on."""
     credited_until: float = 0.0
-    """Until when its lease lasts in any case; set when this process was late."""
+    """The lease does not end before this time; set when this process was late."""
     credited_at: float = 0.0
-    """The last sign of life before the silence for which `credit_s` is what is left of the credit."""
+    """The last sign of life before the present silence; `credit_s` is the credit that is left for it."""
     credit_s: float = CLIENT_LEASE_S
     shown_alive_at: float = 0.0
     responses: set[OpenResponse] = field(default_factory=set[OpenResponse])
@@ -148,11 +148,11 @@ class Client:
     has_gone: bool = False
 
     def heard_at(self) -> float:
-        """Return the time of its last sign of life."""
+        """Return the time of the client's last sign of life."""
         return max(self.asked_at, self.granted_at, *(response.heard_at() for response in self.responses))
 
     def lease_ends_at(self) -> float:
-        """Return when its lease ends without another sign of life."""
+        """Return when the client's lease ends, unless there is another sign of life."""
         return max(self.heard_at() + CLIENT_LEASE_S, self.credited_until)
 
     def credit(self, late_s: float, now: float) -> None:
@@ -191,7 +191,7 @@ class Leases:
         """Return how many calls about that robot are running; with "", how many that name no robot."""
         return sum(call.about == about for client in self._clients.values() for call in client.calls)
 
-    # ── what is heard of clients ───────────────────────────────────────────────────────────────────────────────
+    # ── signs of life ──────────────────────────────────────────────────────────────────────────────────────────
 
     async def note(self, ctx: Context, call_next: CallNext) -> Any:
         """Record each request, and who sent it. A middleware of the server."""
@@ -271,7 +271,7 @@ class Leases:
             finally:
                 client.calls.discard(call)
 
-    # ── the watch ──────────────────────────────────────────────────────────────────────────────────────────────
+    # ── watching the leases ────────────────────────────────────────────────────────────────────────────────────
 
     def _look(self, looked_at: float) -> bool:
         """End what has to end. Return whether there is anything left to watch."""
@@ -280,9 +280,7 @@ class Leases:
         for client in list(self._clients.values()):
             try:
                 self._look_at(client, late_s, now)
-            except (
-                Exception
-            ):  # a fault that one client brings out must not end the watch over the others, nor the server
+            except Exception:  # an error caused by one client must not end the watch over the others, nor the server
                 if not client.has_failed:  # logged once, not 20 times a second
                     _logger.exception("the watch over %s failed", client.principal.name)
                 client.has_failed = True
@@ -362,7 +360,7 @@ class Leases:
                     call.end(f"This call was ended and its motion stopped by {reason}.")
                 if ended := await robot.stop_owned(client.principal, reason):
                     _logger.warning("%s: ended by %s: %s", client.principal.name, reason, ", ".join(ended))
-        except Exception:  # a fault in ending what one client moves must not end the watch over the others
+        except Exception:  # an error with one client must not end the watch over the others
             _logger.exception("what %s moves was not ended in good order", client.principal.name)
         finally:
             del client.ends_for[robot]
@@ -411,7 +409,7 @@ async def _attempt(sign: Callable[[], Awaitable[object]]) -> None:
         _logger.debug("a sign of life was not sent: %r", error)
 
 
-# ── who asks ─────────────────────────────────────────────────────────────────────────────────────────────────────
+# ── principals ───────────────────────────────────────────────────────────────────────────────────────────────────
 
 
 def principal_of(context: Context) -> Principal:
@@ -434,7 +432,7 @@ def principal_of(context: Context) -> Principal:
 
 
 def accepted_at(context: Context, robot: Robot) -> Accepted | None:
-    """Return the stop epoch of that robot at which an HTTP request had arrived; None if it was not recorded."""
+    """Return when an HTTP request had arrived, in the stop epochs of that robot; None if it was not recorded."""
     request: Request[Any] | None = context.request
     noted: Mapping[Stops, Accepted] = {} if request is None or _connected(context) else request.scope.get(_ACCEPTED, {})
     return noted.get(robot.stops)

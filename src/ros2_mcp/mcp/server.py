@@ -116,8 +116,8 @@ def build_server(
     Args:
         fleet: the robots and their tools.
         catalog: the prompts.
-        leases: the leases of its clients over HTTP.
-        scopes: the check of its clients' tokens.
+        leases: the leases of the clients over HTTP.
+        scopes: the check of the clients' tokens.
         recording: the name of the bag that replaces the only robot; "" if there is none.
         structured: whether every client gets structured content and output schemas; otherwise, those that request them.
     """

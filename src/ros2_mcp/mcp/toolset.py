@@ -124,7 +124,7 @@ class Toolset:
 
     @property
     def limitations(self) -> list[str]:
-        """Limitations in words: options that were ignored at the start, and tools that are allowed but not offered."""
+        """Limitations in words: warnings about the settings, and tools that are allowed but not offered."""
         return list(self._warnings) + [
             f"Not offered: {', '.join(tool.name for tool in self._left_out if tool.group == group)}. "
             f"Start the server with --tools default,{group} (or all) to have them."

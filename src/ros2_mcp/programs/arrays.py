@@ -208,7 +208,7 @@ async def unpack(
     return found[0] if count is None else found
 
 
-# ── messages as the program gives them ───────────────────────────────────────────────────────────────────────────────
+# ── messages from the program ────────────────────────────────────────────────────────────────────────────────────────
 
 
 def _values_of(format_text: str) -> int:

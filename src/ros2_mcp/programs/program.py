@@ -148,7 +148,7 @@ class _Use:
 class Program(Job):
     """A program that runs in the sandbox. Its owner is the principal who started it.
 
-    All that it begins belongs to it and ends with it, whatever ends it: its topics are unsubscribed, its motion is
+    All that the program begins ends with it, whatever ends it: its topics are unsubscribed, its motion is
     stopped by a zero, its goals are cancelled. `record` is its record so far. `waits_for` says, in words, which
     approval it waits for. A rehearsal reads, but carries out no command.
     """
@@ -170,7 +170,7 @@ class Program(Job):
         is_rehearsal: bool,
     ) -> None:
         super().__init__(owner=session.principal)
-        self.moves = (self.id,)  # it may move anything: a stop, and the end of its client, end it
+        self.moves = (self.id,)  # it may move anything, so a stop and the end of its client end it
         self.at_most_s = timeout_s
         self.programs = programs
         self.record = Record()
@@ -188,7 +188,7 @@ class Program(Job):
         self._sandbox = Sandbox([*self._functions], stub(programs.functions), self._next_message, self._help)
 
     async def run(self) -> None:
-        """Check the program, run it, and end all that it has begun."""
+        """Check the program, run it, and end everything that it has begun."""
         program = rewritten(self._text)
         try:
             async with self._sandbox.open():
@@ -240,12 +240,12 @@ class Program(Job):
         return Failure("error", 0, f"BridgeLost: {graph.last_loss}")
 
     def doing(self) -> str:
-        """Return the count of its commands, and the approval that it waits for."""
+        """Return the number of the program's commands, and the approval that it waits for."""
         told = "rehearsal" if self._is_rehearsal else counted(self.record.commands, "command")
         return f"{told}; {self.waits_for}" if self.waits_for else told
 
     async def end_own(self, reason: str = "its program") -> list[str]:
-        """End what it has in motion. Return what was ended, in words. Its later commands are not affected."""
+        """End the program's motion. Return what was ended, in words. Later commands of the program are not affected."""
         ended = list(await self._robot.stop_owned(self._principal, reason))
         self._accepted = Accepted(self._accepted.epoch, self._robot.stops.now().ends)
         return ended
@@ -264,7 +264,7 @@ class Program(Job):
             raise BadInput(f"A program hands over at most {_MOST_PICTURES} pictures.")
         self.record.pictures.append(picture)
 
-    # ── what the sandbox asks ──────────────────────────────────────────────────────────────────────────────────
+    # ── calls from the sandbox ─────────────────────────────────────────────────────────────────────────────────
 
     async def _answer(self, name: str, given: Sequence[Any], named: Mapping[str, Any], line: int) -> Any:
         if lost := self._bridge_lost():

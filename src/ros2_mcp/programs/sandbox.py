@@ -231,7 +231,7 @@ class Sandbox:
         """Return the object in the sandbox that represents a stream of messages."""
         return self._streams[number]
 
-    # ── one step after the other ───────────────────────────────────────────────────────────────────────────────
+    # ── steps of a program ─────────────────────────────────────────────────────────────────────────────────────
 
     async def _drive(self, snapshot: AsyncSnapshot, program: Rewritten, answer: Answer) -> Any:
         from pydantic_monty import AsyncFunctionSnapshot, MontyComplete

@@ -31,7 +31,10 @@ class CatalogOfSeveral(Catalog):
         self._argument = Argument(ROBOT, "Which robot", required=True, choices=list(own))
 
     async def prompts(self) -> Mapping[str, Prompt]:
-        """Return all prompts by name, in the order of `prompts/list`. An argument `robot` of the user's is replaced."""
+        """Return all prompts by name, in the order of `prompts/list`.
+
+        If a prompt has an argument `robot` already, it is declared as this one, and also receives the value.
+        """
         found = await self._whole.prompts()
         return {name: replace(one, arguments=self._with_robot(one)) for name, one in found.items()}
 

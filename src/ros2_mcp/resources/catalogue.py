@@ -188,7 +188,7 @@ async def actions(robot: Robot, _: Watcher) -> Content:
     }
 
 
-# ── what is reported ─────────────────────────────────────────────────────────────────────────────────────────────────
+# ── diagnostics and log ──────────────────────────────────────────────────────────────────────────────────────────────
 
 
 @resource("ros2://diagnostics", "Diagnostics", WorseDiagnostics)
@@ -219,7 +219,7 @@ async def log_lines(robot: Robot, _: Watcher, level: str = "", node: str = "") -
     return {**as_json(found), "lines": as_json(found.lines[::-1])}
 
 
-# ── one thing ────────────────────────────────────────────────────────────────────────────────────────────────────────
+# ── one topic, type or node ──────────────────────────────────────────────────────────────────────────────────────────
 
 
 def _samples_of(name: str) -> Subject:

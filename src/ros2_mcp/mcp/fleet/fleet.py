@@ -133,7 +133,7 @@ class Fleet:
                 break
         return CallToolResult(content=content, structured_content=structured, is_error=result.is_error)
 
-    # ── its life ───────────────────────────────────────────────────────────────────────────────────────────────
+    # ── start and end ──────────────────────────────────────────────────────────────────────────────────────────
 
     @asynccontextmanager
     async def running(self) -> AsyncGenerator[None, None]:

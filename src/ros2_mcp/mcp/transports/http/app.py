@@ -179,7 +179,7 @@ class _KnownHosts:
             if any(len(request.headers.getlist(name)) > 1 for name in ("host", "origin")):
                 answer = Response(
                     "The header Host or Origin is given twice.", status_code=400
-                )  # the SDK looks at the first alone
+                )  # the SDK reads the first one only
             elif "transfer-encoding" in request.headers and "content-length" in request.headers:
                 # A proxy in front may use the length, and this server the chunks: bytes after the shorter of the two
                 # would be a second request (RFC 9112, section 6.1). Nothing more is read from this connection.
