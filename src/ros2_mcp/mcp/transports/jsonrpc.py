@@ -136,9 +136,7 @@ def _id_of(message: Any) -> RequestId:
 
 
 def _members(text: str) -> dict[str, Any]:
-    """Return the members of the outermost object in damaged JSON: the values of texts, numbers and constants, None for
-    others.
-    """
+    """Return the members of the outermost object in damaged JSON: the values of texts and numbers, None for others."""
     depth, name, last = 0, "", ""
     members: dict[str, Any] = {}
     for match in _SCANNED.finditer(text):
