@@ -1,6 +1,7 @@
-"""The command line: parse arguments, build the settings, run one verb. Without a verb it serves MCP.
+"""The command line: parse arguments, build the settings, run one command. Without a command, serve MCP.
 
-The modules of the verbs are imported when they are run: the bridge is launched before the heavy ones are (`serve`).
+The module of a command is imported when the command is run, because the imports are slow: `serve` launches the bridge
+before them.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ CLIENTS = (
 
 @dataclass(frozen=True, slots=True)
 class Verb:
-    """One command: its line in `--help`, its own arguments, and what it does."""
+    """One command: its line in `--help`, the function that runs it, and the function that declares its arguments."""
 
     help: str
     run: Callable[[argparse.Namespace], int]
@@ -54,10 +55,10 @@ def _doctor(arguments: argparse.Namespace) -> int:
 
 
 def _declare_robot(verb: argparse.ArgumentParser) -> None:
-    """Which robot, and which ROS 2 there: of a command about one, people write it behind the command."""
+    """Declare the options of the robot and its ROS 2 after the command, too, where people write them."""
     for option in _of_robot():
         keywords = _argument(option)
-        keywords["default"] = argparse.SUPPRESS  # what stands before the command holds where nothing stands behind
+        keywords["default"] = argparse.SUPPRESS  # an option before the command applies unless it is repeated after it
         verb.add_argument(option.flag, **keywords)
 
 
@@ -95,7 +96,7 @@ def _declare_call(call: argparse.ArgumentParser) -> None:
 
 
 class _HelpOnTool(argparse.Action):
-    """The help of `call`, or behind the name of a tool that of the tool."""
+    """Print the help of `call`; after the name of a tool, request the help of that tool."""
 
     def __call__(self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, *_: Any) -> None:
         if namespace.tool is None:
@@ -182,7 +183,7 @@ def _declare_view(view: argparse.ArgumentParser) -> None:
     keywords = _argument(bag)
     keywords["default"] = argparse.SUPPRESS  # as in `_declare_robot`
     view.add_argument(bag.flag, **keywords)
-    # under a name of its own: --port is that of MCP over HTTP
+    # not --port, which is the port of MCP over HTTP
     view.add_argument("--page-port", type=int, default=0, metavar="N", help="on 127.0.0.1 (default: any that is free)")
     view.add_argument("--state", type=Path, metavar="DIR", help=_STATE)
 
@@ -227,7 +228,7 @@ def _audit(arguments: argparse.Namespace) -> int:
 
 
 def _state(arguments: argparse.Namespace) -> Path:
-    """The state folder that is meant."""
+    """Return `--state`, or else the state folder of the only robot."""
     if arguments.state:
         return arguments.state
     from ros2_mcp.compose.entries import only_one
@@ -299,13 +300,13 @@ VERBS: Mapping[str, Verb] = {
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser that names what a misspelt word was most likely meant to be."""
+    """A parser that suggests corrections of misspelt words."""
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         choices = [str(choice) for choice in action.choices or ()]
         if action.choices is None or value in choices:
             return
-        import difflib  # slow, and nobody needs it who writes what is right
+        import difflib  # a slow import, only needed after an error
 
         near = difflib.get_close_matches(str(value).lower(), choices, n=2)
         hint = f"Did you mean {' or '.join(near)}?" if near else f"Choose from: {', '.join(choices)}."
@@ -314,8 +315,8 @@ class _Parser(argparse.ArgumentParser):
 
 
 def run(argv: Sequence[str]) -> int:
-    """Runs the command and returns the process's exit code."""
-    if sys.platform == "win32":  # else what is piped comes in the characters of a code page
+    """Run the command, and return the exit code of the process."""
+    if sys.platform == "win32":  # otherwise piped text is in the characters of a code page
         for stream in (sys.stdout, sys.stderr):
             if isinstance(stream, io.TextIOWrapper):
                 stream.reconfigure(encoding="utf-8", errors="replace")
@@ -331,13 +332,13 @@ def run(argv: Sequence[str]) -> int:
     except KeyboardInterrupt:
         return 130
     except BrokenPipeError:
-        # Whoever read our output has seen enough; nothing more may be written to it at exit.
+        # The reader has closed its end of the pipe; nothing more may be written to it at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
 
 
 def _not_taken(verb: str | None, unknown: Sequence[str]) -> str:
-    """What is to be said of words that a command does not take: one line, for the usage would hide it."""
+    """Return the error about words that a command does not take, in one line: the usage text would hide it."""
     flags = {option.flag for option in OPTIONS.values()}
     if ours := next((flag for word in unknown if (flag := word.partition("=")[0]) in flags), None):
         return f"{ours} has to stand before the command: ros2-mcp {ours} … {verb} …"
@@ -346,7 +347,7 @@ def _not_taken(verb: str | None, unknown: Sequence[str]) -> str:
 
 
 def _options_first(argv: Sequence[str]) -> list[str]:
-    """`call TOOL --json key=value` as argparse takes it: options before the words, but help behind them."""
+    """Reorder the arguments of `call` for argparse: options before the words, `--help` after them."""
     if "call" not in argv:
         return list(argv)
     at = list(argv).index("call") + 1
@@ -367,7 +368,7 @@ def _options_first(argv: Sequence[str]) -> list[str]:
 
 
 def parser() -> argparse.ArgumentParser:
-    """The parser of the whole command line."""
+    """Return the parser of the whole command line."""
     top = _Parser(
         prog="ros2-mcp",
         description="Model Context Protocol server for ROS 2. Without a command it serves MCP over stdio.",
@@ -385,7 +386,9 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _argument(option: Option) -> dict[str, Any]:
-    """An option as `add_argument` takes it. Its values stay text here: `Option.parse` gives the same errors for all."""
+    """Return the arguments of `add_argument` for an option. Values stay text: `Option.parse` parses them, so that
+    errors are the same on the command line and in the environment.
+    """
     default = f" (default: {option.default_text})" if option.default_text else ""
     keywords: dict[str, Any] = {"dest": option.name, "help": option.help + default.replace("%", "%%"), "default": None}
     if not option.takes_value:
@@ -397,7 +400,7 @@ def _argument(option: Option) -> dict[str, Any]:
 
 
 class _Version(argparse.Action):
-    """Prints the version; looked up only when asked for, because that is slow."""
+    """Print the version. It is looked up only on request, because that is slow."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
         from importlib.metadata import version
@@ -406,7 +409,7 @@ class _Version(argparse.Action):
 
 
 def settings_from(arguments: argparse.Namespace) -> Settings:
-    """The settings of the environment, with what the command line says on top."""
+    """Return the settings of the environment, overridden by those of the command line."""
     words: Mapping[str, str | list[str] | None] = vars(arguments)
     overrides: dict[str, Any] = {}
     for name, option in OPTIONS.items():

@@ -1,8 +1,8 @@
-"""Everything that can be set, declared once.
+"""All settings, each declared once.
 
-Each field of `Settings` but the last is declared with `_option`: from that follow the command line and its help
-(`cli.py`), the environment variable, the texts of errors, what `ros2-mcp doctor` says of what is set and from where,
-and `docs/reference/settings.md`. Nothing else lists the options.
+Each field of `Settings` but the last is declared with `_option`. From these declarations follow the command line and
+its help (`cli.py`), the environment variables, the texts of errors, what `ros2-mcp doctor` reports as set and by which
+flag or variable, and `docs/reference/settings.md`. There is no other list of the options.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from ros2_mcp.model.shell import words_of
 
 Transport = Literal["stdio", "streamable-http"]
 
-# Fewer bytes leave no room for a message and the account of what was cut. One desktop client refuses results beyond
-# 1 MiB; the upper bound is for those that do not, and guards our memory.
+# Fewer bytes leave no room for a message and for the note about what was cut. One desktop client refuses results of
+# more than 1 MiB; the upper bound is for clients that do not, and limits the memory of this server.
 _RESULT_BYTES = (1000, 10_000_000)
-# It is kept in 16 files, each with the definitions of its types: below a megabyte there is hardly room for messages.
-# The upper bound only catches slips of the finger.
+# The black box is kept in 16 files, each with the definitions of its types: below a megabyte there is hardly room for
+# messages. The upper bound only catches typing errors.
 _BLACK_BOX_BYTES = (1_000_000, 10**13)
-# From half a minute, which is still a memory, to more than a year, which only the bytes bound.
+# From half a minute, which is still useful, to more than a year, where only the limit in bytes matters.
 _BLACK_BOX_HOURS = (0.01, 10_000)
 
 
@@ -37,12 +37,12 @@ def _always(_: Any) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """What values an option takes: `values` says it in words, `metavar` in the command line's help.
+    """The kind of value that an option takes. `values` describes it in words; `metavar` is its name in `--help`.
 
-    `parse` makes a value of a text or raises `ValueError`, `allows` says whether it is within the bounds, `written` is
-    the value as a user would write it. `is_path`: files or folders. `several`: the option may be given again, and
-    `joined` makes of the texts the one that the variable would have. `adds`: the variable holds besides the option, so
-    that nobody lifts with one what the other says.
+    `parse` converts a text into a value, or raises `ValueError`. `allows` returns whether a value is within the bounds.
+    `written` returns a value as a user would write it. `is_path`: the values are files or folders. `several`: the
+    option may be repeated, and `joined` joins the repeated texts into the text that the variable would have. `adds`:
+    the values of the variable are added to those of the option, so that neither overrides the other.
     """
 
     metavar: str = "TEXT"
@@ -62,7 +62,7 @@ def _one_of(*choices: str) -> Kind:
 
 
 def _number(low: float, high: float, kind: type[int] | type[float] = int, metavar: str = "N") -> Kind:
-    """A number between two bounds, both included. NaN is none; 24 hours are not written as 24.0."""
+    """Return the kind of numbers from `low` to `high`, both included. NaN is refused. 24.0 is shown as 24."""
     words = f"a {'whole ' if kind is int else ''}number from {low} to {high}"
     return Kind(metavar, words, kind, lambda value: low <= value <= high, lambda value: f"{value:.15g}")
 
@@ -93,7 +93,7 @@ def _choices(text: str) -> tuple[str, ...]:
 
 
 def _as_they_stand(text: str) -> tuple[Path, ...]:
-    """Paths that may be the robot's: `~` is another one's home there."""
+    """Parse paths that may be on a remote robot, and so leave `~` as it is: the home folder differs there."""
     return tuple(Path(entry) for entry in text.split(os.pathsep) if entry)
 
 
@@ -181,10 +181,10 @@ _VARIABLES = replace(
 class Option:
     """The declaration of one setting.
 
-    `name` is the field's, `flag` the command line's, `variable` the environment's. `alone` is the text that the flag
-    stands for when nothing follows it; None: a value must follow. `takes_value` False: nothing may follow. `unset` says
-    what happens by default, where the default value does not. `removed` has the values that earlier releases accepted,
-    and what to write instead.
+    `name` is the name of the field, `flag` that on the command line, `variable` that in the environment. `alone` is the
+    text that the flag stands for if no value follows it; None: a value must follow. `takes_value` False: no value may
+    follow. `unset` describes the default in words, where the default value does not. `removed` maps values that earlier
+    releases accepted to a hint of what to write instead.
     """
 
     name: str = ""
@@ -201,19 +201,19 @@ class Option:
 
     @property
     def title(self) -> str:
-        """Both names under which it can be set."""
+        """The flag, and the variable in brackets, for messages."""
         return f"{self.flag} ({self.variable})"
 
     @property
     def default_text(self) -> str:
-        """What holds when it is not set, in words; empty where nothing is to be said."""
+        """The default in words; "" if there is none to show."""
         return self.unset or ("" if self.default in (None, ()) else self.kind.written(self.default))
 
     def parse(self, text: str) -> Any:
-        """The value that a text of the command line or of the environment means.
+        """Return the value of a text from the command line or the environment.
 
         Raises:
-            BadInput: if it means none, or one beyond the bounds.
+            BadInput: if the text is not a value of this option, or is beyond its bounds.
         """
         try:
             value = self.kind.parse(text)
@@ -222,7 +222,7 @@ class Option:
         return self.checked(value)
 
     def checked(self, value: Any) -> Any:
-        """The value, if it is within the bounds; raises `BadInput` otherwise."""
+        """Return the value unchanged. Raises `BadInput` if it is beyond the bounds."""
         if not self.kind.allows(value):
             raise self._refusal(self.kind.written(value))
         return value
@@ -241,9 +241,9 @@ _ROBOT, _ROS, _SERVING, _PROMPTS, _MEMORY = "robot", "ROS 2", "serving", "prompt
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Settings:
-    """What one server was asked to be. Paths may begin with `~` where they are defaults: expand them before use."""
+    """The settings of one server. Default paths may begin with `~`: expand them before use."""
 
-    # One option is read more easily in two or three lines than in eight.
+    # Two or three lines per option are easier to read than eight.
     # fmt: off
     robots: tuple[RobotAddress, ...] = _option(
         (), "--robot", "ROS2_MCP_ROBOT", _ROBOT, _ROBOTS,
@@ -347,7 +347,7 @@ class Settings:
         (), "--tools", "ROS2_MCP_TOOLS", _SERVING, _names("GROUPS"),
         "groups of tools, such as default,lifecycle, or all", unset="the default ones",
     )
-    # One terminal client cuts what is longer in the middle; another takes 25,000 tokens, some 75,000 bytes.
+    # One terminal client cuts longer texts in the middle; another takes 25,000 tokens, about 75,000 bytes.
     result_bytes: int = _option(
         12_000, "--result-bytes", "ROS2_MCP_RESULT_BYTES", _SERVING, _number(*_RESULT_BYTES),
         "bound on the text of one result",
@@ -369,7 +369,7 @@ class Settings:
         Path("~/ros2-mcp/programs"), "--programs", "ROS2_MCP_PROGRAMS", _PROMPTS, _FOLDER,
         "for kept programs, in Markdown",
     )
-    # The three names that begin with MCP_ are those under which WiseVision's servers know these settings.
+    # The three names that begin with MCP_ are those of WiseVision's servers for these settings.
     custom_prompts: bool = _option(
         False, "--custom-prompts", "MCP_CUSTOM_PROMPTS", _PROMPTS, _SWITCH, "load prompts of Python packages",
         alone="true",
@@ -399,7 +399,7 @@ class Settings:
         None, "--black-box", "ROS2_MCP_BLACK_BOX", _MEMORY, _names("TOPICS"),
         "always keep these topics; alone: all that have small messages", unset="nothing is kept", alone="",
     )
-    # What the disk of a robot's computer can spare without being asked.
+    # As much as the disk of a robot's computer can usually spare.
     black_box_bytes: int = _option(
         1_000_000_000, "--black-box-bytes", "ROS2_MCP_BLACK_BOX_BYTES", _MEMORY, _number(*_BLACK_BOX_BYTES),
         "most bytes that it keeps",
@@ -411,34 +411,34 @@ class Settings:
 
     # fmt: on
     origins: Mapping[str, str] = field(default_factory=dict[str, str], compare=False, repr=False)
-    """What was set: the name of the field, and the flag or variable that set it."""
+    """For each field that was set: its name, and the flag or variable that set it."""
 
     @property
     def debug(self) -> bool:
-        """Whether the bridge's own log is shown too."""
+        """Whether the bridge's own log is shown, too."""
         return self.log_level == "debug"
 
     @property
     def is_http(self) -> bool:
-        """Whether clients come over HTTP."""
+        """Whether clients connect over HTTP."""
         return self.transport != "stdio"
 
     @property
     def is_stdio(self) -> bool:
-        """Whether its one client speaks to it over stdin and stdout."""
+        """Whether the one client uses stdin and stdout."""
         return not self.is_http and self.socket is None
 
     @property
     def is_here(self) -> bool:
-        """Whether every robot of these settings is reached by the ROS of this machine."""
+        """Whether every robot of these settings is reached through the ROS 2 of this machine."""
         return not self.robot_command and not any(robot.is_remote for robot in self.robots)
 
     @property
     def robot(self) -> RobotAddress:
-        """Where the one robot of these settings is.
+        """The address of the one robot of these settings.
 
         Raises:
-            BadInput: if they name several, or an address and a command.
+            BadInput: if the settings name several robots, or both an address and a command.
         """
         if self.robots and self.robot_command:
             raise BadInput("Both --robot and --robot-command say where the robot is.", "Leave one of them out.")
@@ -449,10 +449,10 @@ class Settings:
         return self.robots[0] if self.robots else LOCAL
 
     def for_robot(self, address: RobotAddress) -> Settings:
-        """The same settings for one robot.
+        """Return the same settings for one robot.
 
-        What this machine's variables say of its own ROS (`ROS_DOMAIN_ID`, `RMW_IMPLEMENTATION`) does not hold for one
-        that is elsewhere: there its own hold, unless an option says otherwise.
+        For a remote robot, drop the `ROS_DOMAIN_ID` and `RMW_IMPLEMENTATION` of this machine's environment: there, the
+        robot's own environment applies, unless an option was given.
         """
         changed: dict[str, Any] = {}
         origins = dict(self.origins)
@@ -466,15 +466,15 @@ class Settings:
 
     @property
     def interface_folder(self) -> Path:
-        """Where interface packages that were built for wheels are kept."""
+        """The folder of the interface packages that were built for ROS 2 installed from wheels."""
         return self.cache_dir.expanduser() / "interfaces"
 
     @classmethod
     def from_environment(cls, env: Mapping[str, str] = os.environ, **overrides: Any) -> Settings:
-        """The settings of this environment; an override that is not None wins over it.
+        """Return the settings of this environment. An override that is not None takes precedence over its variable.
 
         Raises:
-            BadInput: naming the variable and option whose value cannot be used, and what would be right.
+            BadInput: if a value is not allowed. It names the variable and the option, and what is allowed.
         """
         unknown = set(overrides) - set(OPTIONS)
         if unknown:
@@ -482,7 +482,7 @@ class Settings:
         values: dict[str, Any] = {"cache_dir": _cache_dir(env)}
         origins: dict[str, str] = {}
         for name, option in OPTIONS.items():
-            # A variable that an option overrides is not even looked at: it may be wrong.
+            # A variable that an option overrides is not read, so it may be wrong.
             if overrides.get(name) is not None:
                 values[name], origins[name] = option.checked(overrides[name]), option.flag
                 if option.kind.adds and (text := env.get(option.variable, "").strip()):
@@ -500,7 +500,7 @@ OPTIONS: Mapping[str, Option] = {
     for declared in fields(Settings)
     if "option" in declared.metadata
 }
-"""Every option by the name of its field, in the order of `--help`."""
+"""All options by the names of their fields, in the order of `--help`."""
 
 
 def _cache_dir(env: Mapping[str, str]) -> Path:

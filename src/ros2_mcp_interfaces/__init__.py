@@ -1,6 +1,6 @@
 """Builds ROS 2 interface packages (.msg, .srv, .action) without colcon, for ROS 2 installed from wheels.
 
-Runs under the ROS installation's Python: standard library and the `rosidl` modules of that installation only.
+Runs under the ROS installation's Python, with the standard library and that installation's `rosidl` modules only.
 """
 
 from ros2_mcp_interfaces.builder import build, finished, planned

@@ -1,4 +1,4 @@
-"""`python -m ros2_mcp_interfaces DIR... [--cache DIR] [--json]`: builds packages, prints their prefixes."""
+"""`python -m ros2_mcp_interfaces DIR... [--cache DIR] [--json]`: build packages and print their prefixes."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from ros2_mcp_interfaces.package import left_out
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Writes prefixes to stdout, progress and errors to stderr; returns 0, 1 if a package could not be built, or 2 if a
-    definition was left out.
+    """Build packages; write prefixes to stdout, progress and errors to stderr. Return 0, 1 if a package could not be
+    built, or 2 if a definition was skipped.
     """
     parser = argparse.ArgumentParser(
         prog="ros2_mcp_interfaces", description="Build ROS 2 interface packages without colcon."

@@ -1,4 +1,4 @@
-"""Building interface packages: from directories of definitions to prefixes that ROS 2 can use."""
+"""Builds interface packages: from directories of definitions to prefixes that ROS 2 can use."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ _RUNTIME = (
     *("rosidl_runtime_c", "rosidl_typesupport_c", *TYPESUPPORTS, "rosidl_typesupport_fastrtps_cpp"),
     *("rmw", "rcutils", "fastcdr"),
 )
-"""Libraries of the installation that generated code may use; the linker leaves out those that it does not."""
+"""Libraries of the installation that generated code may use; the linker drops those that it does not use."""
 
 
 def build(directories: Sequence[Path], cache: Path, report: Callable[[str], None]) -> list[Path]:
-    """Builds the interface packages in `directories` and returns one prefix per package, dependencies first.
+    """Build the interface packages in `directories`, and return one prefix per package, dependencies first.
 
-    A package that was built before with the same content is taken from `cache`. `report` is called with a
-    line of text for each step. Raises `BuildError` with what is wrong and what to do about it.
+    A package that was already built from the same content is taken from `cache`. `report` is called with a line of text
+    for each step. Raises `BuildError` with the reason and a hint.
 
-    A prefix has `lib/`, `include/`, `share/` with the definitions and the ament index, and `site-packages/`.
-    To use it, put the prefixes in AMENT_PREFIX_PATH and their `site-packages` in PYTHONPATH.
+    A prefix has `lib/`, `include/`, `share/` with the definitions and the ament index, and `site-packages/`. To use it,
+    put the prefixes in AMENT_PREFIX_PATH and their `site-packages` in PYTHONPATH.
     """
     packages, installation = find_packages(directories), find_installation()
     prefixes: list[Path] = []
@@ -43,11 +43,11 @@ def build(directories: Sequence[Path], cache: Path, report: Callable[[str], None
 
 
 def finished(directories: Sequence[Path], cache: Path) -> list[Path]:
-    """The prefixes of those packages that are in the cache as `build` would make them here. Builds nothing.
+    """Return the prefixes of the packages that are in the cache, as `build` would make them here. Builds nothing.
 
-    What needs a package that has not been built has not been built either.
+    A package that depends on one that is not in the cache is not in the cache either.
 
-    Raises `BuildError` where this Python belongs to no installation that can be built against.
+    Raises `BuildError` if there is no installation to build against.
     """
     packages, installation = find_packages(directories), find_installation()
     prefixes: list[Path] = []
@@ -63,9 +63,9 @@ def finished(directories: Sequence[Path], cache: Path) -> list[Path]:
 
 
 def planned(directories: Sequence[Path], cache: Path) -> list[Path]:
-    """The prefixes that `build` would give these packages here, built or not. What one needs of another must be built.
+    """Return the prefixes that `build` would give these packages here, built or not.
 
-    Raises `BuildError` where it is not, and where this Python belongs to no installation that can be built against.
+    Raises `BuildError` if a package depends on one that is not built, or if there is no installation to build against.
     """
     packages, installation = find_packages(directories), find_installation()
     prefixes: list[Path] = []
@@ -82,7 +82,7 @@ def _build_or_reuse(package: Package, installation: Installation, cache: Path, r
     try:
         name = content_name(package, installation)
     except BuildError:
-        check_syntax(package)  # a misspelt line may look like an unknown type: then this says more
+        check_syntax(package)  # a misspelt line may look like an unknown type: this error is clearer
         raise
     prefix = cache / name
     if not prefix.is_dir():
@@ -128,14 +128,16 @@ class _Build:
         return self.prefix
 
     def _compiled(self) -> dict[str, list[Path]]:
-        """The object files of each library; those of the Python extension are under `extension`."""
+        """Generate and compile the sources. Return the object files of each library, and of the Python extension
+        (`extension`).
+        """
         sources = self.workspace / "sources"
         sources.mkdir()
         own = [sources / name for name in ("rosidl_generator_c", *TYPESUPPORTS)]
         includes = [*own, *self.installation.include_directories, *self.headers]
         headers = self.prefix / "include" / self.package.name / self.package.name
         objects: dict[str, list[Future[Path]]] = {}
-        with ThreadPoolExecutor(JOBS) as pool:  # what is generated first is compiled while the rest is generated
+        with ThreadPoolExecutor(JOBS) as pool:  # compiles the first sources while the others are generated
             for made in Generation(self.package, self.installation, self.share, sources).run():
                 for source in made.sources:
                     library = "extension" if ".ep." in source.name else made.generator
@@ -154,7 +156,7 @@ class _Build:
         libraries, system = self.prefix / "lib", self.installation.home / "lib"
         libraries.mkdir()
         dependencies = self.installation.dependencies_of(self.package)
-        # Built packages lie beside this one in the cache, so that they are found from here wherever the cache is.
+        # Built packages are beside this one in the cache, and found by relative paths wherever the cache is.
         built = [prefix.name for prefix in dependencies.values() if prefix in self.installation.built]
         runtime = [system / f"lib{name}.so" for name in _RUNTIME]
         extension = objects.pop("extension")
@@ -165,7 +167,7 @@ class _Build:
             target = libraries / f"lib{self.package.name}__{library}.so"
             self.compiler.link(target, [*compiled, *own, *needed, *runtime], search)
         (self._modules / "__init__.py").touch()
-        # Type supports are looked up by name at run time: found without LD_LIBRARY_PATH because loaded here.
+        # Type supports are looked up by name at run time. They are loaded here, and so found without LD_LIBRARY_PATH.
         up = "$ORIGIN/../../lib"
         search = [up, *(f"{up}/../../{name}/lib" for name in built), str(system)]
         target = self._modules / f"{self.package.name}_s__rosidl_typesupport_c.so"

@@ -1,4 +1,4 @@
-"""Finished packages on disk: one directory per content, complete or not there at all."""
+"""Finished packages on disk: one directory per content, either complete or absent."""
 
 from __future__ import annotations
 
@@ -17,27 +17,27 @@ from ros2_mcp_interfaces.errors import BuildError
 from ros2_mcp_interfaces.installation import Installation, check_references
 from ros2_mcp_interfaces.package import Package
 
-RECIPE = 1  # to be raised when the way of building changes, so that older results are not used
+RECIPE = 1  # raise it when the build changes, so that older results are not used
 
 
 def default_cache() -> Path:
-    """Where finished packages are kept, unless `--cache` says another folder."""
+    """Return the default folder of finished packages."""
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(base) / "ros2-mcp" / "interfaces"
 
 
 def content_name(package: Package, installation: Installation) -> str:
-    """`<package>-<16 hex digits>`, the same whenever building would give the same result.
+    """Return `<package>-<16 hex digits>`, the same whenever building would give the same result.
 
-    Raises `BuildError` when the package refers to a type that is not there.
+    Raises `BuildError` if the package refers to an unknown type.
     """
     descriptions = check_references(package, installation)
     try:
-        numpy_major = metadata.version("numpy").split(".")[0]  # a change of it breaks compiled extensions
+        numpy_major = metadata.version("numpy").split(".")[0]  # a new major version breaks compiled extensions
     except metadata.PackageNotFoundError:
         numpy_major = "none"
     dependencies = installation.dependencies_of(package).values()
-    # The result holds the paths of those dependencies that were built, too.
+    # The result also contains the paths of dependencies that were built.
     built = [prefix.name for prefix in dependencies if prefix in installation.built]
     digest = hashlib.sha256()
     for part in (str(RECIPE), str(sysconfig.get_config_var("SOABI")), numpy_major, *installation.versions, *built):
@@ -51,9 +51,9 @@ def content_name(package: Package, installation: Installation) -> str:
 
 @contextmanager
 def one_builder(cache: Path, name: str) -> Generator[Path]:
-    """A new directory to build `name` in, while every other process that wants to build it waits.
+    """Within this context, a new directory to build `name` in; other processes that want to build it wait.
 
-    The directory is removed afterwards, and so are those that a killed builder left behind.
+    The directory is removed afterwards, and so are those of builders that were killed.
     """
     try:
         cache.mkdir(parents=True, exist_ok=True)
@@ -61,11 +61,11 @@ def one_builder(cache: Path, name: str) -> Generator[Path]:
     except OSError as error:
         raise BuildError(f"cannot write to the cache {cache}: {error}", "Choose another with --cache.") from error
     with lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)  # the system lets go of it when its process ends, however that happens
+        fcntl.flock(lock, fcntl.LOCK_EX)  # the system releases it when the process ends, however it ends
         for leftover in cache.glob(f".{name}.*"):
             if leftover.is_dir():  # not the lock
                 shutil.rmtree(leftover, ignore_errors=True)
-        # Beside its final place, so that the finished package gets there by a rename: whole, or not at all.
+        # Beside its final place, so that the finished package is moved there by a rename: complete, or not at all.
         workspace = Path(tempfile.mkdtemp(prefix=f".{name}.", dir=cache))
         try:
             yield workspace

@@ -12,10 +12,10 @@ from pathlib import Path
 
 from ros2_mcp_interfaces.errors import BuildError
 
-# Compilers at once: nearly all of the time goes there, 8 s for a small package. The bounds are chosen, not measured.
+# Parallel compilers: nearly all of the time is spent there, 8 s for a small package. The bounds were not measured.
 JOBS = max(2, min(4, os.cpu_count() or 2))
 _MOST_LINES_SHOWN = 12
-"""Of a compiler's messages; the first error tells the cause, and what follows from it fills pages. Chosen."""
+"""The most lines of a compiler's messages in an error: the first ones show the cause; consequences of it fill pages."""
 
 
 @dataclass(frozen=True)
@@ -26,18 +26,18 @@ class Compiler:
     cpp: list[str]
 
     def compile(self, source: Path, includes: Sequence[Path]) -> Path:
-        """The object file of a source file; raises `BuildError`."""
+        """Compile a source file, and return its object file. Raises `BuildError`."""
         target = source.with_suffix(source.suffix + ".o")
-        # -isystem and -w keep warnings about code that nobody here writes out of the error texts.
+        # -isystem and -w keep warnings about generated code out of the error texts.
         command = [*(self.cpp if source.suffix == ".cpp" else self.c), "-O1", "-fPIC", "-w"]
         command += [argument for path in includes for argument in ("-isystem", str(path))]
         _run([*command, "-c", str(source), "-o", str(target)], f"compiling {source.name}")
         return target
 
     def link(self, target: Path, inputs: Sequence[Path], search: Sequence[str], keep_all: bool = False) -> None:
-        """Links a shared library whose run-time search path is `search`.
+        """Link a shared library whose run-time search path is `search`.
 
-        Libraries of which nothing is used are left out, unless `keep_all` is set. Raises `BuildError`.
+        Unused libraries are dropped unless `keep_all` is set. Raises `BuildError`.
         """
         command = [*self.cpp, "-shared", "-s", "-o", str(target), f"-Wl,-soname,{target.name}"]
         command += ["-Wl,--no-as-needed" if keep_all else "-Wl,--as-needed"]
@@ -46,7 +46,7 @@ class Compiler:
 
 
 def find_compiler() -> Compiler:
-    """The compilers named by CC and CXX, or else found on the PATH; raises `BuildError` if there is none."""
+    """Return the compilers in CC and CXX, or else those on the PATH. Raises `BuildError` if there is none."""
     return Compiler(
         _command("C", "CC", ("gcc", "cc", "clang")),
         _command("C++", "CXX", ("g++", "c++", "clang++")),

@@ -6,7 +6,7 @@ from __future__ import annotations
 class BuildError(Exception):
     """An interface package cannot be built.
 
-    `message` says what is wrong and where; `hint` says what to do about it and may be empty.
+    `message` is the reason and its place; `hint` says how to fix it, and may be empty.
     """
 
     def __init__(self, message: str, hint: str = "") -> None:

@@ -1,4 +1,4 @@
-"""Turns definitions into C, C++ and Python source with the generators of the ROS 2 installation."""
+"""Generates C, C++ and Python source from definitions, with the generators of the ROS 2 installation."""
 
 # pyright: basic, reportMissingImports=false
 
@@ -25,12 +25,14 @@ _STEPS: tuple[tuple[str, str, tuple[Any, ...]], ...] = (
     ("rosidl_typesupport_c", "generate_c", (TYPESUPPORTS,)),
     ("rosidl_generator_py", "generate_py", (["rosidl_typesupport_c"],)),
 )
-"""Module of a generator, its function, and what the function takes after the file of arguments; in order of linking."""
+"""For each generator: its module, its function, and the function's arguments after the arguments file; in linking
+order.
+"""
 
 
 @dataclass(frozen=True)
 class Generated:
-    """What one generator made: `sources` become the library `lib<package>__<generator>`."""
+    """The output of one generator: `sources` become the library `lib<package>__<generator>`."""
 
     generator: str
     directory: Path
@@ -39,7 +41,7 @@ class Generated:
 
 @dataclass(frozen=True)
 class Generation:
-    """Generates one package: .idl files and type descriptions into `share`, source code into `sources`."""
+    """Generates one package: .idl files and type descriptions in `share`, source code in `sources`."""
 
     package: Package
     installation: Installation
@@ -47,11 +49,11 @@ class Generation:
     sources: Path
 
     def run(self) -> Iterator[Generated]:
-        """Yields what each generator made as soon as it is there, in the order in which to link the results.
+        """Yield the output of each generator as soon as it is there, in the order in which to link the results.
 
-        Raises `BuildError` when a generator refuses the definitions.
+        Raises `BuildError` if a generator refuses the definitions.
         """
-        # The generators belong to the ROS installation: without them this package must still start, and say so.
+        # Imported here: without the generators of the ROS installation, this package must still start, and report that.
         from rosidl_adapter import convert_to_idl
 
         texts = [Path(file.suffix[1:], file.name) for file in self.package.files]
@@ -68,7 +70,7 @@ class Generation:
             yield Generated(generator, directory, found)
 
     def _write_descriptions(self, interfaces: list[Path]) -> None:
-        """Writes the files with the type hashes, which need those of all types that are contained."""
+        """Write the files with the type hashes, which need those of all contained types."""
         from rosidl_generator_type_description import generate_type_hash
 
         shares = [prefix / "share" for prefix in reversed(self.installation.prefixes)]
@@ -81,7 +83,7 @@ class Generation:
             generate_type_hash(str(file))
 
     def _arguments(self, generator: str, output: Path, interfaces: list[Path]) -> Path:
-        """The file of arguments that a generator reads, as CMake would write it."""
+        """Write the file of arguments that a generator reads, as CMake would, and return its path."""
         relative = [interface.relative_to(self.share) for interface in interfaces]
         descriptions = [f"{path.as_posix()}:{(self.share / path).with_suffix('.json')}" for path in relative]
         arguments = {
@@ -99,7 +101,7 @@ class Generation:
         return file
 
     def _write_visibility_header(self, generator: str, directory: Path) -> None:
-        """Fills in the header that CMake would configure: the generated code includes it."""
+        """Write the header that CMake would configure, and that the generated code includes."""
         name = f"{generator}__visibility_control.h"
         template = self._resources(generator) / f"{name}.in"
         if template.is_file():
@@ -113,12 +115,12 @@ class Generation:
 
     @contextlib.contextmanager
     def _diagnosed(self, step: str) -> Generator[None]:
-        """Keeps the generators from printing, and turns their failures into `BuildError` with what they said."""
+        """Keep the generators from printing, and raise their failures as `BuildError` with their output."""
         said = io.StringIO()
         try:
             with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
                 yield
-        except Exception as error:  # the generators raise errors of many kinds
+        except Exception as error:  # the generators raise many types of errors
             output = "\n".join(said.getvalue().splitlines()[-5:])  # the cause comes last
             message = f"{self.package.name}: {step} failed: {type(error).__name__}: {error}"
             raise BuildError(message, output) from error

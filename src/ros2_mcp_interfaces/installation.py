@@ -26,12 +26,12 @@ GENERATORS = (
     "rosidl_typesupport_c",
     "rosidl_generator_py",
 )
-# Packages whose types the generators put into every service and action, whatever its definition says.
+# Packages whose types the generators add to every service and action, in addition to its definition.
 _IMPLIED = {
     ".srv": ("builtin_interfaces", "service_msgs"),
     ".action": ("action_msgs", "builtin_interfaces", "service_msgs", "unique_identifier_msgs"),
 }
-# What had no package in ROS 1.
+# Types without a package name, as in ROS 1.
 _OF_ROS_1 = {"Header": "std_msgs/Header", "time": "builtin_interfaces/Time", "duration": "builtin_interfaces/Duration"}
 
 _VERSION = re.compile(r"<version>\s*([^<\s]+)")
@@ -43,42 +43,44 @@ _WHEELS_HINT = (
 
 @dataclass(frozen=True)
 class Installation:
-    """`home` holds the generators; `built` are the prefixes of packages that were built on top of it."""
+    """A ROS 2 installation: `home` has the generators, `built` are the prefixes of packages that were built on top of
+    it.
+    """
 
     home: Path
     built: tuple[Path, ...] = ()
 
     def with_package(self, prefix: Path) -> Installation:
-        """This installation with one more package, which hides one of the same name below it."""
+        """Return this installation with one more package, which hides packages of the same name below it."""
         return Installation(self.home, (prefix, *self.built))
 
     @property
     def prefixes(self) -> tuple[Path, ...]:
-        """Where packages are looked up, nearest first."""
+        """The prefixes in which packages are searched for, in order."""
         return (*self.built, self.home)
 
     @property
     def include_directories(self) -> list[Path]:
-        """One directory per installed package, and the common one."""
+        """The include directory of each installed package, and the common one."""
         packages = [path for prefix in self.prefixes for path in sorted((prefix / "include").iterdir())]
         return [*(path for path in packages if path.is_dir()), self.home / "include"]
 
     @cached_property
     def versions(self) -> list[str]:
-        """Name and version of each generator: what decides about the code that is generated."""
+        """The name and version of each generator, which determine the generated code."""
         manifests = {name: self.home / "share" / name / "package.xml" for name in GENERATORS}
         found = {name: _VERSION.search(file.read_text(encoding="utf-8")) for name, file in manifests.items()}
         return [f"{name} {version[1] if version else 'unknown'}" for name, version in found.items()]
 
     def prefix_of(self, package: str) -> Path | None:
-        """The prefix with the interfaces of a package, or None where it is not installed."""
+        """Return the prefix with the interfaces of a package; None if it is not installed."""
         found = (prefix for prefix in self.prefixes if (prefix / "share" / package / "msg").is_dir())
         return next(found, None)
 
     def description_of(self, reference: Reference) -> Path:
-        """The file that describes the type referred to, everything it contains included.
+        """Return the file that describes a type and all types that it contains.
 
-        Raises `BuildError` when the package or the type is not installed.
+        Raises `BuildError` if the package or the type is not installed.
         """
         prefix = self.prefix_of(reference.package)
         if prefix is None:
@@ -93,7 +95,9 @@ class Installation:
         return description
 
     def dependencies_of(self, package: Package) -> dict[str, Path]:
-        """The prefix of every package whose libraries this one needs, by package name."""
+        """Return the prefixes of all packages whose libraries this package needs, by package name. Raises `BuildError`
+        if one is missing.
+        """
         names = {reference.package for reference in package.references} - {package.name}
         names.update(name for file in package.files for name in _IMPLIED.get(file.suffix, ()))
         prefixes = {name: prefix for name in sorted(names) if (prefix := self.prefix_of(name))}
@@ -103,7 +107,7 @@ class Installation:
 
 
 def check_references(package: Package, installation: Installation) -> list[Path]:
-    """The descriptions of all types taken from other packages; raises `BuildError` for unknown types."""
+    """Return the descriptions of all types from other packages. Raises `BuildError` for unknown types."""
     descriptions: set[Path] = set()
     for reference in package.references:
         if reference.package != package.name:
@@ -114,7 +118,9 @@ def check_references(package: Package, installation: Installation) -> list[Path]
 
 
 def find_installation() -> Installation:
-    """The installation that this Python belongs to; raises `BuildError` where generators are missing."""
+    """Return the installation of this Python, or else the first one in AMENT_PREFIX_PATH. Raises `BuildError` if
+    generators are missing.
+    """
     sourced = [Path(entry) for entry in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if entry]
     for home in (Path(sys.prefix), *sourced):
         if all((home / "share" / name / "package.xml").is_file() for name in GENERATORS):
@@ -128,7 +134,7 @@ def find_installation() -> Installation:
 
 
 def python_headers() -> list[Path]:
-    """The directories with the C headers of Python and NumPy; raises `BuildError` where they are missing."""
+    """Return the directories with the C headers of Python and NumPy. Raises `BuildError` if they are missing."""
     python = Path(sysconfig.get_paths()["include"])
     if not (python / "Python.h").is_file():
         name = f"python{sys.version_info.major}.{sys.version_info.minor}-dev"

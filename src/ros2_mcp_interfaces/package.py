@@ -1,4 +1,4 @@
-"""What is to be built: directories with definitions, the packages they make up, and what these refer to."""
+"""The input of a build: directories with definitions, their packages, and references between them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _INTERFACE_NAME = re.compile(r"[A-Z][A-Za-z0-9]*")
 
 
 class LeftOut(NamedTuple):
-    """A definition that is not built, and why, as a sentence with what to do."""
+    """A definition that is not built, and why, as a sentence with a hint."""
 
     file: Path
     why: str
@@ -51,7 +51,7 @@ class Package:
 
     @property
     def manifest(self) -> Path:
-        """Its package.xml, which may not be there."""
+        """Its package.xml, which may be missing."""
         return self.root / "package.xml"
 
     @property
@@ -61,10 +61,10 @@ class Package:
 
 
 def find_packages(directories: Sequence[Path]) -> list[Package]:
-    """The interface packages in the given directories, ordered so that each follows those it refers to.
+    """Return the interface packages in the given directories, each after those that it refers to.
 
-    A directory is a package, or a folder (such as a workspace's `src`) with packages somewhere below it.
-    Raises `BuildError` for a directory without definitions, two packages of one name, and cycles.
+    A directory is a package, or a folder (such as a workspace's `src`) with packages somewhere below it. Raises
+    `BuildError` for a directory without definitions, two packages of one name, and cycles.
     """
     packages: dict[str, Package] = {}
     for root in (root for directory in directories for root in _package_roots(Path(directory).absolute())):
@@ -89,10 +89,10 @@ def find_packages(directories: Sequence[Path]) -> list[Package]:
 
 
 def left_out(directories: Sequence[Path]) -> list[LeftOut]:
-    """The definitions below these directories that are not built here though the others of their package are.
+    """Return the definitions below these directories that are skipped although others of their package are built.
 
-    Those in IDL: one beside a `.msg`, `.srv` or `.action` of its name was made from that, and is not missed. And those
-    with a field whose name is a word of Python, with the messages that contain them.
+    These are definitions in IDL, except one beside a `.msg`, `.srv` or `.action` of the same name, from which it was
+    made. And those with a field whose name is a Python keyword, and the messages that contain them.
     """
     advice = "IDL is not built here: write it as .msg, or build its package with colcon."
     found = [LeftOut(file, advice) for file in _idl_files(directories)]
@@ -109,7 +109,10 @@ def _idl_files(directories: Sequence[Path]) -> list[Path]:
 
 
 def _spoilt(files: Sequence[Path], package: str) -> Mapping[Path, str]:
-    """Why rosidl's Python code of some definitions could not be imported; it makes a field `from` of `from`."""
+    """Return the definitions whose generated Python code could not be imported, each with the reason.
+
+    The generator turns a field `from` into an attribute `from`, which is a syntax error.
+    """
     found: dict[Path, str] = {}
     for file in files:
         for number, line in enumerate(read_text(file).splitlines(), start=1):
@@ -117,7 +120,7 @@ def _spoilt(files: Sequence[Path], package: str) -> Mapping[Path, str]:
             name = words[1].partition("=")[0] if len(words) > 1 else ""
             if keyword.iskeyword(name):
                 found.setdefault(file, f'line {number}: "{name}" is a word of the Python language. Rename the field.')
-    while True:  # until nothing more contains what is left out
+    while True:  # until no further definition contains a skipped one
         names = {file.stem for file in found if file.suffix == ".msg"}
         more = {
             file: f'line {reference.line}: "{reference.field}" is a {reference.type_name}, which is left out.'
@@ -185,7 +188,7 @@ def _references(file: Path, package: str) -> Iterator[Reference]:
 
 
 def read_text(file: Path) -> str:
-    """The text of a definition file; raises `BuildError` when it is not UTF-8."""
+    """Return the text of a definition file. Raises `BuildError` if it is not UTF-8."""
     try:
         return file.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:

@@ -19,7 +19,7 @@ _HINT = (
 
 
 def check_syntax(package: Package) -> None:
-    """Raises `BuildError` with file and line for the first line that is not a definition."""
+    """Raise `BuildError` with file and line for the first line that is not a valid definition."""
     for file in package.files:
         lines, sections = read_text(file).splitlines(), _SECTIONS[file.suffix]
         if lines.count("---") != len(sections) - 1:
@@ -45,8 +45,10 @@ def check_syntax(package: Package) -> None:
 
 
 def _names_defined(package: str, place: str, line: str) -> list[str]:
-    """The fields and constants of one line. The parser of ROS reads whole files and names no line, so it gets one."""
-    from rosidl_adapter import parser  # of the ROS installation: its lack must not keep this package from starting
+    """Return the fields and constants of one line. ROS's own parser reads whole files without reporting lines, so it is
+    given one line at a time.
+    """
+    from rosidl_adapter import parser  # Imported here: without the ROS installation, this package must still start
 
     refusals = (parser.InvalidSpecification, parser.InvalidValue, TypeError, NameError, ValueError)
     with contextlib.redirect_stderr(io.StringIO()):

@@ -1,1 +1,1 @@
-"""What belongs to one vendor: a file for each format or system of theirs that can be used as it is."""
+"""Adapters for vendors: one file for each of their formats or systems that can be used directly."""

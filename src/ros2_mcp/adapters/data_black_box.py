@@ -1,6 +1,6 @@
-"""The WiseVision Data Black Box as a source: a node that keeps messages in InfluxDB and answers on a service.
+"""The WiseVision Data Black Box as a source: a node that keeps messages in InfluxDB and has a service to read them.
 
-Two generations share the service's name; its type tells which one answers.
+Two generations use the same service name; the type of the service shows which one it is.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ FIRST_TYPE = "lora_msgs/srv/GetMessages"
 SECOND_TYPE = "wisevision_msgs/srv/InfluxGetMessages"
 ANY = "any"
 NAMES = ("data black box", "data-black-box", "wisevision")
-"""The names by which it is read in the place of a bag."""
+"""The names that select it instead of a bag."""
 _SPECIAL = {
     "std_msgs/msg/Int32": "std_msgs/Int32",
     "lora_msgs/msg/MicroPublisher": "lora_msgs/MicroPublisher",
     "lora_msgs/msg/GpsDeviceData": "wisevision_msgs/GpsDevicesPublisher",
     "wisevision_msgs/msg/GpsDevicesPublisher": "wisevision_msgs/GpsDevicesPublisher",
 }
-"""What the first generation calls the types that it does not keep as bytes."""
+"""The first generation's names of the types that it does not keep as bytes."""
 _SPECIAL_LISTS = {
     "int32_msgs": "std_msgs/msg/Int32",
     "micro_publisher_data": "lora_msgs/msg/MicroPublisher",
@@ -49,14 +49,14 @@ _SPECIAL_LISTS = {
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 _DAY_NS = 86_400 * 10**9
 _REACHES_NS = tuple(seconds * 10**9 for seconds in (60, 3600, 86_400, 30 * 86_400))
-"""The last N messages are looked for in these times, one after the other, before all time is asked for."""
+"""To get the last N messages, these time ranges before the end are requested one after the other, and then all time."""
 
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """Which messages of a topic: from `start_ns` up to `end_ns` (Unix time; None is open).
+    """A request for messages of a topic, from `start_ns` to `end_ns` (Unix time, both included; None is open).
 
-    The first generation needs `type` for all but its special types; only the second has a `bucket`.
+    The first generation needs `type` except for its special types. Only the second has a `bucket`.
     """
 
     topic: str
@@ -68,7 +68,7 @@ class Question:
 
 @dataclass(frozen=True, slots=True)
 class Answered:
-    """Messages as CDR in the order of time; `type` is empty where the box does not say it. `problem` in words."""
+    """Messages as CDR in the order of time. `type` is "" if the box does not return it. `problem` is an error text."""
 
     type: str = ""
     samples: Sequence[Sample] = ()
@@ -77,7 +77,7 @@ class Answered:
 
 @dataclass(frozen=True, slots=True)
 class DataBlackBox:
-    """One Data Black Box in the graph."""
+    """A Data Black Box in the graph."""
 
     robot: Robot
     service: str
@@ -85,17 +85,17 @@ class DataBlackBox:
 
     @property
     def generation(self) -> int:
-        """1 or 2."""
+        """The generation, 1 or 2."""
         return 1 if self.service_type == FIRST_TYPE else 2
 
     async def last(self, question: Question, number: int) -> Answered:
-        """The last messages of the time asked for; with 0, all of them.
+        """Return the last `number` messages of the requested time; all of them if `number` is 0.
 
-        The box itself would give the first ones. So it is asked for all of a time that reaches further and further
-        back, until there are enough.
+        The box itself would return the first ones. So all messages of a time that reaches further and further back are
+        requested, until there are enough.
 
         Raises:
-            RobotError: with the box's own words, where it says that it failed.
+            RobotError: with the box's own error text.
         """
         end_ns = question.end_ns or self.robot.now_ns()
         for reach_ns in _REACHES_NS if number else ():
@@ -109,11 +109,11 @@ class DataBlackBox:
         return replace(answered, samples=answered.samples[-number:] if number else answered.samples)
 
     async def answer(self, question: Question) -> Answered:
-        """All messages of the time asked for; raises as `last`."""
+        """Return all messages of the requested time. Raises as `last`."""
         for request in requests(question, self.generation):
             answered = await asyncio.to_thread(self._read, await self._inquire(request))
             if answered.samples or answered.problem:
-                # The box does not compare fractions of a second exactly. A time of 0 is one that it did not give.
+                # The box does not compare fractions of a second exactly. A time of 0 means that it returned none.
                 start_ns, end_ns = question.start_ns or 0, question.end_ns or 2**63
                 times = range(start_ns, end_ns + 1)
                 inside = [one for one in answered.samples if one.received_ns == 0 or one.received_ns in times]
@@ -127,13 +127,13 @@ class DataBlackBox:
             )
         except TimedOut as error:
             raise TimedOut(error.message, "Ask the Data Black Box for a shorter time.") from error
-        except NotFound as error:  # the box has left: that is no answer that it does not have the topic
+        except NotFound as error:  # the box has left, which does not mean that it lacks the topic
             raise RobotError(error.message, error.hint) from error
         return answer.body
 
     def _read(self, body: bytes) -> Answered:
         response: Any = self.robot.values.codec.decode(f"{self.service_type}_Response", body)
-        # The first generation never sets `success`: only its message tells of an error.
+        # The first generation never sets `success`: only its message reports an error.
         failed = response.error_message and (self.generation == 1 or not response.success)
         if failed or (self.generation == 2 and not response.success and not len(response.messages)):
             words = quoted(response.error_message) if response.error_message else "it failed without a reason"
@@ -157,14 +157,14 @@ class DataBlackBox:
 
 
 class DataBlackBoxSource(Source):
-    """What a Data Black Box has kept between two Unix times, both included (None is open)."""
+    """The messages that a Data Black Box has between two Unix times in ns, both included (None is open)."""
 
     keeps_types = False
 
     def __init__(self, box: DataBlackBox, start_ns: int | None, end_ns: int | None, bucket: str = "") -> None:
         self.title = f"the WiseVision Data Black Box (generation {box.generation}, {box.service})"
         self.words = f"{self.title}, from {iso_time(start_ns) if start_ns else 'the beginning'} on"
-        # Without a start it goes back as far as the box does, which it does not tell: 0 is not known.
+        # Without a start, the source begins with the first message of the box, whose time is unknown: 0 means unknown.
         self.duration_s = 0.0 if start_ns is None else ((end_ns or box.robot.now_ns()) - start_ns) / 1e9
         self._box = box
         self._start_ns = start_ns
@@ -172,7 +172,7 @@ class DataBlackBoxSource(Source):
         self._bucket = bucket
 
     def lasting(self, live_s: float, *, recorded_s: float | None = None, whole: bool = False) -> DataBlackBoxSource:  # noqa: ARG002
-        """Of a longer time its beginning if a start was given, else its end."""
+        """Limit the source to `recorded_s`: to its beginning if a start was given, otherwise to its end."""
         if recorded_s is None:
             return self
         length_ns = max(round(recorded_s * 1e9), 1)
@@ -182,16 +182,16 @@ class DataBlackBoxSource(Source):
         return DataBlackBoxSource(self._box, self._start_ns, min(end_ns, self._start_ns + length_ns), self._bucket)
 
     def from_beginning(self) -> DataBlackBoxSource:
-        """As far back as the box goes."""
+        """Return the source without a start."""
         return DataBlackBoxSource(self._box, None, self._end_ns, self._bucket)
 
     @property
     def codec(self) -> Codec:
-        """Reads what it keeps, with the robot's definitions."""
+        """The codec of its messages, which uses the robot's definitions."""
         return self._box.robot.values.codec
 
     async def type_of(self, topic: str) -> str:
-        """The type that the topic has in the graph now; the box itself tells it only with the messages."""
+        """Return the current type of the topic in the graph; the box returns types only with messages."""
         kind = await self._type_now(names.absolute(topic))
         if not kind:
             raise NotFound(f"{names.absolute(topic)} is not published now, so its type is unknown.")
@@ -209,16 +209,16 @@ class DataBlackBoxSource(Source):
         latched: bool = True,  # noqa: ARG002 - the box does not keep QoS
         times_only: bool = False,  # noqa: ARG002 - it gives whole messages only
     ) -> AsyncGenerator[Stream, None]:
-        """The messages that it has, the last ones with a limit.
+        """Return the messages of a topic; with a limit, the last ones.
 
         Raises:
-            UnknownInterface: if it has messages and nobody says their type.
-            RobotError: with the box's own words, where it says that it failed.
+            UnknownInterface: if there are messages whose type is unknown.
+            RobotError: with the box's own error text.
         """
         topic = names.absolute(topic)
         expected = names.interface_type(type_name, "msg") if type_name else await self._type_now(topic)
         question = Question(topic, expected, self._start_ns, self._end_ns, self._bucket)
-        most = (limit or 0) * every_n  # the box cannot thin them: whoever reads does
+        most = (limit or 0) * every_n  # the box cannot thin them out: the reader does
         answered = await self._box.last(question, most if most < MAX_MESSAGES else 0)
         kind = answered.type or expected
         if answered.samples and not kind:
@@ -251,10 +251,10 @@ class DataBlackBoxSource(Source):
 
 
 class DataBlackBoxes(SourceKind):
-    """The Data Black Box of the graph as a kind of source; both generations."""
+    """The kind of source for the Data Black Box in the graph, of both generations."""
 
     async def named(self, robot: Robot, store: BagStore, request: SourceRequest) -> Source | None:  # noqa: ARG002
-        """The box of the graph, if it is asked for by name."""
+        """Return the box in the graph if the request names it; None for other names."""
         if request.name.lower() not in NAMES:
             return None
         found = await self._found(robot, request)
@@ -268,7 +268,7 @@ class DataBlackBoxes(SourceKind):
         store: BagStore,  # noqa: ARG002
         request: SourceRequest,
     ) -> Sequence[Callable[[], Awaitable[Source]]]:
-        """The box of the graph, if there is one."""
+        """Return a function that opens the box in the graph, if there is one."""
         found = await self._found(robot, request)
 
         async def opened() -> Source:
@@ -292,7 +292,9 @@ class DataBlackBoxes(SourceKind):
 
 
 async def find_box(robot: Robot) -> DataBlackBox | None:
-    """The Data Black Box of the graph; one at `/get_messages` before others, the second generation before the first."""
+    """Return the Data Black Box in the graph: preferably one at `/get_messages`, and the second generation before the
+    first.
+    """
     found = [
         (row.name != "/get_messages", kind != SECOND_TYPE, row.name, kind)
         for row in await robot.graph.services()
@@ -303,9 +305,9 @@ async def find_box(robot: Robot) -> DataBlackBox | None:
 
 
 def requests(question: Question, generation: int) -> list[Mapping[str, Any]]:
-    """The requests to try until one finds something.
+    """Return the requests to try until one finds messages.
 
-    The first generation knows topics without their leading slash only. A range has both ends or none.
+    The first generation knows topics without their leading slash only. A time range has both ends or none.
     """
     start, end = time_range(question)
     common = {"time_start": start, "time_end": end, "number_of_msgs": 0}
@@ -318,7 +320,10 @@ def requests(question: Question, generation: int) -> list[Mapping[str, Any]]:
 
 
 def time_range(question: Question) -> tuple[dict[str, int], dict[str, int]]:
-    """Both ends as the box takes them; an open end is filled in, and everything is all zero."""
+    """Return the start and the end as the box expects them. An open start becomes the epoch, an open end tomorrow.
+
+    If both are open, both are empty, which the box reads as no limit.
+    """
     if question.start_ns is None and question.end_ns is None:
         return {}, {}
     start_ns = 0 if question.start_ns is None else question.start_ns
@@ -327,7 +332,7 @@ def time_range(question: Question) -> tuple[dict[str, int], dict[str, int]]:
 
 
 def full_date_time(unix_ns: int) -> dict[str, int]:
-    """A Unix time in nanoseconds as a `lora_msgs/msg/FullDateTime`, in UTC."""
+    """Return a Unix time in ns as a `lora_msgs/msg/FullDateTime`, in UTC."""
     seconds, nanosecond = divmod(unix_ns, 10**9)
     date = _EPOCH + timedelta(seconds=seconds)
     parts = ("year", "month", "day", "hour", "minute", "second")
@@ -335,7 +340,7 @@ def full_date_time(unix_ns: int) -> dict[str, int]:
 
 
 def unix_ns(date: Any) -> int:
-    """The reverse of `full_date_time`; 0 where it is no date, such as all zero."""
+    """Return the Unix time in ns of a `FullDateTime`; 0 if it is not a date, such as one that is all zero."""
     try:
         parts = (date.year, date.month, date.day, date.hour, date.minute, date.second)
         since = datetime(*map(int, parts), tzinfo=timezone.utc) - _EPOCH
@@ -345,7 +350,7 @@ def unix_ns(date: Any) -> int:
 
 
 def split_payload(data: bytes) -> tuple[list[bytes], str]:
-    """The messages in `[uint32 big-endian length][that many bytes]…`, and what is wrong at its end."""
+    """Split `[uint32 big-endian length][that many bytes]…` into messages. Also return the error at its end, or ""."""
     bodies: list[bytes] = []
     at = 0
     while at < len(data):
@@ -358,7 +363,7 @@ def split_payload(data: bytes) -> tuple[list[bytes], str]:
 
 
 def read_second(response: Any) -> Answered:
-    """The messages of the second generation, base64 of CDR.
+    """Return the messages of the second generation, which are CDR in base64.
 
     Raises:
         BadData: if they are not base64.

@@ -1,8 +1,8 @@
-"""Prompts in the Python code of users, in the ways of the WiseVision server: installed packages (entry points) or a
-module in a folder. Off by default. If that code fails, the user is told, and the server goes on without it.
+"""Prompts in users' Python code, as the WiseVision server loads them: from installed packages (entry points), or from
+a module in a folder. Off by default. If that code fails, the error is reported, and the server runs without it.
 
-Such code gives objects of two classes that it imports from `server.prompthandler`, or plain functions, or registers
-functions as on a FastMCP server. Where there is no package `server`, one with these two classes stands in for it.
+Such code returns objects of two classes that it imports from `server.prompthandler`, or plain functions, or registers
+functions as on a FastMCP server. If there is no package `server`, a stand-in with these two classes is provided.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _KINDS = {"number": "number", "boolean": "boolean"}
 
 
 def code_of(settings: Settings) -> Callable[[Tell], Sequence[Prompt]] | None:
-    """What finds the prompts of the user's code, as the settings say; None where they are off."""
+    """Return a function that loads the prompts of the user's code; None if the settings do not enable them."""
     if not settings.custom_prompts:
         return None
     if settings.prompts_local:
@@ -46,7 +46,7 @@ def code_of(settings: Settings) -> Callable[[Tell], Sequence[Prompt]] | None:
 
 
 def from_entry_points(tell: Tell) -> list[Prompt]:
-    """The prompts of installed packages that declare the group `mcp_ros_2.prompts`."""
+    """Return the prompts of installed packages that declare the entry point group `mcp_ros_2.prompts`."""
     prompts: list[Prompt] = []
     for entry in entry_points(group=GROUP):
         prompts += _guarded(f"entry point {entry.name} ({entry.value})", lambda entry=entry: _made(entry.load()), tell)
@@ -54,7 +54,9 @@ def from_entry_points(tell: Tell) -> list[Prompt]:
 
 
 def from_module(folder: Path | None, module: str, tell: Tell) -> list[Prompt]:
-    """The prompts of a module: `register_prompts()`, `ALL_PROMPTS` or `get_prompts()`, the first that it has."""
+    """Return the prompts of a module: of `register_prompts()`, `ALL_PROMPTS` or `get_prompts()`, whichever it has
+    first.
+    """
     if folder is not None:
         path = str(folder.expanduser().resolve())
         if path not in sys.path:
@@ -81,7 +83,9 @@ def _guarded(what: str, load: Callable[[], Iterator[Prompt]], tell: Tell) -> lis
 
 
 def _made(hook: Any) -> Iterator[Prompt]:
-    """The prompts behind what a hook is: things, a function that returns them, or one that registers them."""
+    """Yield the prompts of a hook: a list of prompts, a function that returns them, or a function that
+    registers them.
+    """
     registry = _Registry()
     things = hook
     if callable(hook) and not _describes_itself(hook):
@@ -113,12 +117,12 @@ def _adopted(thing: Any) -> Prompt:
 
 
 def _describes_itself(thing: Any) -> bool:
-    """Whether it describes and renders itself as the handlers of that server do."""
+    """Return whether an object describes and renders itself, as the prompt handlers of that server do."""
     return callable(getattr(thing, "get_prompt_description", None)) and callable(getattr(thing, "render", None))
 
 
 def _argument(listed: PromptArgument, spec: Any) -> Argument:
-    """The argument with the kind, choices and default that its specification has; without them if they do not fit."""
+    """Return the argument with the kind, choices and default of its specification; without them if they do not fit."""
     plain = Argument(listed.name, listed.description or "", required=bool(listed.required))
     if spec is None:
         return plain
@@ -137,7 +141,7 @@ def _prompt(described: ListedPrompt | SdkPrompt, arguments: Sequence[Argument], 
     async def write(values: Mapping[str, Any]) -> Sequence[Message]:
         texts = {argument: shown(value) for argument, value in values.items() if value is not None}
         try:
-            result = await asyncio.to_thread(render, texts)  # in a thread, because it may take its time
+            result = await asyncio.to_thread(render, texts)  # in a thread, because it may take long
             result = await result if inspect.isawaitable(result) else result
             return [_message(message) for message in getattr(result, "messages", result)]
         except Exception as error:  # code of the user can raise anything
@@ -153,13 +157,13 @@ def _message(message: Any) -> Message:
 
 
 class _Registry:
-    """What a `register_prompts(mcp)` gets: it takes prompts as a FastMCP server does."""
+    """The argument of `register_prompts(mcp)`: it collects prompts like a FastMCP server."""
 
     def __init__(self) -> None:
         self.things: list[SdkPrompt] = []
 
     def prompt(self, name: Any = None, title: str | None = None, description: str | None = None, **_: Any) -> Any:
-        """The decorator `@mcp.prompt`, with and without arguments."""
+        """Collect a prompt: the decorator `@mcp.prompt`, with or without arguments."""
 
         def take(function: Any) -> Any:
             own_name = name if isinstance(name, str) else None
@@ -169,7 +173,7 @@ class _Registry:
         return take(name) if callable(name) else take
 
     def add_prompt(self, prompt: SdkPrompt) -> None:
-        """A prompt that is already made."""
+        """Collect a finished prompt."""
         self.things.append(prompt)
 
 
@@ -190,7 +194,7 @@ class ArgSpec:
 
 @dataclass
 class BasePromptHandler:
-    """One prompt, as those modules declare it: templates in the manner of `str.format`."""
+    """One prompt, as those modules declare it, with templates for `str.format`."""
 
     name: str
     description: str
@@ -199,13 +203,13 @@ class BasePromptHandler:
     namespace: str = ""
 
     def get_prompt_description(self) -> ListedPrompt:
-        """The prompt as it is listed."""
+        """Return the prompt as it is listed."""
         arguments = [PromptArgument(name=a.name, description=a.description, required=a.required) for a in self.args]
         full_name = f"{self.namespace}.{self.name}" if self.namespace else self.name
         return ListedPrompt(name=full_name, description=self.description, arguments=arguments)
 
     def render(self, arguments: Mapping[str, Any] | None) -> GetPromptResult:
-        """The messages with `{name}` replaced."""
+        """Return the messages, with each `{name}` replaced."""
         values = dict(arguments or {})
         return GetPromptResult(
             description=self.description,
@@ -218,10 +222,10 @@ class BasePromptHandler:
 
 @contextlib.contextmanager
 def _stand_in() -> Generator[None]:
-    """Offers `server.prompthandler` for the time of an import, where no package `server` is installed."""
+    """Provide `server.prompthandler` during an import, unless a package `server` is installed."""
     installed = importlib.util.find_spec("server") if "server" not in sys.modules else None
     if "server" in sys.modules or (installed is not None and installed.origin is not None):
-        yield  # a mere folder of that name, which Python takes for a package without an origin, does not count
+        yield  # an empty folder named `server`, which Python takes for a package without an origin, does not count
         return
     package, module = ModuleType("server"), ModuleType("server.prompthandler")
     package.__path__ = []

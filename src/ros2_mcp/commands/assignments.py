@@ -1,4 +1,4 @@
-"""`key=value` on a command line as a tool's arguments, read as the type that the tool asks for."""
+"""Reads `key=value` words of a command line as a tool's arguments, by the types that the tool declares."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Schema = Mapping[str, Any]
 
 _QUOTED = r"\"[^\"]*\"|'[^']*'"
 _PART = re.compile(rf"(?:{_QUOTED}|\[(?:{_QUOTED}|[^\]\"'])*\]|[^,])+")
-"""What stands between commas; those in brackets and in quotes are part of it."""
+"""The text between two commas; commas in brackets or quotes belong to it."""
 
 _EXAMPLES: Mapping[str, Any] = {"string": "text", "number": 2.5, "integer": 5, "boolean": True}
 _KINDS = {
@@ -28,13 +28,13 @@ _KINDS = {
 
 
 def read_assignments(assignments: Sequence[str], schema: Schema, aliases: Mapping[str, str]) -> dict[str, Any]:
-    """The arguments of a tool.
+    """Return the arguments of a tool.
 
-    Text is text, also `5` and `true`; where a list is asked for, one value is a list of one, and commas part
-    several; whatever else is JSON.
+    For a string, any text is accepted, such as `5` or `true`. For a list, one value is a list of one, and commas
+    separate several. All other values are JSON.
 
     Raises:
-        BadInput: with the argument as it is to be written.
+        BadInput: with an example of how to write the argument.
     """
     known: Mapping[str, Schema] = schema["properties"]
     arguments: dict[str, Any] = {}
@@ -59,7 +59,7 @@ def read_assignments(assignments: Sequence[str], schema: Schema, aliases: Mappin
 
 
 def written(name: str, schema: Schema) -> str:
-    """An argument with an example, as it is typed into a shell."""
+    """Return an argument with an example value, as it is typed into a shell."""
     example = _example(name, schema)
     text = example if isinstance(example, str) else json.dumps(example, ensure_ascii=False)
     return shlex.quote(f"{name}={text}")
@@ -81,7 +81,7 @@ def _read(name: str, text: str, schema: Schema) -> Any:
 
 
 def _one_or_several(name: str, value: Any, schema: Schema) -> list[Any]:
-    """What was given where a list is asked for."""
+    """Return the list that a value means, where a list is expected."""
     items: Schema = schema["items"]
     if items.get("type") == "object":
         needed: list[str] = items.get("required", [])
@@ -107,14 +107,14 @@ def _unreadable(name: str, text: Any, schema: Schema) -> BadInput:
 
 
 def _example(name: str, schema: Schema) -> Any:
-    """What its description names as one, or else something of its type."""
+    """Return the example in the description of an argument, or else a value of its type."""
     kind = schema.get("type", "string")
     if found := re.search(r"[Ss]uch as (\[.*?\](?=[.,;) ]|$)|\{.*\})", schema.get("description", "")):
         try:
             if _fits(example := json.loads(found[1]), kind):
                 return example
         except ValueError:
-            pass  # it is no JSON
+            pass  # not JSON
     if kind == "string" and (found := re.search(r"[Ss]uch as (\w*/[\w/]+)", schema.get("description", ""))):
         return found[1]
     if choices := schema.get("enum"):

@@ -1,4 +1,4 @@
-"""`ros2-mcp audit show | verify`: what was done, and whether anybody has changed what is written of it."""
+"""`ros2-mcp audit show | verify`: show the audit, or verify that it was not changed."""
 
 from __future__ import annotations
 
@@ -33,17 +33,17 @@ _WHAT = (
 
 
 def audit(folder: Path, step: str, *, limit: int = 50, as_json: bool = False, head: str = "") -> int:
-    """Prints the last lines, or the verdict.
+    """Print the last lines, or the verdict.
 
     Args:
-        folder: of the audit.
+        folder: the folder of the audit.
         step: `show` or `verify`.
-        limit: the newest so many lines.
-        as_json: print them as they are written.
-        head: one that was copied earlier, for `verify`.
+        limit: how many lines to show, the newest ones.
+        as_json: print the lines as they are stored.
+        head: for `verify`, a head that was copied earlier.
 
     Returns:
-        0; of `verify` 1 if something was changed.
+        0; for `verify`, 1 if the audit was changed.
 
     Raises:
         NotFound: if there is no audit.
@@ -72,7 +72,7 @@ def audit(folder: Path, step: str, *, limit: int = 50, as_json: bool = False, he
 
 
 def line_of(entry: Mapping[str, Any]) -> str:
-    """One line for a person: number, time, kind, who, what."""
+    """Return one line for people: number, time, kind, principal, and the other fields."""
     told = " ".join(f"{name}={entry[name]}" for name in _WHAT if entry.get(name))
     who = entry.get("principal", "")
     value = f" value={json.dumps(entry['value'])[:200]}" if entry.get("value") else ""

@@ -1,4 +1,4 @@
-"""Call one tool from the command line, for people without a client at hand."""
+"""Call one tool from the command line, without an MCP client."""
 
 # ruff: noqa: T201 - printing is this module's job
 
@@ -33,17 +33,17 @@ if TYPE_CHECKING:
     from ros2_mcp.robot.jobs import Job
 
 _PIPED_COLUMNS = 160
-"""Of what does not go to a terminal: wide enough for nearly every table, and still to be read."""
+"""The width of output that does not go to a terminal: enough for nearly every table, and still readable."""
 
 
 _FEEDBACK_S = 1.0
-"""Between two lines of a goal's feedback: often enough to see it go on, seldom enough to read them."""
+"""Time between two lines of a goal's feedback: short enough to show progress, long enough to read."""
 _ON_THEIR_WAY = ("ACCEPTED", "EXECUTING", "SUCCEEDED")
-"""States of a goal that has not gone wrong; with any other the call has not done what was asked."""
+"""The states of a goal that has not failed; with any other state the call has failed."""
 _ANSWERED_POLL_S = 0.2
-"""Whether a person has answered: nobody notices so much."""
+"""Time between two checks whether a person has answered: too short to notice."""
 _FAILED, _INTERRUPTED = 1, 130
-"""Exit codes: the call did not do what was asked; Ctrl+C ended it, as a shell has it (128 + SIGINT)."""
+"""Exit codes: the call failed; or Ctrl+C ended it (128 + SIGINT, as in a shell)."""
 _STOPS_ITS_OWN = """\
 A call from a shell stops only what it has begun itself, and this one began nothing: what other programs, a server or
 another call, have set in motion goes on. Ctrl+C ends another call; a server is told by its own client;
@@ -51,14 +51,13 @@ ros2_cancel_action_goal cancels goals, whoever sent them."""
 
 
 def call(settings: Settings, tool: str, assignments: Sequence[str], *, as_json: bool, output: Path | None) -> int:
-    """Calls the tool and prints its answer; pictures are saved to `output` (else where temporary files are), and named.
+    """Call the tool and print its answer. Save pictures in `output`, or else in the folder for temporary files.
 
-    What the call has begun, such as a recording or a goal, goes on until it ends or Ctrl+C ends it. What it drives
-    gets its zero when the call ends, and that is said.
+    A recording, goal or other job that the call has started continues until it ends, or Ctrl+C ends it. Topics that it
+    drives get a zero when the call ends, which is reported.
 
     Returns:
-        The exit code: 0, or 1 if it did not do what was asked (also for a goal that did not succeed), or 130 if Ctrl+C
-        ended it before it was done.
+        The exit code: 0; 1 if the call failed (also for a goal that did not succeed); 130 if Ctrl+C ended it early.
     """
     settings = of_call(settings)
     bridge = launch(settings)
@@ -66,8 +65,8 @@ def call(settings: Settings, tool: str, assignments: Sequence[str], *, as_json: 
     from ros2_mcp.compose.server import assemble
 
     async def once() -> int:
-        # Python 3.10 would cancel the bridge's supervisor together with this task: the bridge would be killed, and not
-        # stop the robot.
+        # Python 3.10 would cancel the bridge's supervisor together with this task: the bridge would be killed, without
+        # stopping the robot.
         interrupt = _Interrupt()
         assembly = assemble(settings, bridge)
         async with assembly.running():
@@ -87,7 +86,7 @@ def call(settings: Settings, tool: str, assignments: Sequence[str], *, as_json: 
 
 
 class _Interrupt:
-    """Ctrl+C, or being told to end: cancels the call, or once there is an `event`, sets that."""
+    """Ctrl+C, or another signal to end: cancels the call, or sets the event once `event` was called."""
 
     def __init__(self) -> None:
         this_call = asyncio.current_task()
@@ -103,13 +102,15 @@ class _Interrupt:
             self._call.cancel()
 
     def event(self) -> asyncio.Event:
-        """What it sets from now on; it cancels nothing any more."""
+        """Return an event that is set by the signal from now on, instead of cancelling the call."""
         self._event = asyncio.Event()
         return self._event
 
 
 async def _until_over(robot: Robot, interrupt: _Interrupt) -> int:
-    """Waits for the end of what the call has begun, or ends it in good order; says what became of it: the exit code."""
+    """Wait for the jobs of the call, or end them in order after Ctrl+C. Report their outcome, and return
+    the exit code.
+    """
     from ros2_mcp.robot.goals import Goal
     from ros2_mcp.robot.jobs import Job
 
@@ -117,7 +118,7 @@ async def _until_over(robot: Robot, interrupt: _Interrupt) -> int:
     if not jobs:
         await _stop(robot)
         return 0
-    ending = interrupt.event()  # before anybody reads that Ctrl+C ends it
+    ending = interrupt.event()  # before the user is told that Ctrl+C ends it
     for job in jobs:
         print(f"{_named(job)} {_until_when(job)}.", file=sys.stderr, flush=True)
     goals = [asyncio.create_task(_follow(robot, job)) for job in jobs if isinstance(job, Goal)]
@@ -146,7 +147,7 @@ def _until_when(job: Job) -> str:
 
 
 async def _follow(robot: Robot, goal: Goal) -> bool:
-    """Shows the feedback of a goal until it has ended, and then its result; whether it succeeded."""
+    """Show the feedback of a goal until it has ended, and then its result. Return whether it succeeded."""
     from ros2_mcp.ops.actions.send_goal import follow
     from ros2_mcp.ops.results.results import as_json, at_most_every
 
@@ -165,10 +166,10 @@ async def _follow(robot: Robot, goal: Goal) -> bool:
 
 
 async def _stop(robot: Robot) -> None:
-    """Sends the zeros of what this call drives and cancels its goals, where there are some, and says what became of
-    each. It is the end of a call and no stop: it latches nothing.
+    """Send zeros to the topics that this call drives, cancel its goals, and report each. This is the end of a call, not
+    a stop: it does not set the latch.
 
-    The bridge would do it by itself when this program ends, but nobody would be there to say so.
+    The bridge would do the same when this process ends, but could not report it.
     """
     from ros2_mcp.ops.stop.stop import cancel_goals
 
@@ -183,7 +184,7 @@ async def _stop(robot: Robot) -> None:
 
 
 async def _zeros(robot: Robot, topics: Sequence[str]) -> list[str]:
-    """A sentence for each topic that is to get its zero."""
+    """Send the zeros, and return a sentence for each topic."""
     if not topics:
         return []
     try:
@@ -221,7 +222,7 @@ async def _end(robot: Robot, job: Job) -> None:
 
 
 async def approved(settings: Settings, tool: BoundTool, arguments: Mapping[str, Any]) -> CallToolResult:
-    """The answer of the tool; what a person has to approve first waits for that. Raises `CallFailed`."""
+    """Return the answer of the tool. If a person has to approve it, wait, and call it again. Raises `CallFailed`."""
     from ros2_mcp.compose.robot import operated
     from ros2_mcp.guard.consent import Consent
     from ros2_mcp.mcp.binding import CallFailed
@@ -253,7 +254,7 @@ async def _print_answer(
     value: dict[str, Any] = result.structured_content or {}
     beside = [f"picture saved: {path}" for path in _saved_pictures(result, output)]
     stops = tool.declaration.risk == "stop"
-    if stops:  # who reads only this, or the exit code, must not believe that the robot stands still
+    if stops:  # so that neither this text nor the exit code suggests that the robot was stopped
         beside.append(_STOPS_ITS_OWN)
         value["confirmed"] = False
     if as_json:
@@ -267,7 +268,9 @@ async def _print_answer(
 
 
 def _has_gone_wrong(result: Mapping[str, Any]) -> bool:
-    """Whether it is about a goal that was not accepted, or ended without success, or was not seen to end in time."""
+    """Return whether the result is about a goal that was not accepted, ended without success, or did not
+    end in time.
+    """
     return "goal_id" in result and result.get("status", _ON_THEIR_WAY[0]) not in _ON_THEIR_WAY
 
 

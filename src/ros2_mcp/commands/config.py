@@ -27,16 +27,16 @@ from ros2_mcp_common.start.nodes_here import OF_A_SOURCED_SHELL
 from ros2_mcp_common.wire.limits import MAX_DURATION_S
 
 NAME = "ros2"
-# Clients end a call by themselves, some after 60 s. The longest call that a tool allows needs a little longer than it
-# says: discovery before it, the answer after it.
+# Clients end calls by themselves, some after 60 s. The longest call that a tool allows takes a little longer than its
+# duration: discovery before it, the answer after it.
 _CALL_S = MAX_DURATION_S + 60
 # How long a client waits for the server's first answer: measured 0.7 s on an idle machine, 4 to 8 s on one with ten
-# times the work that it can do. By themselves Codex waits 10 s, opencode 5 s.
+# times the work that it can do. By default, Codex waits 10 s, opencode 5 s.
 _START_S = 60
-# Goose's own default for a call, written since it has no other place.
+# Goose's own default for a call; the configuration needs a value.
 _GOOSE_TIMEOUT_S = 300
 
-# A client that starts the server itself speaks stdio with it; carried over, these would keep it waiting for ever.
+# Not carried over: a client that starts the server uses stdio; with these it would wait for ever.
 _OF_HTTP = frozenset(
     [
         "transport",
@@ -52,10 +52,10 @@ _OF_HTTP = frozenset(
     ]
 )
 
-# Paths that are the robot's.
+# Options whose paths are on the robot.
 _OF_THE_ROBOT = frozenset(["workspaces", "bridge_python", "ros_root", "interface_prefixes"])
 
-# What decides, beside our own settings, which robot is seen and how. A client would not pass it on.
+# Variables, besides those of our settings, that determine which robot is seen. Clients would not pass them on.
 _OF_ROS = (
     "ROS_AUTOMATIC_DISCOVERY_RANGE",
     "ROS_STATIC_PEERS",
@@ -72,7 +72,7 @@ _OF_ROS = (
     "ZENOH_CONFIG_OVERRIDE",
     "ZENOH_ROUTER_CHECK_ATTEMPTS",
 )
-# The same, for those that name a file: a path, a file:// address, or a list of them with commas.
+# The same, for variables that name files: a path, a file:// address, or a list of them separated by commas.
 _FILES_OF_ROS = (
     "ROS_SECURITY_KEYSTORE",
     "FASTRTPS_DEFAULT_PROFILES_FILE",
@@ -87,7 +87,7 @@ _FILES_OF_ROS = (
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """What a client must know of the server: an absolute command, its arguments, its environment."""
+    """How a client starts the server: an absolute command, its arguments, its environment."""
 
     command: str
     args: Sequence[str]
@@ -95,13 +95,13 @@ class Entry:
 
     @property
     def json(self) -> dict[str, object]:
-        """As nearly all clients write it."""
+        """The entry in the format of nearly all clients."""
         return {"command": self.command, "args": list(self.args), "env": dict(self.env)}
 
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """What a client must know of a server that runs already, over HTTP."""
+    """How a client reaches a running server over HTTP."""
 
     url: str
     headers: Mapping[str, str]
@@ -109,19 +109,21 @@ class Address:
 
 @dataclass(frozen=True, slots=True)
 class Client:
-    """Where the configuration of a client goes, and its texts: for a server that it starts, and for one over HTTP."""
+    """Where the configuration of a client goes, and its text for a server that the client starts, or for
+    one over HTTP.
+    """
 
     place: str
     text: Callable[[Entry], str]
     http: Callable[[Address], str]
     notes: Sequence[str] = ()
-    """What its user should know about the printed settings, or set elsewhere; one line each."""
+    """Hints for the user about the printed settings, or about settings elsewhere; one line each."""
 
 
 def print_config(client: str, arguments: argparse.Namespace, settings: Settings) -> int:
-    """Prints the configuration on stdout, and on stderr where it goes and what else is to be known.
+    """Print the configuration on stdout, and on stderr where to put it and other hints.
 
-    The options and settings are those of this very command line and environment.
+    It contains the options of this command line and the settings of this environment.
     """
     if arguments.http:
         return _print_http(client, settings)
@@ -131,7 +133,7 @@ def print_config(client: str, arguments: argparse.Namespace, settings: Settings)
     variables = environment(os.environ, words, is_here=settings.is_here)
     if settings.is_here:
         variables = {**of_sourced_shell(settings, os.environ), **variables}
-    if settings.socket:  # a server runs there; what it was told is its own
+    if settings.socket:  # a server runs there, with its own settings
         entry = Entry(command, [*args, "connect", str(settings.socket.expanduser().absolute())], {})
     else:
         entry = Entry(command, [*args, *options(words, is_here=settings.is_here)], variables)
@@ -155,7 +157,7 @@ def print_config(client: str, arguments: argparse.Namespace, settings: Settings)
 
 
 def _print_http(client: str, settings: Settings) -> int:
-    """Prints how a client reaches a server over HTTP with these settings.
+    """Print the configuration with which a client reaches a server with these settings over HTTP.
 
     Raises:
         BadInput: for settings with which no server would start.
@@ -181,7 +183,7 @@ def _print_place(client: Client) -> None:
         print(f"# {line}", file=sys.stderr)
 
 
-# ── the texts ──────────────────────────────────────────────────────────────────────────────────────────────────
+# ── formats of the clients ─────────────────────────────────────────────────────────────────────────────────────
 
 
 def _mcp_servers(entry: Entry) -> str:
@@ -189,7 +191,7 @@ def _mcp_servers(entry: Entry) -> str:
 
 
 def _mcp_servers_with(more: Mapping[str, object]) -> Callable[[Entry], str]:
-    """As nearly all clients write it, with settings of one client."""
+    """Return the format of nearly all clients, with additional settings for one client."""
     return lambda entry: _json({"mcpServers": {NAME: {**entry.json, **more}}})
 
 
@@ -203,12 +205,12 @@ def _zed(entry: Entry) -> str:
 
 
 def _claude_code(entry: Entry) -> str:
-    # An option must stand between the last --env, which takes as many words as it finds, and the name.
+    # `--env` takes all words that follow, so another option must stand between the last one and the name.
     variables = [word for name, value in entry.env.items() for word in ("--env", f"{name}={value}")]
     return typed(["claude", "mcp", "add", *variables, "--scope", "user", NAME, "--", entry.command, *entry.args])
 
 
-# Where nobody can be asked (`codex exec`), Codex refuses every tool that it would ask about; the stop must never be.
+# Where Codex cannot ask (`codex exec`), it refuses every tool that it would ask about. It must never refuse the stop.
 _CODEX_SETTINGS = (
     "required = true",
     f"startup_timeout_sec = {_START_S}",
@@ -227,7 +229,7 @@ def _codex(entry: Entry) -> str:
 
 
 def _goose(entry: Entry) -> str:
-    # What JSON writes of texts and lists, YAML reads.
+    # JSON texts and lists are also YAML.
     settings: dict[str, object] = {
         "name": NAME,
         "description": "Eyes and hands on a ROS 2 robot",
@@ -252,7 +254,7 @@ def _http_opencode(at: Address) -> str:
 
 
 def _opencode_server(settings: Mapping[str, object]) -> str:
-    # Progress, which the server reports every second, begins this time-out of a call anew.
+    # The server reports progress every second, which restarts this time-out of a call.
     server = {**settings, "enabled": True, "timeout": _START_S * 1000}
     return _json({"$schema": "https://opencode.ai/config.json", "mcp": {NAME: server}})
 
@@ -266,7 +268,9 @@ def _extensions(settings: Mapping[str, object]) -> str:
 def _http_servers(
     url: str = "url", kind: str = "", within: str = "mcpServers", more: Mapping[str, object] = {}
 ) -> Callable[[Address], str]:
-    """As nearly all clients write it; they differ in what they call the address, and whether they name its kind."""
+    """Return the format of nearly all clients, which differ in the name of the URL and in whether they name
+    its kind.
+    """
 
     def text(at: Address) -> str:
         named = {"type": kind} if kind else {}
@@ -277,7 +281,9 @@ def _http_servers(
 
 
 def _http_through_npx(at: Address) -> str:
-    """For a client that speaks stdio alone: `mcp-remote` carries it. Windows would lose a blank in an argument."""
+    """Return the format of a client that only speaks stdio, with `mcp-remote` between. No argument contains a blank,
+    because Windows would lose it.
+    """
     headers = [word for name in at.headers for word in ("--header", f"{name}:${{{name.upper()}}}")]
     values = {name.upper(): value for name, value in at.headers.items()}
     return _mcp_servers(Entry("npx", ["-y", "mcp-remote", at.url, "--allow-http", *headers], values))
@@ -312,7 +318,7 @@ def _json(value: object) -> str:
 
 
 def _scalar(value: object) -> str:
-    # As it is: TOML and YAML do not know JSON's pairs of escapes for characters beyond the first 65536.
+    # Not escaped: TOML and YAML do not have JSON's surrogate pairs for characters beyond U+FFFF.
     return json.dumps(value, ensure_ascii=False, default=list)
 
 
@@ -386,20 +392,20 @@ CLIENTS: Mapping[str, Client] = {
         _http_servers(),
     ),
 }
-"""Every client that is known, by its name on the command line."""
+"""All known clients, by their names on the command line."""
 
 
-# ── what is carried over ───────────────────────────────────────────────────────────────────────────────────────
+# ── settings that are carried over ─────────────────────────────────────────────────────────────────────────────
 
 
 CARRIED: Mapping[str, Option] = {name: option for name, option in OPTIONS.items() if name not in _OF_HTTP}
-"""The settings that a configuration takes over."""
+"""The settings that a configuration carries over."""
 
 
 def options(words: Mapping[str, str | Sequence[str]], *, is_here: bool = True) -> list[str]:
-    """The options that were given, as they are written; with absolute paths: a client starts in its own folder.
+    """Return the given options as they are written, with absolute paths, because a client starts in its own folder.
 
-    Where the robot is not on this machine (`is_here` false), the paths that are the robot's stay as they are.
+    If the robot is not on this machine (`is_here` false), paths on the robot stay as they are.
     """
     return [word for name, given in words.items() for word in _written(OPTIONS[name], given, is_here)]
 
@@ -419,16 +425,17 @@ def _absolute(option: Option, text: str) -> str:
     if not option.kind.is_path:
         return text
     paths = text.split(os.pathsep) if option.kind.several else [text]
-    # Links are kept: the Python of a virtual environment is one.
+    # Symbolic links are kept: the Python of a virtual environment is one.
     return os.pathsep.join(str(Path(path).expanduser().absolute()) for path in paths if path)
 
 
 def environment(
     variables: Mapping[str, str], words: Mapping[str, object] = {}, *, is_here: bool = True
 ) -> dict[str, str]:
-    """The variables of this shell that set something here or decide which robot is seen; not where an option does.
+    """Return the variables of this shell that are settings or determine which robot is seen, unless an option replaces
+    them.
 
-    Of a robot that is elsewhere (`is_here` false) the variables of this machine's ROS decide nothing.
+    For a remote robot (`is_here` false), the ROS variables of this machine have no effect, and are not included.
     """
     taken = {name: option for name, option in CARRIED.items() if name not in words and variables.get(option.variable)}
     if not is_here:
@@ -444,7 +451,7 @@ def environment(
 
 
 def _absolute_files(text: str) -> str:
-    """The files that a variable of the middleware names; a text that holds XML itself stays as it is."""
+    """Return the files in a variable of the middleware as absolute paths. A text that is XML itself stays as it is."""
     if "<" in text:
         return text
     address = "file://"
@@ -456,16 +463,19 @@ def _absolute_files(text: str) -> str:
 
 
 def of_sourced_shell(settings: Settings, variables: Mapping[str, str]) -> dict[str, str]:
-    """What lets the server find the ROS 2 that is sourced in this shell from a client's bare environment.
+    """Return variables with which a server in a client's bare environment finds the ROS 2 that is sourced in this
+    shell.
 
-    The first that does, tried as the server would: the distribution, with the workspaces on top; the folder that ROS
-    itself was built or unpacked in; else what this shell has, which goes stale when packages are added to it.
+    The first of these that works, tried as the server would: the distribution with the workspaces on top; the folder in
+    which ROS 2 itself was built or unpacked; the variables of this shell, which become outdated when packages are
+    added.
     """
     shell = without_ours(variables)
     here = sourced(search_of(settings), shell)
     if not here:
         return {}
-    # colcon's setup files put the newest overlay first; they are to be sourced last. Other tools set only the other.
+    # colcon's setup files put the newest overlay first; overlays have to be sourced last. Other tools set only the
+    # other variable.
     overlays = [path for path in reversed(path_entries(shell, "COLCON_PREFIX_PATH")) if (path / "setup.bash").is_file()]
     whole = next((path for path in (here.prefix, *here.prefix.parents) if (path / "setup.bash").is_file()), here.prefix)
     above = [path for path in overlays if path != whole]
@@ -486,7 +496,7 @@ def of_sourced_shell(settings: Settings, variables: Mapping[str, str]) -> dict[s
 
 
 def _finds(settings: Settings, wanted: Found, prefixes: Sequence[Path]) -> bool:
-    """Whether the server, with these settings and nothing else, finds this installation and all these prefixes."""
+    """Return whether the server finds this installation and all these prefixes with these settings alone."""
     try:
         found = find_ros(settings, {name: os.environ[name] for name in ("HOME",) if name in os.environ})
     except RobotError:

@@ -1,4 +1,4 @@
-"""The client's end of a server at a Unix socket: what a client writes goes there, and what comes is the client's."""
+"""The client's end of a server at a Unix socket: forwards stdin to the server, and the server's messages to stdout."""
 
 from __future__ import annotations
 
@@ -11,14 +11,15 @@ from pathlib import Path
 from ros2_mcp.model.errors import LinkError
 
 _READ_BYTES = 1 << 16
-"""A pipe's room."""
+"""The usual capacity of a pipe."""
 
 
 def connect(path: Path) -> int:
-    """Carries stdin and stdout to the server at that socket until one of them ends; 1 if the server did first.
+    """Connect stdin and stdout with the server at that socket until one of them ends. Return 1 if the server ended
+    first.
 
     Raises:
-        LinkError: if nobody listens there, or this user may not connect.
+        LinkError: if no server listens there, or this user may not connect.
     """
     if sys.platform == "win32":
         raise LinkError(
@@ -48,7 +49,7 @@ def _carry_out(connection: socket.socket, client_has_ended: threading.Event) -> 
         while data := os.read(0, _READ_BYTES):
             connection.sendall(data)
         client_has_ended.set()
-        connection.shutdown(socket.SHUT_WR)  # the client has ended; what it was not told yet may still come
+        connection.shutdown(socket.SHUT_WR)  # the client has ended; answers to it may still come
     except OSError:
         return  # the server has gone, which the other direction notices
 

@@ -1,4 +1,4 @@
-"""The simulated robot: run alone, or as the partner of the one-minute tour."""
+"""The simulated robot: run alone, or with the one-minute tour."""
 
 # ruff: noqa: T201 - printing is this module's job
 
@@ -18,7 +18,7 @@ from ros2_mcp.settings import Settings
 
 
 def demo(settings: Settings, *, robot: str, robot_only: bool, output: Path | None) -> int:
-    """Runs a robot alone until it is stopped, or the whole tour with it."""
+    """Run a robot alone until it is stopped, or run the tour with it. Return the exit code."""
     if robot_only:
         return run_robot(settings, robot)
     graph = Graph.private()
@@ -34,7 +34,7 @@ def demo(settings: Settings, *, robot: str, robot_only: bool, output: Path | Non
 
 
 def run_robot(settings: Settings, robot: str) -> int:
-    """Becomes that simulated robot until Ctrl-C: in the domain that was asked for, else in one of its own."""
+    """Replace this process by that simulated robot, until Ctrl+C: in the given domain, or else in a private one."""
     domain_id = Graph.private().domain_id if settings.domain_id is None else settings.domain_id
     installation = find_ros(with_interfaces(replace(settings, domain_id=domain_id), robot))
     reach = reach_of_this_machine(installation.distro, os.environ)

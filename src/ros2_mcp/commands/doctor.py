@@ -1,4 +1,4 @@
-"""Say which ROS 2 is used and why, and how to mend what is wrong."""
+"""Report which ROS 2 is used and why, and how to fix what is wrong."""
 
 # ruff: noqa: T201 - printing is this module's job
 
@@ -29,16 +29,16 @@ from ros2_mcp.robot.seen import is_of_robot
 from ros2_mcp.settings import OPTIONS, Settings
 
 _MAX_NODES = 8
-"""Of the robot, in one line: enough to see which robot it is."""
+"""The most nodes of the robot in one line: enough to recognise the robot."""
 _ROBOT = "Robot"
 _POLICY = "Policy"
 _MARKS = {True: "ok  ", False: "BAD ", None: "note"}
 
 
 def doctor(settings: Settings) -> int:
-    """Prints every finding about each robot, starts its bridge once for real, and returns 1 if something is wrong.
+    """Print every finding about each robot, start its bridge once, and return 1 if something is wrong.
 
-    That no robot is seen is not wrong: it may be switched off.
+    A missing robot is not wrong: it may be switched off.
     """
     set_here = [*what_is_set(settings, os.environ), programs_here()]
     entries = entries_of(settings)
@@ -47,12 +47,12 @@ def doctor(settings: Settings) -> int:
         if entry.name:
             print(f"\n{visible(entry.name)}:")
         results.append(_examine(entry.settings, set_here))
-        set_here = []  # told once
+        set_here = []  # printed only once
     return max(results)
 
 
 def _examine(settings: Settings, set_here: Sequence[Finding]) -> int:
-    """The same about one robot."""
+    """Print the findings about one robot, and return 1 if something is wrong."""
     findings = [*diagnose(settings, os.environ), *set_here, policy_in_force(settings)]
     for finding in findings:
         _print(finding)
@@ -66,7 +66,9 @@ def _examine(settings: Settings, set_here: Sequence[Finding]) -> int:
 
 
 def _lets_in(settings: Settings) -> bool:
-    """Lets a person at the terminal answer what ssh asks: accept a host key, unlock a key; whether it got through."""
+    """Let a person at the terminal answer ssh: accept a host key, or unlock a key. Return whether ssh then
+    succeeded.
+    """
     if settings.robot.kind != "ssh" or not sys.stdin.isatty():
         return False
     words = [*ssh_words(settings.robot, settings.ssh_options, may_ask=True), "exit"]
@@ -75,7 +77,9 @@ def _lets_in(settings: Settings) -> bool:
 
 
 def _without_terminal(finding: Finding, settings: Settings) -> Finding:
-    """The fix of one who runs this command without a terminal names ssh itself: this same command would ask nothing."""
+    """Return a finding whose fix names the ssh command, for a user without a terminal: there, this command could not
+    ask.
+    """
     itself = by_doctor(settings.robot, settings.ssh_options)
     if not finding.needs_a_person or itself not in finding.fix:
         return finding
@@ -83,7 +87,7 @@ def _without_terminal(finding: Finding, settings: Settings) -> Finding:
 
 
 def _verdict(findings: Sequence[Finding]) -> str:
-    """What all of it comes to, in one line."""
+    """Return the overall result in one line."""
     if wrong := [finding.title for finding in findings if finding.ok is False]:
         return f"Not in order: {', '.join(wrong)}. See the lines marked BAD."
     robot = next((finding for finding in findings if finding.title == _ROBOT), None)
@@ -93,7 +97,7 @@ def _verdict(findings: Sequence[Finding]) -> str:
 
 
 async def _robot(graph: Graph) -> Finding:
-    """Whether a robot is seen, after discovery has settled."""
+    """Return whether a robot is seen, after discovery has settled."""
     if absence := await graph.absence():
         return Finding(None, _ROBOT, absence)
     nodes = sorted({row.name for row in await graph.nodes() if is_of_robot(row.name)})
@@ -103,7 +107,9 @@ async def _robot(graph: Graph) -> Finding:
 
 
 def what_is_set(settings: Settings, env: Mapping[str, str]) -> Iterator[Finding]:
-    """Every setting that is not left to its default, with what set it; and variables that were meant to set one."""
+    """Yield every setting that differs from its default, with its origin, and unknown variables that look like
+    settings.
+    """
     for name, origin in settings.origins.items():
         value = OPTIONS[name].kind.written(getattr(settings, name))
         yield Finding(None, f"Setting {origin}", f"{value or 'all'} ({OPTIONS[name].help})")
@@ -112,13 +118,13 @@ def what_is_set(settings: Settings, env: Mapping[str, str]) -> Iterator[Finding]
     ours = [option.variable for option in OPTIONS.values()]
     for variable in env:
         if variable.startswith("ROS2_MCP_") and variable not in ours:
-            # Nobody else would say so: a misspelt ROS2_MCP_READONLY leaves a server that can move the robot.
+            # A misspelt ROS2_MCP_READONLY leaves a server that can move the robot, and nothing else reports it.
             fix = did_you_mean(variable, ours, "Unset it; ros2-mcp --help lists the options.")
             yield Finding(None, variable, "is set, but is none of this server's variables", fix)
 
 
 def programs_here() -> Finding:
-    """Whether programs run here: their sandbox is an extra."""
+    """Return whether programs can run here: their sandbox is an extra."""
     if sandbox.is_installed():
         return Finding(True, "Programs", f"run in the sandbox pydantic-monty {version('pydantic-monty')}")
     extra = f"For the extra that has one, run: {own_provenance().installing('programs')}"
@@ -126,7 +132,7 @@ def programs_here() -> Finding:
 
 
 def policy_in_force(settings: Settings) -> Finding:
-    """Which policy a server with these settings has, and how much that is worth."""
+    """Return which policy a server with these settings has, and its strength."""
     try:
         guard = guard_for(settings)
     except BadInput as error:

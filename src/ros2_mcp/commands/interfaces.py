@@ -13,8 +13,8 @@ from ros2_mcp.settings import Settings
 
 
 def build_interfaces(settings: Settings, directories: Sequence[Path]) -> int:
-    """Builds the packages and prints where they are; the server uses them from its next start on. Returns 2 where a
-    definition was left out, which the builder has named.
+    """Build the packages and print their folders; the server uses them from its next start on. Return 2 if a definition
+    was skipped, which the builder has reported.
     """
     built = build(find_ros(settings), directories, InterfaceCache(settings.interface_folder))
     for package in built.packages:

@@ -14,10 +14,10 @@ UP, DOWN = "\x1b[A", "\x1b[B"
 if sys.platform == "win32":
     import msvcrt
 
-    # Nobody notices so much between pressing a key and what it does; Windows has nothing to wait for keys with.
+    # Too short a delay to notice. Windows cannot wait for a key with a time-out.
     _POLL_S = 0.02
     _ARROWS = {"H": UP, "P": DOWN}
-    """What follows a character that announces a special key."""
+    """The character that follows the prefix of a special key."""
 else:
     import select
     import termios
@@ -25,15 +25,15 @@ else:
 
 
 class Restored(Protocol):
-    """A context in which lines can be typed, with the usual echo."""
+    """Returns a context in which lines can be typed, with the usual echo."""
 
     def __call__(self) -> AbstractContextManager[None]:
-        """The context."""
+        """Return the context."""
         ...
 
 
 def key(wait_s: float) -> str:
-    """A key that was pressed within that time, or nothing; an arrow is `UP` or `DOWN`."""
+    """Return a key that was pressed within that time, or "". An arrow key is `UP` or `DOWN`."""
     if sys.platform == "win32":
         deadline = time.monotonic() + wait_s
         while not msvcrt.kbhit():
@@ -48,7 +48,7 @@ def key(wait_s: float) -> str:
 
 @contextmanager
 def single_keys() -> Generator[Restored, None, None]:
-    """Keys come one by one; gives a context in which lines can be typed."""
+    """Within this context, keys arrive one by one; yields a function for contexts in which lines can be typed."""
     if sys.platform == "win32":
         os.system("")  # pyright: ignore[reportDeprecated] - so that signs move the cursor
 

@@ -1,6 +1,6 @@
-"""The operator's terminal: what waits for approval, in a plain screen that one reads in a second.
+"""The operator's terminal: a plain screen of requests that wait for approval.
 
-Each of its acts is a subcommand, too, for scripts.
+Each of its actions is also a subcommand, for scripts.
 """
 
 from __future__ import annotations
@@ -27,15 +27,16 @@ from ros2_mcp.model.text import visible
 from ros2_mcp_common.latch import ResetRefused
 
 _REFRESH_S = 0.5
-"""How often the screen is drawn anew: a request is seen at once, and nothing flickers."""
+"""Time between two refreshes of the screen: a request is seen at once, and the screen does not flicker."""
 _SETTLED_S = 0.7
-"""A request must have been on the screen for this long before a key answers it: nobody has read what is younger."""
+"""The shortest time on the screen before a key can answer a request: a newer request cannot have been read."""
 _KEYS = "↑↓ choose  a approve  d deny  g grant for a time  s STOP  r reset the latch  m mode  q quit"
 _STEPS = ("list", "show", "approve", "deny", "grant", "revoke", "mode", "stop", "reset")
 
 
 def folder_of(folder: Path) -> Path:
-    """The state folder of the robot whose server is found from this folder; without one, this folder itself.
+    """Return the state folder of the robot whose server is found from this folder; without a server, this folder
+    itself.
 
     Raises:
         BadInput: if links lead to several robots.
@@ -50,16 +51,16 @@ def folder_of(folder: Path) -> Path:
 
 
 def operate(folder: Path, step: str = "", arguments: Sequence[str] = (), *, as_json: bool = False) -> int:
-    """Runs one step, or without one the screen.
+    """Run one step; without a step, the screen.
 
     Args:
         folder: the state folder of the robot.
-        step: what to do, such as `approve`.
-        arguments: of the step, such as the id of a request.
+        step: the step, such as `approve`.
+        arguments: the arguments of the step, such as the id of a request.
         as_json: print the answers as JSON.
 
     Raises:
-        RobotError: if there is no server, or what is asked cannot be done.
+        RobotError: if there is no server, or the step fails.
     """
     try:
         servers = servers_in(folder)
@@ -90,16 +91,16 @@ def _print(answers: Sequence[Row], as_json: bool) -> None:
 
 
 def reset(folder: Path) -> str:
-    """Resets the latch of a robot of which no server runs, with its line in the audit; says so.
+    """Reset the latch of a robot without a running server, and note it in the audit. Return a message.
 
     Raises:
-        RobotError: if it belongs to another user, or was set again meanwhile.
+        RobotError: if the folder belongs to another user, or the latch was set again meanwhile.
     """
     latch = StateFolder(folder).latch()
     state = latch.look()
     if not state.is_set:
         return f"The latch of {folder.name} is not set. Another robot: ros2-mcp --policy FILE operate, or --state DIR."
-    if folder.stat().st_uid != own_uid():  # what another user writes there its server could not write any more
+    if folder.stat().st_uid != own_uid():  # otherwise the server could not write files that this user creates
         owner = name_of(folder.stat().st_uid)
         raise Refused("Without a server its user resets the latch.", f"Run this as {owner}, or start the server.")
     by, log = f"operator {name_of(own_uid())}", Audit(lambda: audit_folder(StateFolder(folder)))
@@ -115,7 +116,7 @@ def reset(folder: Path) -> str:
 
 
 def _step(servers: Sequence[Server], step: str, words: list[str]) -> list[Row]:
-    """The answers of all servers, or of the one that has what is named. Raises `RobotError`."""
+    """Return the answers of all servers, or of the one with the given request. Raises `RobotError`."""
     if step not in _STEPS:
         raise BadInput(f"There is nothing called {step!r} to do.", f"Choose from {', '.join(_STEPS)}.")
     if step in ("list", "stop", "reset"):
@@ -137,7 +138,7 @@ def _step(servers: Sequence[Server], step: str, words: list[str]) -> list[Row]:
 
 
 def granted(words: Sequence[str]) -> dict[str, Any]:
-    """For how long, and up to what: `600`, `10m`, `linear=0.2`. Raises `BadInput`."""
+    """Parse the duration and the bounds of a grant: `600`, `10m`, `linear=0.2`. Raises `BadInput`."""
     for_s, most = 0.0, dict[str, float]()
     for text in words:
         path, is_bound, number = text.partition("=")
@@ -154,11 +155,11 @@ def granted(words: Sequence[str]) -> dict[str, Any]:
     return {"for_s": for_s, "most": most}
 
 
-# ── what is shown ────────────────────────────────────────────────────────────────────────────────────────────────────
+# ── the lines of the screen ──────────────────────────────────────────────────────────────────────────────────────────
 
 
 def shown(state: Row, width: int = 100, chosen: str = "") -> list[str]:
-    """The state of one server in lines: how the robot stands, then what waits, the oldest first."""
+    """Return the state of one server as lines: the robot's state, then the waiting requests, the oldest first."""
     if "request" in state:
         return [*_request(state["request"], width, chosen), *json.dumps(state["value"], indent=2).splitlines()]
     lines = [_standing(state)]
@@ -181,7 +182,7 @@ def shown(state: Row, width: int = 100, chosen: str = "") -> list[str]:
 
 
 def _wrapped(line: str, width: int) -> list[str]:
-    """A line in as many as it takes: what a person decides by is never cut."""
+    """Return a line wrapped to the width: text on which a person decides is never cut."""
     return textwrap.wrap(visible(line), width, subsequent_indent="    ", break_on_hyphens=False)
 
 
@@ -206,28 +207,28 @@ def _ago(seconds: float) -> str:
 
 @dataclass(slots=True)
 class Choice:
-    """Which request the keys are for, and since when it has been on the screen (monotonic, s).
+    """The chosen request, which keys answer, and since when it has been chosen (monotonic clock, s).
 
-    Nothing is chosen but by a key, also when the chosen one has gone: a key that is pressed twice answers once.
+    Only a key chooses a request, even after the chosen one has gone: a key pressed twice answers one request only.
     """
 
     chosen: Row = field(default_factory=dict[str, Any])
     since: float = 0.0
 
     def follow(self, waiting: Sequence[Row], now: float) -> None:
-        """Keeps to the chosen request as long as it waits."""
+        """Keep the chosen request as long as it waits."""
         if not any(one["nonce"] == self.chosen.get("nonce") for one in waiting):
             self._choose({}, now)
 
     def move(self, waiting: Sequence[Row], by: int, now: float) -> None:
-        """Chooses the next or the previous one."""
+        """Choose the next or the previous request."""
         if waiting:
             nonces = [one["nonce"] for one in waiting]
             at = nonces.index(self.chosen["nonce"]) if self.chosen.get("nonce") in nonces else -1 if by > 0 else 0
             self._choose(waiting[(at + by) % len(waiting)], now)
 
     def is_read(self, now: float) -> bool:
-        """Whether it has been there long enough to have been read."""
+        """Return whether the request was chosen long enough to have been read."""
         return bool(self.chosen) and now - self.since >= _SETTLED_S
 
     def _choose(self, request: Row, now: float) -> None:
@@ -244,7 +245,7 @@ class Screen:
         self._said = ""
 
     def run(self) -> None:
-        """Until `q`. Raises `Ended` when the last server has ended."""
+        """Run until `q` is pressed. Raises `Ended` when the last server has ended."""
         with single_keys() as restored:
             while True:
                 states = self._states()

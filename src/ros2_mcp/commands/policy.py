@@ -1,4 +1,4 @@
-"""Policies on the command line: check one, ask it, compare two, hold one to a table, draft one from the live graph."""
+"""Policies on the command line: check, explain, compare, test, and draft from the live graph."""
 
 # ruff: noqa: T201 - printing is this module's job
 
@@ -28,9 +28,9 @@ _TOLD: Mapping[str, Callable[[RuleSet], list[str]]] = {
     "limits": words.limits,
     "forbid": words.forbidden,
 }
-"""The lists of rules in a policy, and what says each of their entries in words."""
+"""The lists of rules in a policy, each with the function that describes its entries in words."""
 _DRIVING = ("publish", "relay", "play", "goal")
-"""Verbs that may drive the robot: what is watched holds for them."""
+"""Verbs that may drive the robot, to which the watchdog applies."""
 _FORM = (
     "VERB NAME [TYPE] [JSON] [rate_hz=N] [duration_s=N], such as: "
     'publish /cmd_vel geometry_msgs/msg/Twist {"linear": {"x": 0.1}}'
@@ -38,7 +38,7 @@ _FORM = (
 
 
 def check(which: str) -> int:
-    """Prints what a policy says in words; mistakes are errors with file and line."""
+    """Print a policy in words. Mistakes raise errors with file and line."""
     document = read_policy(which)
     print(f"{document.name}: in order. sha256 {_policy(document).digest}")
     print(f"mode {document.mode}")
@@ -59,7 +59,9 @@ def _watched(document: Document) -> list[str]:
 
 
 def explain(which: str, command: str) -> int:
-    """Prints what a policy says to one command, by which rule, and what would be allowed; 1 if it is refused."""
+    """Print the decision about one command, the rule behind it, and what would be allowed. Return 1 if it
+    is refused.
+    """
     document, trial = read_policy(which), _trial(command)
     policy = _policy(document)
     decision = trials.decided(policy, trial)
@@ -80,7 +82,7 @@ def explain(which: str, command: str) -> int:
 
 
 def diff(one: str, other: str) -> int:
-    """Prints each difference of two policies by its path in the file; 1 if there is any."""
+    """Print each difference of two policies with its path in the file. Return 1 if there is any."""
     documents = read_policy(one), read_policy(other)
     before, after = (_without_rules(document.form) for document in documents)
     changes = [*_rule_changes(*documents), *_changes(before, after)]
@@ -89,7 +91,7 @@ def diff(one: str, other: str) -> int:
 
 
 def test(which: str, table: Path) -> int:
-    """Asks the policy about each row of a table; prints those that it decides otherwise; 1 if there are any."""
+    """Test a policy against a table, and print the rows that it decides differently. Return 1 if there are any."""
     policy = _policy(read_policy(which))
     rows = list(trials.rows_of(table))
     wrong = [(row, decision) for row in rows if _said(decision := trials.decided(policy, row.trial)) != row.expected]
@@ -101,7 +103,7 @@ def test(which: str, table: Path) -> int:
 
 
 def init(settings: Settings, output: Path | None) -> int:
-    """Writes a draft from the live graph, to a new file that only its owner can write, or to stdout."""
+    """Write a draft from the live graph: to a new file that only its owner can write, or to stdout."""
     text = asyncio.run(_draft(settings))
     if output is None:
         print(text, end="")
@@ -133,7 +135,7 @@ def _said(decision: Decision) -> str:
 
 
 def _trial(command: str) -> trials.Trial:
-    """The trial of a command line; JSON may stand in it with or without quotes around it."""
+    """Parse the trial of a command line; JSON in it may be quoted or not."""
     verb, _, rest = command.strip().partition(" ")
     name, _, rest = rest.strip().partition(" ")
     if not name:
@@ -152,7 +154,7 @@ def _trial(command: str) -> trials.Trial:
 
 
 def _json_in(text: str) -> tuple[str, str]:
-    """What stands around a JSON value, and the value; none is empty."""
+    """Return the text around a JSON value, and the value; "" if there is none."""
     at = min((text.find(mark) for mark in '{["' if mark in text), default=-1)
     if at < 0:
         return text, ""
@@ -168,7 +170,7 @@ def _full_type(verb: str, word: str) -> str:
 
 
 def _rule_changes(one: Document, other: Document) -> Iterator[str]:
-    """What is in one alone, and in the other: rules by their sentences, since their order and places mean nothing."""
+    """Yield the rules that only one of two policies has, in words: the order and place of rules have no meaning."""
     for kind, told in _TOLD.items():
         before, after = (list(zip(each.form["rules"][kind], told(each.rules), strict=False)) for each in (one, other))
         for sign, these, those in (("-", before, after), ("+", after, before)):
@@ -181,7 +183,7 @@ def _without_rules(form: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _changes(one: Any, other: Any, path: str = "") -> Iterator[str]:
-    """`path: before → after`."""
+    """Yield the differences of two values as `path: before → after`."""
     if isinstance(one, Mapping) and isinstance(other, Mapping):
         before, after = cast("Mapping[str, Any]", one), cast("Mapping[str, Any]", other)
         for key in dict.fromkeys([*before, *after]):

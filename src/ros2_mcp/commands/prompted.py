@@ -1,4 +1,4 @@
-"""Following a prompt as a model would: its calls in their order, each with the numbers that earlier answers gave."""
+"""Follows a prompt as a model would: its calls in order, with numbers from earlier answers."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ PROMPTS = Path(__file__).resolve().parents[2] / "ros2_mcp_demo" / "prompts"
 """The prompts that come with the simulated robots, for `--prompts`."""
 _CALL = re.compile(r"\bCall (ros2_\w+) with\s+(?=\{)")
 _METRES_PER_DEGREE = 111_320
-"""As the prompt of the drone's mission says it."""
+"""As in the text of the drone mission's prompt."""
 
 Call = Callable[[str, Mapping[str, Any]], Awaitable[Mapping[str, Any]]]
-"""Calls a tool by its name with arguments; its structured content."""
+"""Calls a tool by its name with arguments, and returns its structured content."""
 
 
 @dataclass(frozen=True, slots=True)
 class Followed:
-    """What became of a prompt: the answers in their order, each with its tool, and at which step it ended early, in
-    words ("" if none).
+    """The result of following a prompt: the answers in order, each with its tool, and which step failed, in words
+    ("" if none).
     """
 
     answers: list[tuple[str, Mapping[str, Any]]]
@@ -31,7 +31,9 @@ class Followed:
 
 
 async def follow_mission(call: Call, text: str, *, dest_x: float, dest_y: float) -> Followed:
-    """Takes the steps of the drone's mission, until one fails or all are done. `dest_x`, `dest_y` in m."""
+    """Carry out the steps of the drone's mission, until one fails or all are done. `dest_x` (east) and `dest_y` (north)
+    are in m from home.
+    """
     answers: list[tuple[str, Mapping[str, Any]]] = []
     numbers: dict[str, float] = {}
     for found in _CALL.finditer(text):
@@ -60,7 +62,7 @@ def _places(home: Mapping[str, float], dest_x: float, dest_y: float) -> dict[str
 
 
 def _problem(arguments: Mapping[str, Any], answer: Mapping[str, Any]) -> str:
-    """Why the prompt says not to go on; "" where it goes on."""
+    """Return why the prompt says to stop here; "" if it says to continue."""
     if not answer.get("met", True):
         return f"not met; the last was {answer.get('values')}"
     result: Mapping[str, Any] = answer.get("result") or {}

@@ -1,4 +1,4 @@
-"""Check a folder of prompts, for the people who write them."""
+"""Check a folder of prompts, for their authors."""
 
 # ruff: noqa: T201 - printing is this module's job
 
@@ -12,7 +12,7 @@ from ros2_mcp.tools import TOOLS
 
 
 def check_prompts(folder: Path) -> int:
-    """Prints the prompts of the folder and what is wrong, as `file:line: what`; 1 if anything is."""
+    """Print the prompts of the folder, and their mistakes as `file:line: text`. Return 1 if there are mistakes."""
     mistakes: list[Mistake] = []
     for prompt in PromptFolder(folder, mistakes.append, tools=frozenset(tool.name for tool in TOOLS)).prompts():
         arguments = ", ".join(argument.name for argument in prompt.arguments) or "no arguments"

@@ -1,4 +1,4 @@
-"""The simulated robots that `ros2-mcp demo` can start, and what each wants. Cheap to import: no libraries."""
+"""The simulated robots of `ros2-mcp demo`, and the packages that each needs. Quick to import: no libraries."""
 
 from __future__ import annotations
 
@@ -10,18 +10,20 @@ ROBOTS: Mapping[str, Sequence[str]] = {
     "drone": ("tf2_msgs", "geographic_msgs"),
     "nav2": ("tf2_msgs", "ros2_mcp_demo_interfaces"),
 }
-"""Each robot's name, and the packages below `ros2_mcp_demo/interfaces` that are built before it starts.
+"""For each robot, the packages below `ros2_mcp_demo/interfaces` that are built before it starts.
 
-`ros2_mcp_demo.robots` has the same names. A robot runs without what cannot be built, and says what it leaves out.
+`ros2_mcp_demo.robots` has the same names. A robot runs without packages that cannot be built, and reports what is
+missing.
 """
 LATER: Mapping[str, Sequence[str]] = {
-    "rover": ("nav2_msgs", "map_msgs"),  # the latter for what changes in costmaps of other robots
+    "rover": ("nav2_msgs", "map_msgs"),  # the latter for updates of other robots' costmaps
     "arm": ("control_msgs",),
     "drone": ("geographic_msgs", "mavros_msgs"),
     "nav2": ("nav2_msgs", "map_msgs"),
 }
-"""Those that are built while the robot runs already: its nodes that need them join then, so that nobody waits.
+"""For each robot, the packages that are built while it runs: nodes that need them start later, so that the user does
+not wait.
 
-What one of them needs of another is built before, too.
+A robot's packages include those that its other packages need; these are built first.
 """
 DEFAULT = "rover"

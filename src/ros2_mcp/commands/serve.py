@@ -1,4 +1,4 @@
-"""Serve MCP: the main job. The bridge starts first, the heavy imports follow while it comes up."""
+"""Serve MCP, the main command. The bridge is launched first; the slow imports run while it starts."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ typed here is understood. Ctrl+C ends it.
   ros2-mcp call ros2_topic_list   calls a tool without one
   ros2-mcp --help                 shows everything else
 """
-"""What somebody reads who starts it in a terminal, without a client."""
+"""Shown when the server is started in a terminal, without a client."""
 
 
 @dataclass(frozen=True, slots=True)
 class Wire:
-    """Private duplicates of the process's stdin and stdout, for MCP alone."""
+    """Private duplicates of the process's stdin and stdout, used only for MCP."""
 
     read_fd: int
     write_fd: int
 
 
 def claim_wire() -> Wire:
-    """Moves stdin and stdout aside: whatever else reads or prints gets nothing and stderr."""
+    """Duplicate stdin and stdout for MCP, and replace them: other code reads nothing, and prints to stderr."""
     wire = Wire(os.dup(0), os.dup(1))
     with open(os.devnull, "rb") as nothing:  # noqa: PTH123 - pathlib is not imported yet, and is slow to
         os.dup2(nothing.fileno(), 0)
@@ -49,32 +49,36 @@ def claim_wire() -> Wire:
 
 
 class LogFormatter(logging.Formatter):
-    """Log lines in which nothing is hidden: what they say of a robot's text may be read in a terminal."""
+    """Formats log lines with hidden characters escaped: they may contain text of the robot, and be read in
+    a terminal.
+    """
 
     def formatMessage(self, record: logging.LogRecord) -> str:
-        """The message, on one line."""
+        """Return the message, on one line."""
         return visible(super().formatMessage(record))
 
     def formatException(self, ei: Any) -> str:
-        """The traceback, on several lines."""
+        """Return the traceback, on several lines."""
         return visible(super().formatException(ei), keep=LAYOUT)
 
 
 def serve(settings: Settings) -> int:
-    """Serves until the client goes away or the process is told to end."""
+    """Serve until the client disconnects or a signal ends the process. Return the exit code."""
     if settings.is_stdio and sys.stdin and sys.stdin.isatty():
         _say(_TO_A_PERSON)
     entrance = entrance_of(settings) if settings.is_http else None
     check_tls(settings)
     keep_freed_memory()
-    gc.disable()  # looking for garbage among what is imported, where there is none, is a fifth of the start
+    gc.disable()  # searching the imported objects, which are never garbage, takes a fifth of the start
     wire = claim_wire() if settings.is_stdio else None
     asyncio.run(_serve(launch(settings), settings, wire, entrance))
     return 0
 
 
 def launch(settings: Settings) -> Bridge | None:
-    """Starts the bridge, if there is one robot; it comes up while the rest is imported. Several wait to be used."""
+    """Launch the bridge of a single robot, which starts during the imports. Bridges of several robots start on first
+    use.
+    """
     from ros2_mcp.compose.entries import entries_of
     from ros2_mcp.guard.policy_file import policy_for
     from ros2_mcp.guard.state import state_of
@@ -97,15 +101,15 @@ def _say(text: str) -> None:
 
 
 def show_log(settings: Settings) -> None:
-    """Shows the log on stderr from the level that was set on."""
-    # One line for each message, without time and place: it is read in a client's log, which adds its own.
+    """Show the log on stderr, from the level in the settings."""
+    # One line per message, without time and location: it is read in a client's log, which adds its own.
     shown = logging.StreamHandler()
     shown.setFormatter(LogFormatter("%(message)s"))
     logging.basicConfig(level=settings.log_level.upper(), handlers=[shown])
 
 
 async def _operated_until(ending: asyncio.Event, member: Member) -> None:
-    """Operators of a robot can reach the server until it ends."""
+    """Let operators of a robot reach the server until it ends."""
     from ros2_mcp.compose.robot import operated  # imported by now
 
     async with operated(member.robot, member.settings):
@@ -113,8 +117,10 @@ async def _operated_until(ending: asyncio.Event, member: Member) -> None:
 
 
 async def _serve(bridge: Bridge | None, settings: Settings, wire: Wire | None, entrance: Entrance | None) -> None:
-    """Serves in one task group. The robot is left in peace before the process ends, whatever ends it."""
-    # Imported here because the bridge has been launched now, and comes up meanwhile.
+    """Serve in one task group. The bridge is ended, and the robot stopped, before the process ends,
+    whatever ends it.
+    """
+    # Imported here, because the bridge has been launched and starts meanwhile.
     import anyio
 
     from ros2_mcp.compose.server import assemble
@@ -160,7 +166,7 @@ async def _serve(bridge: Bridge | None, settings: Settings, wire: Wire | None, e
     when_told_to_end(ending.set)
     async with anyio.create_task_group() as tasks:
         async with assembly.running():
-            if not (assembly.store.subject or assembly.fleet.has_several):  # of several, that waits for the first use
+            if not (assembly.store.subject or assembly.fleet.has_several):  # several wait for their first use
                 assembly.robot.log.start()
             for member in assembly.fleet.members.values() if not assembly.store.subject else ():
                 tasks.start_soon(keep_black_box, member.robot, member.store, member.settings)
@@ -168,7 +174,8 @@ async def _serve(bridge: Bridge | None, settings: Settings, wire: Wire | None, e
             tasks.start_soon(serve_until_the_client_leaves)
             await ending.wait()
         if not failures:
-            # A thread that writes to a client which does not read cannot be interrupted: the group would wait for it.
+            # A thread that writes to a client which does not read cannot be interrupted; the task group would wait for
+            # it.
             logging.shutdown()
             os._exit(0)
         tasks.cancel_scope.cancel()

@@ -1,4 +1,4 @@
-"""The simulated robot as a process, in a graph of its own."""
+"""The simulated robot as a process, in a private ROS graph."""
 
 # ruff: noqa: T201 - printing is this module's job
 
@@ -22,48 +22,49 @@ from ros2_mcp.link.interfaces import SHIPPED, InterfaceCache, build, package_nam
 from ros2_mcp.model.errors import LinkError, RosNotFound, TimedOut
 from ros2_mcp.settings import Settings
 
-# Chosen, with much room: the robot says that it is ready after some seconds, on a loaded machine later.
+# With much reserve: the robot is ready after some seconds, on a loaded machine later.
 READY_S = 60.0
 
 
-# DDS counts its UDP ports from here, by domain; so the ports that are bound tell which domains are in use.
+# DDS assigns UDP ports from here on, by domain: the bound ports show which domains are in use.
 _FIRST_PORT, _PORTS_OF_A_DOMAIN = 7400, 250
-# The last domain all of whose ports Linux leaves to those who ask for them: from 32768 on it gives them to anybody.
+# The last domain whose ports Linux never assigns on its own: from port 32768 on it may give them to any socket.
 _LAST_OWN_DOMAIN = 100
-# A port of a domain, counted from its first: multicast has 0 and 1, and participants begin at 10.
+# A port of a domain, relative to its first: multicast uses 0 and 1, and participants begin at 10.
 _CLAIM = 5
 _BUILD = ("interfaces", "build")
-# The niceness of what may take longer: the robot and those who look at it come first.
+# The nice value of slow builds: the robot and its observers take precedence.
 _GIVES_WAY = 10
-# These know no ROS_AUTOMATIC_DISCOVERY_RANGE.
+# Distributions without ROS_AUTOMATIC_DISCOVERY_RANGE.
 _BEFORE_DISCOVERY_RANGES = ("foxy", "galactic", "humble")
 
 
 @dataclass(frozen=True, slots=True)
 class Graph:
-    """A ROS graph of our own, on this machine only, so that a simulated robot never meets a real one."""
+    """A private ROS graph on this machine, so that a simulated robot never meets a real one."""
 
     domain_id: int
 
     @classmethod
     def private(cls) -> Graph:
-        """The highest of the domains 100 to 1 in which nobody on this machine is: mostly the same one each time.
+        """Return a graph in the highest unused domain of this machine, from 100 down to 1: usually the same one each
+        time.
 
-        It is this process's until that ends, also where it becomes another program.
+        The domain is reserved until this process ends, even if it executes another program.
         """
         used = {(port - _FIRST_PORT) // _PORTS_OF_A_DOMAIN for port in _bound_udp_ports()}
         free = (domain for domain in range(_LAST_OWN_DOMAIN, 0, -1) if domain not in used and _claim(domain))
         return cls(next(free, _LAST_OWN_DOMAIN))
 
     def variables(self) -> Mapping[str, str]:
-        """What a process needs in its environment to be in this graph."""
+        """Return the environment variables of a process in this graph."""
         return {"ROS_DOMAIN_ID": str(self.domain_id), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 
 
 def _claim(domain: int) -> bool:
-    """Takes a port of the domain that no participant uses; False where another process that chooses now has it.
+    """Reserve a domain by a port that participants do not use. Return False if another process has reserved it.
 
-    Ports are bound by one process only, and the system frees them when it ends.
+    A port can be bound by one process only, and the system frees it when the process ends.
     """
     claim = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
@@ -71,13 +72,13 @@ def _claim(domain: int) -> bool:
     except OSError:
         claim.close()
         return False
-    claim.set_inheritable(True)  # for who becomes the robot; to children it is not given
+    claim.set_inheritable(True)  # for `exec` as the robot; child processes do not get it
     claim.detach()
     return True
 
 
 def _bound_udp_ports() -> Iterator[int]:
-    """The local ports of all UDP sockets of this network namespace."""
+    """Yield the local ports of all UDP sockets of this network namespace."""
     for table in (Path("/proc/net/udp"), Path("/proc/net/udp6")):
         lines = table.read_text("ascii").splitlines()[1:] if table.exists() else []
         # The second column is the local address: "0100007F:1CE8".
@@ -85,7 +86,9 @@ def _bound_udp_ports() -> Iterator[int]:
 
 
 def reach_of_this_machine(distro: str, env: Mapping[str, str]) -> Mapping[str, str]:
-    """What keeps a robot of that distribution on this machine; nothing where the environment says how far it goes."""
+    """Return variables that keep a robot of that distribution on this machine; none if the environment sets its own
+    range.
+    """
     if env.get("ROS_AUTOMATIC_DISCOVERY_RANGE") or env.get("ROS_LOCALHOST_ONLY"):
         return {}
     if distro in _BEFORE_DISCOVERY_RANGES:
@@ -94,9 +97,10 @@ def reach_of_this_machine(distro: str, env: Mapping[str, str]) -> Mapping[str, s
 
 
 def with_interfaces(settings: Settings, robot: str = DEFAULT) -> Settings:
-    """The settings with the interface packages of that robot, built if need be; without what cannot be built.
+    """Return the settings with the interface packages of that robot, built if necessary; packages that fail are
+    omitted.
 
-    Those that are built later (`build_later`) are named already: who needs one looks again until it is there.
+    Packages that are built later (`build_later`) are included already: nodes that need one check again until it exists.
     """
     installation = find_ros(settings)
     if installation.kind != "wheels":
@@ -112,16 +116,16 @@ def with_interfaces(settings: Settings, robot: str = DEFAULT) -> Settings:
 
 
 def build_later(settings: Settings, robot: str) -> None:
-    """Begins to build what that robot does without at its start, in another process, which ends by itself.
+    """Begin to build the packages that the robot can start without, in another process, which ends by itself.
 
-    That gives way to all others and says nothing: where it fails the robot goes without. It also notes the packages as
-    in use, so that servers that are started afterwards know them.
+    That process has low priority and prints nothing: if it fails, the robot runs without the packages. It also marks
+    the packages as in use, so that servers that start later know them.
     """
     installation = find_ros(settings)
     missing = [package_name(prefix) for prefix in _later(settings, installation, robot) if not prefix.is_dir()]
     if not missing:
         return
-    sources = [str(SHIPPED / package) for package in LATER[robot]]  # with what the missing ones may need
+    sources = [str(SHIPPED / package) for package in LATER[robot]]  # with those that the missing ones may need
     builder = subprocess.Popen(
         [sys.executable, "-m", "ros2_mcp", "--cache-dir", str(settings.cache_dir), *_BUILD, *sources],
         stdin=subprocess.DEVNULL,
@@ -134,7 +138,9 @@ def build_later(settings: Settings, robot: str) -> None:
 
 
 def _later(settings: Settings, installation: RosInstallation, robot: str) -> list[Path]:
-    """The prefixes of the packages that are built later, without those that somebody has built otherwise and uses."""
+    """Return the prefixes of the packages that are built later, except those of which the user has built another
+    version.
+    """
     if installation.kind != "wheels" or installation.python != sys.executable:
         return []
     cache = InterfaceCache(settings.interface_folder)
@@ -145,12 +151,12 @@ def _later(settings: Settings, installation: RosInstallation, robot: str) -> lis
 
 @contextmanager
 def simulated_robot(settings: Settings, graph: Graph, robot: str = DEFAULT) -> Generator[str, None, None]:
-    """A running robot in a graph; yields the line with which it says that it is ready.
+    """Within this context, a robot runs in the graph; yields the line with which it reports that it is ready.
 
     Raises:
         TimedOut: if it was not ready within a minute.
-        LinkError: if it ended before.
-        RosNotFound: under another system than Linux, where the simulated robot does not run.
+        LinkError: if it ended before it was ready.
+        RosNotFound: on Windows, where the simulated robot does not run.
     """
     if sys.platform == "win32":
         raise RosNotFound(

@@ -1,7 +1,7 @@
-"""Results of tools for a person in a terminal: tables, and messages much as `ros2 topic echo` shows them.
+"""Formats results for people in a terminal: tables, and messages as in `ros2 topic echo`.
 
-Whatever a result holds is shown in full but for what is empty, what its summary says already, and columns that do not
-fit, which are named.
+A result is shown in full except for empty values, values that the summary contains, and columns that do not fit, which
+are named.
 """
 
 from __future__ import annotations
@@ -16,32 +16,32 @@ Row = Mapping[str, Any]
 _ISO_TIME = re.compile(r"\d{4}-\d\d-\d\d[T ](\d\d:\d\d:\d\d\.\d{3})\d*Z")
 """A time, of which a table shows hours to milliseconds."""
 _UNITS = {"hz": "Hz", "s": "s", "sec": "s", "ms": "ms", "m": "m", "rad": "rad", "px": "px", "bytes": "bytes"}
-"""What the last word of a name says of its unit."""
+"""The unit that the last word of a name means."""
 _SECONDS = ("duration", "elapsed", "waited")
-"""Names that the contract gave without their unit."""
+"""Names of durations in s that lack the unit."""
 _SAID = ("note", "notes", "pictures", "source", "total", "settled", "truncated", "hash", "type_hash")
-"""Said by the summary, or wanted by programs alone."""
+"""Fields that are not shown: the summary contains them, or only programs need them."""
 _MESSAGES = ("message", "messages", "result", "feedback", "last_feedback", "request", "response", "examples", "value")
-"""What is below these are the robot's own fields: their names stay as they are, and nothing of them is left out."""
+"""Fields with the robot's own fields below: their names are kept, and none is omitted."""
 _TITLES = ("topic_name", "node", "name", "service_name", "field", "recording_id", "relay_id", "stamp", "goal_id", "bag")
-"""By what one of several things is called, where they are no table."""
+"""Fields that can be the title of an item that is not shown in a table."""
 _FIRST = 6
 """How many values of a long array are shown beside its bounds: they fit into the line."""
 _CELL = 60
-"""The widest cell, in characters: a longer text would push all others off the screen."""
+"""The widest cell, in characters: a longer text would push all other columns off the screen."""
 _NARROWEST = 20
-"""So much of a text is left where its column is made narrower: the beginning of a type or of a sentence."""
+"""The narrowest column of text, in characters: the beginning of a type or of a sentence."""
 _FEW = 3
-"""So many short words stand on one line with others."""
+"""The most short words of a list that share a line with other values."""
 _DIGITS, _DIGITS_OF_FIELDS = 4, 9
-"""Of what was measured, and of the robot's own values: a latitude needs that many for a tenth of a metre."""
+"""Significant digits of measurements, and of the robot's own values: a latitude needs 9 for a resolution of 0.1 m."""
 _MEGABYTE = 1_000_000
 _MATRIX = {9: 3, 36: 6}
 """Length of a covariance, and of its rows."""
 
 
 def readable(summary: Sequence[str], result: Row, width: int) -> list[str]:
-    """The lines for a person: the summary, then what the result holds beside it; `width` in characters."""
+    """Return lines for people: the summary, then the rest of the result. `width` is in characters."""
     said = "\n".join(summary)
     parts: dict[str, Any] = {}
     rest: dict[str, Any] = {}
@@ -63,12 +63,12 @@ def readable(summary: Sequence[str], result: Row, width: int) -> list[str]:
 
 
 def _part(name: str, value: Any, width: int, *, is_only: bool) -> list[str]:
-    """One member of a result, with its name above unless there is nothing to mistake it for."""
+    """Return the lines of one field of a result, below its name unless it is the only one."""
     if isinstance(value, str):
-        return _indented(value.split("\n"))  # so that no line of it looks like one of ours
+        return _indented(value.split("\n"))  # indented, to differ from our own lines
     if name in ("message", "messages") and isinstance(value, (list, dict)):
         return _messages(_listed(cast("Any", value)), width)
-    if name == "examples":  # to be copied: as JSON
+    if name == "examples":  # to be copied, so JSON
         return [f"{kind}: {json.dumps(one, ensure_ascii=False)}" for kind, one in cast("Row", value).items()]
     if isinstance(value, dict):
         return [f"{_label(name)}:", *_indented(_fields(cast("Row", value), width - 2))]
@@ -90,7 +90,7 @@ def _several(name: str, items: Sequence[Any], width: int) -> list[str]:
 
 
 def _block(row: Row, width: int) -> list[str]:
-    """One of several things that hold tables or messages themselves: its name, and below that what it holds."""
+    """Return the lines of an item that contains tables or messages: its title, and its content indented."""
     title = next((name for name in _TITLES if row.get(name)), "")
     inner = {name: value for name, value in row.items() if name != title}
     lines = readable([], inner, width - 2)
@@ -98,7 +98,7 @@ def _block(row: Row, width: int) -> list[str]:
 
 
 def _messages(messages: Sequence[Any], width: int) -> list[str]:
-    """Several small ones are a table, a line for each; others are shown one after another, as by `ros2 topic echo`."""
+    """Return several small messages as a table, one line each; others one after another, as in `ros2 topic echo`."""
     flat = [_flat(cast("Row", message)) for message in messages if isinstance(message, dict)]
     if len(flat) == len(messages) > 1 and all(_is_scalar(value) for row in flat for value in row.values()):
         table = _table(flat, width, is_raw=True, may_leave_out=False)
@@ -112,7 +112,7 @@ def _messages(messages: Sequence[Any], width: int) -> list[str]:
 
 
 def _fields(value: Row, width: int) -> list[str]:
-    """A message or another object, as YAML: what is short on one line."""
+    """Return a message or another object in YAML style, with short values on one line."""
     lines: list[str] = []
     for key, below in value.items():
         name = _on_one_line(key)
@@ -141,7 +141,7 @@ def _items(items: Sequence[Any], width: int) -> list[str]:
 
 
 def _matrix(items: Sequence[Any], width: int) -> list[str]:
-    """Numbers that are a covariance, as the matrix that they are; nothing for others."""
+    """Return numbers that are a covariance as a matrix; an empty list for others."""
     columns = _MATRIX.get(len(items), 0)
     cells = [_text(item) for item in items]
     widest = max(map(len, cells), default=0)
@@ -155,9 +155,9 @@ def _matrix(items: Sequence[Any], width: int) -> list[str]:
 
 
 def _table(rows: Sequence[Row], width: int, *, is_raw: bool = False, may_leave_out: bool = True) -> list[str]:
-    """A line for each row; a line for each column where that fits better; else without the columns that do not fit.
+    """Return a line for each row; transposed if that fits better; otherwise without the columns that do not fit.
 
-    Without `may_leave_out` it is empty if not all fits.
+    Without `may_leave_out`: an empty list if not all columns fit.
     """
     names = list(dict.fromkeys(name for row in rows for name in row))
     if not is_raw:
@@ -185,7 +185,7 @@ def _table(rows: Sequence[Row], width: int, *, is_raw: bool = False, may_leave_o
 
 
 def _narrow(columns: dict[str, list[str]], names: Sequence[str], width: int) -> None:
-    """Makes columns of text narrower until the table fits, as far as that goes: sentences and lists before names."""
+    """Make columns of text narrower until the table fits, if possible: sentences and lists before names."""
     for name in names:
         if _width(columns.values()) > width:
             columns[name] = [re.sub(r"/(?:msg|srv|action)/", "/", cell) for cell in columns[name]]
@@ -212,18 +212,18 @@ def _drawn(columns: Sequence[Sequence[str]], to_the_right: set[int]) -> list[str
 
 
 def _pairs(values: Row) -> list[str]:
-    """One value on a line, in two columns."""
+    """Return one value per line, in two columns."""
     named = [_with_unit(name, value) for name, value in values.items()]
     return _drawn([[name for name, _ in named], [text for _, text in named]], set())
 
 
 def _beside(values: Row, width: int) -> list[str]:
-    """Values that are worth no line of their own."""
+    """Return values that need no line of their own, joined into lines."""
     return _wrapped([" ".join(_with_unit(name, value)) for name, value in values.items()], width, " · ")
 
 
 def _with_unit(name: str, value: Any) -> tuple[str, str]:
-    """`elapsed_s`, 1.5 → "elapsed", "1.5 s"."""
+    """Split the unit off the name: `elapsed_s`, 1.5 → "elapsed", "1.5 s"."""
     label, _, unit = _label(name).partition(" [")
     unit = ("s" if name in _SECONDS else unit.removesuffix("]")) if _is_number(value) else ""
     if unit == "bytes" and value >= _MEGABYTE:
@@ -244,7 +244,9 @@ def _wrapped(words: Sequence[str], width: int, between: str) -> list[str]:
 
 
 def _paired(result: Row) -> dict[str, Any]:
-    """A result of which the lists beside the messages, such as the times at which they came, are within these."""
+    """Return a result with lists that are parallel to its messages, such as times of receipt, moved into
+    the messages.
+    """
     paired = dict(result)
     messages = result.get("messages")
     if not isinstance(messages, list) or not messages:
@@ -270,7 +272,7 @@ def _runs_beside(values: list[Any], messages: list[Any]) -> bool:
 
 
 def _flat(message: Row, prefix: str = "") -> dict[str, Any]:
-    """Its fields by their paths."""
+    """Return the fields of a message by their paths."""
     flat: dict[str, Any] = {}
     for name, value in message.items():
         if isinstance(value, dict) and value and not _is_summarised(value):
@@ -281,7 +283,7 @@ def _flat(message: Row, prefix: str = "") -> dict[str, Any]:
 
 
 def _label(name: str) -> str:
-    """`period_mean_s` → `period mean [s]`."""
+    """Return the label of a field: `period_mean_s` → `period mean [s]`."""
     words = _on_one_line(name).split("_")
     unit = _UNITS.get(words[-1], "") if len(words) > 1 else ""
     return f"{' '.join(words[:-1])} [{unit}]" if unit else " ".join(words)
@@ -300,7 +302,7 @@ def _cut(text: str, most: int) -> str:
 
 
 def _text(value: Any, cell_digits: int = 0) -> str:
-    """A value on one line; in a table or a list of facts with so many digits, and without brackets."""
+    """Return a value on one line. With `cell_digits`, it is for a table: with so many digits, and without brackets."""
     if value is None:
         return "null"
     if isinstance(value, bool):
@@ -329,7 +331,7 @@ def _text(value: Any, cell_digits: int = 0) -> str:
 
 
 def _summarised(row: Row) -> str:
-    """A long array, of which the result has bounds and beginning only."""
+    """Return a long array, of which the result has only bounds and the first values, on one line."""
     facts = [f"{name} {_text(below)}" for name, below in row.items() if _is_scalar(below) and name[0] not in "$l"]
     first = cast("list[Any]", row.get("first") or [])
     begins = [f"begins {', '.join(_text(item) for item in first[:_FIRST])}, …"] if first else []
@@ -354,7 +356,7 @@ def _is_empty(value: Any) -> bool:
 
 
 def _is_said(value: Any, said: str) -> bool:
-    """Whether it is nothing but words that the summary has."""
+    """Return whether all texts of a value are in the summary."""
     if isinstance(value, list) and value:
         return all(_is_said(item, said) for item in cast("list[Any]", value))
     if isinstance(value, dict) and value:
@@ -363,14 +365,14 @@ def _is_said(value: Any, said: str) -> bool:
 
 
 def _is_short(value: Any) -> bool:
-    """Whether it is a few words, that stand beside others."""
+    """Return whether a value is a few words that can share a line with others."""
     if isinstance(value, list):
         return len(cast("list[Any]", value)) <= _FEW and len(_text(value)) <= _CELL and "{" not in _text(value)
     return isinstance(value, dict) and _is_time(cast("Row", value))
 
 
 def _has_rows(row: Row) -> bool:
-    """Whether it holds tables or messages itself."""
+    """Return whether a row contains tables or messages itself."""
     return any(
         (name in ("message", "messages") and isinstance(value, (list, dict)))
         or (isinstance(value, list) and any(isinstance(item, dict) for item in cast("list[Any]", value)))

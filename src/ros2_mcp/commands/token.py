@@ -13,10 +13,10 @@ from ros2_mcp.settings import Settings
 
 
 def print_token(settings: Settings, name: str, scopes: Sequence[str]) -> int:
-    """Prints the new token on stdout, and on stderr what it is for.
+    """Print the new token on stdout, and its use on stderr.
 
     Raises:
-        BadInput: without a file of tokens, and for a name or scope that is none.
+        BadInput: without a file of tokens, or for an invalid name or scope.
     """
     if not settings.token_file:
         raise BadInput("A file of tokens is needed.", f"Such as: ros2-mcp --token-file tokens token {name}")

@@ -1,4 +1,4 @@
-"""What `ros2-mcp call` can call: the list of tools, and what one of them takes. Starts nothing."""
+"""Help of `ros2-mcp call`: the list of tools, or the arguments of one tool. Starts nothing."""
 
 # ruff: noqa: T201 - printing is this module's job
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 _MOST_COLUMNS = 120
 """Longer lines are hard to read."""
 _NAME_COLUMNS = 34
-"""The longest name of a tool, and a space."""
+"""The longest name of a tool, plus a space."""
 _RISKS = {
     "read": "changes nothing",
     "write": "changes the robot's software or this machine's files",
@@ -31,15 +31,15 @@ _RISKS = {
 
 
 def of_call(settings: Settings) -> Settings:
-    """The settings of `call`: who calls by hand knows what is wanted, nothing is left out to keep a list short."""
+    """Return the settings of `call`, with all tools: for a person the list need not be short."""
     return replace(settings, tools=settings.tools or ("all",))
 
 
 def found(tools: Mapping[str, BoundTool], name: str) -> BoundTool:
-    """The tool of that name.
+    """Return the tool of that name.
 
     Raises:
-        BadInput: with the nearest name.
+        BadInput: with the most similar name.
     """
     if name not in tools:
         raise BadInput(f"There is no tool {name}.", did_you_mean(name, list(tools), "See: ros2-mcp call"))
@@ -47,7 +47,7 @@ def found(tools: Mapping[str, BoundTool], name: str) -> BoundTool:
 
 
 def print_help(settings: Settings, name: str | None) -> int:
-    """Prints the list of tools, or what the tool of that name takes.
+    """Print the list of tools, or the arguments of the tool of that name.
 
     Raises:
         BadInput: if there is no such tool.
@@ -96,7 +96,7 @@ def _help(tool: BoundTool, columns: int) -> list[str]:
 
 
 def _kind(schema: Mapping[str, Any]) -> str:
-    """Its type in words: `text`, `list of numbers`, one of a few texts."""
+    """Return the type of an argument in words: `text`, `list of numbers`, or its choices."""
     if choices := schema.get("enum"):
         return " or ".join(map(str, choices))
     kind = schema.get("type", "")
@@ -107,7 +107,7 @@ def _kind(schema: Mapping[str, Any]) -> str:
 
 
 def _default(schema: Mapping[str, Any]) -> str:
-    """Its default, where it says something."""
+    """Return the default of an argument; "" if it is empty."""
     default = schema.get("default")
     return (
         ""

@@ -1,4 +1,4 @@
-"""The one-minute tour: an MCP client over real stdio does what an agent would do, and shows what it gets."""
+"""The one-minute tour: an MCP client over real stdio acts like an agent, and shows the answers."""
 
 from __future__ import annotations
 
@@ -23,19 +23,21 @@ from ros2_mcp.commands.transcript import Tour
 from ros2_mcp.settings import Settings
 
 CHAPTERS: Mapping[str, Sequence[Callable[[Tour], Awaitable[None]]]] = {"drone": DRONE, "arm": ARM, "nav2": NAV2}
-"""What is shown of each robot but the rover, which has this module."""
+"""The chapters of each robot except the rover, whose chapters are in this module."""
 
 _WITHIN_M = 0.02
-"""What `ros2_drive` keeps to, by odometry."""
+"""The accuracy of `ros2_drive`, by odometry."""
 
 
 async def take_tour(settings: Settings, graph: Graph, folder: Path, robot: str = DEFAULT) -> int:
-    """Starts the server as a client would, over stdio, and walks through what it can do; saves into the folder."""
+    """Start the server over stdio, as a client would, and run the chapters of the robot. Save pictures and transcript
+    in the folder. Return the exit code.
+    """
     prefixes = with_interfaces(settings, robot).interface_prefixes
     variables = {
         **graph.variables(),
         "ROS2_MCP_INTERFACES": ":".join(map(str, prefixes)),
-        # A latch that is left set here must not hold a real robot.
+        # A latch that stays set here must not affect a real robot.
         "XDG_STATE_HOME": str(folder / "state"),
     }
     tour, is_over = Tour(folder), asyncio.Event()
@@ -44,7 +46,7 @@ async def take_tour(settings: Settings, graph: Graph, folder: Path, robot: str =
             await tour.play(*CHAPTERS[robot])
             return tour.finish()
         await tour.play(look_around, drive_one_metre, use_services, navigate)
-        # The second server comes up while the first one records.
+        # The second server starts while the first one records.
         guarded = asyncio.create_task(_under_policy(tour, settings, folder, variables, is_over))
         await tour.play(remember, _put_up_a_sign)
     is_over.set()
@@ -59,7 +61,9 @@ async def _put_up_a_sign(tour: Tour) -> None:
 async def _under_policy(
     tour: Tour, settings: Settings, folder: Path, variables: Mapping[str, str], is_over: asyncio.Event
 ) -> None:
-    """The last chapter, with a second server: only one may act under a policy, so it waits for the end of the first."""
+    """Run the last chapter with a second server. Under a policy only one server may act, so it waits until the first
+    has ended.
+    """
     async with Client(_server(settings, folder, variables, "--policy", PROFILE)) as client:
         await is_over.wait()
         tour.client = client
@@ -72,7 +76,7 @@ def _server(settings: Settings, folder: Path, variables: Mapping[str, str], *mor
 
 
 async def look_around(tour: Tour) -> None:
-    """What is there, and what the sensors see."""
+    """List the topics, and show what the sensors see."""
     tour.say("1. What is there?")
     topics = await tour.call("ros2_topic_list")
     for topic in topics["topics"]:
@@ -88,7 +92,7 @@ async def look_around(tour: Tour) -> None:
 
 
 async def drive_one_metre(tour: Tour) -> None:
-    """Drive, stop, and prove it by odometry."""
+    """Drive, stop, and verify it by odometry."""
     tour.say("3. Drive one metre, then stop.")
     before = await _position(tour)
     driven = await tour.call("ros2_drive", distance_m=1.0, speed=0.4)
@@ -125,7 +129,7 @@ async def navigate(tour: Tour) -> None:
     tour.say("5. Navigate around walls, then cancel a second goal.")
     if "/navigate_to_pose" in actions:
         await _navigate_with_nav2(tour)
-    else:  # its interfaces are still being built, which nobody waits for
+    else:  # its interfaces are still being built; the tour does not wait for them
         outcome = await tour.call(
             "ros2_send_action_goal",
             action_name="/navigate_to",

@@ -1,4 +1,4 @@
-"""The tour's chapters with the simulated arm: by name, within its limits, stopped in the middle, and stuck."""
+"""The tour's chapters with the simulated arm: moves by name, limits, a stop in the middle, and a stuck joint."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from ros2_mcp.commands.transcript import Tour
 _TOPIC = "/arm_controller/joint_trajectory"
 _PAN = "shoulder_pan_joint"
 _STANDS = 0.005
-"""In rad within half a second: the encoders' noise is far below."""
+"""The most that a stopped joint may move within half a second, in rad: far above the encoders' noise."""
 
 
 async def look_at_the_arm(tour: Tour) -> None:
-    """Where its joints are, its tool, and its base."""
+    """Show the joint positions, the tool, and the base."""
     tour.say("1. Where are the joints, and the tool?")
     for name, position in (await _joints(tour)).items():
         tour.show(f"{name:22} {position:7.3f}")
@@ -25,7 +25,7 @@ async def look_at_the_arm(tour: Tour) -> None:
 
 
 async def move_by_name(tour: Tour) -> None:
-    """Within the limits, and beyond them."""
+    """Move joints within their limits, and try to move one beyond."""
     tour.say("2. Move joints by name, within the limits of the URDF.")
     moved = await tour.call("ros2_joint_move", joints={_PAN: 0.5, "elbow_joint": 0.8}, speed=0.6, controller=_TOPIC)
     for joint in moved["joints"]:
@@ -36,7 +36,7 @@ async def move_by_name(tour: Tour) -> None:
 
 
 async def stop_in_the_middle(tour: Tour) -> None:
-    """A trajectory goes on by itself; the stop holds the joints where they are measured to be."""
+    """Stop a trajectory, which would continue by itself: the joints hold their measured positions."""
     tour.say("3. Begin a long move, and stop it in the middle.")
     move: dict[str, Any] = {"joints": {_PAN: -1.5}, "duration_s": 6.0, "controller": _TOPIC}
     moving = asyncio.create_task(tour.call("ros2_joint_move", **move))
@@ -52,7 +52,7 @@ async def stop_in_the_middle(tour: Tour) -> None:
 
 
 async def find_what_is_stuck(tour: Tour) -> None:
-    """A joint that does not move any more is named."""
+    """Move a stuck joint: the result names it."""
     tour.say("4. One joint is stuck: which?")
     await tour.call("ros2_parameter_set", node_name="/arm_controller", values={"stuck_joint": "wrist_1_joint"})
     moved = await tour.call("ros2_joint_move", joints={"wrist_1_joint": 0.0, "elbow_joint": 1.0}, controller=_TOPIC)

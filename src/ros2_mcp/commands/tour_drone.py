@@ -1,4 +1,6 @@
-"""The tour's chapters with the simulated drone: by hand, what it refuses, a mission out of a prompt, and a stop."""
+"""The tour's chapters with the simulated drone: velocity commands, refused orders, a mission from a prompt,
+and a stop.
+"""
 
 from __future__ import annotations
 
@@ -12,18 +14,20 @@ from ros2_mcp.commands.prompted import follow_mission
 from ros2_mcp.commands.transcript import StepFailed, Tour
 
 _X, _Y, _Z = 8.0, 5.0, 6.0
-"""Metres east, north and up: some 25 s there and back."""
+"""In m east, north and up: a flight of about 25 s, there and back."""
 _DRIFT = 1.5
-"""Metres that wind and estimate may be off while it is flown by hand."""
+"""The most that the drone may be off after velocity commands, in m, because of wind and estimation."""
 _LOOKS = 30
-"""At its state, one each second: a landing from 10 m takes half of it."""
+"""The most checks of its state, one per second: a landing from 10 m takes half of them."""
 _COMPILED_S, _PAUSE_S = 240, 4
-"""A minute on two busy cores; a small machine takes longer."""
+"""The longest wait for MAVROS's interfaces to be compiled, and the time between two checks, in s. Compiling takes one
+minute on two busy cores, on a small machine longer.
+"""
 _ORDER = {"set_mode": "SetMode", "cmd/arming": "CommandBool", "cmd/takeoff": "CommandTOL"}
 
 
 async def fly_up_one_metre(tour: Tour) -> None:
-    """By velocity commands, as the quadcopter of Gazebo's teleop world is flown."""
+    """Fly by velocity commands, like the quadcopter in Gazebo's teleop world."""
     tour.say("1. Fly up one metre, by velocity commands, and down again.")
     await _by_hand(tour, 0.5, 2.0)
     await asyncio.sleep(1.0)
@@ -37,7 +41,7 @@ async def fly_up_one_metre(tour: Tour) -> None:
 
 
 async def order_wrongly(tour: Tour) -> None:
-    """Orders that an autopilot refuses, and what the agent learns from them."""
+    """Give orders that an autopilot refuses, and show the explanations."""
     tour.say("2. What it refuses, and why: MAVROS alone answers with a number.")
     if not await _has_mavros(tour):
         raise StepFailed("MAVROS's interfaces could not be built here: see `ros2-mcp interfaces build`.")
@@ -52,7 +56,7 @@ async def order_wrongly(tour: Tour) -> None:
 
 
 async def fly_mission(tour: Tour) -> None:
-    """The showcase: from the prompt to the landing."""
+    """Fly the mission of a prompt, to the landing."""
     tour.say(f"3. A mission out of a prompt: {_X:g} m east, {_Y:g} m north, {_Z:g} m high, back, and down.")
     prompt = {"dest_x": f"{_X}", "dest_y": f"{_Y}", "dest_z": f"{_Z}"}
     messages = (await tour.client.get_prompt("drone-mission", prompt)).messages
@@ -69,7 +73,7 @@ async def fly_mission(tour: Tour) -> None:
 
 
 async def stop_in_the_air(tour: Tour) -> None:
-    """A stop is no fall: it stands in the air, and is then told to land."""
+    """Stop in the air, where the drone hovers, and then land."""
     tour.say("4. Take off once more, and stop in the middle.")
     await _order(tour, "set_mode", {"base_mode": 0, "custom_mode": "GUIDED"})
     await _order(tour, "cmd/arming", {"value": True})
@@ -97,7 +101,7 @@ async def _height(tour: Tour) -> float:
 
 
 async def _has_mavros(tour: Tour) -> bool:
-    """Waits until MAVROS is there: its interfaces are compiled meanwhile, the first time."""
+    """Wait until MAVROS runs: the first time, its interfaces are compiled meanwhile. Return whether it does."""
     for _ in range(_COMPILED_S // _PAUSE_S):
         listed = await tour.call("ros2_topic_list", pattern="/mavros/state")
         if listed["topics"]:
@@ -107,9 +111,9 @@ async def _has_mavros(tour: Tour) -> bool:
 
 
 async def _disarmed(tour: Tour) -> bool:
-    """Whether it is disarmed within half a minute."""
+    """Return whether it is disarmed within half a minute."""
     for _ in range(_LOOKS):
-        # MAVROS gives whoever comes late its last ten states: the newest one is last.
+        # MAVROS sends late subscribers its last ten states; the newest is last.
         heard = await tour.call("ros2_topic_subscribe", topic_name="/mavros/state", duration=1.0, fields=["armed"])
         if heard["messages"] and not heard["messages"][-1]["armed"]:
             return True

@@ -1,4 +1,4 @@
-"""What the tour shows of the rover with all of Nav2: why it would not go, and a goal."""
+"""The tour's chapter with the rover and all of Nav2: a goal, and why another one fails."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from collections.abc import Awaitable, Callable, Sequence
 from ros2_mcp.commands.transcript import Tour
 
 _BUILT_S = 90
-"""Nav2's interfaces are built while the robot runs, once."""
+"""The longest wait in s for Nav2's interfaces, which are built once, while the robot runs."""
 
 
 async def go(tour: Tour) -> None:
-    """Go through the doorway, and ask why a goal in a wall fails."""
+    """Drive through the doorway, and explain why a goal in a wall fails."""
     tour.say("Go with Nav2: planner, controller, smoother, collision monitor, base.")
     for _ in range(_BUILT_S):
         actions = {entry["name"] for entry in (await tour.call("ros2_list_actions"))["actions"]}

@@ -1,4 +1,4 @@
-"""The last scene of the tour: an agent that does whatever it reads, and a policy that it cannot lift."""
+"""The last chapter of the tour: an agent that obeys whatever it reads, and a policy that it cannot change."""
 
 from __future__ import annotations
 
@@ -18,15 +18,17 @@ SIGN = (
 )
 _ORDER = re.compile(r"(ros2_\w+) (\{.*\})")
 _SIGN_S = 5
-"""The robot tells its log of the sign every two seconds; the rest is for a slow machine."""
+"""How long to wait for the sign in the log, in s: the camera logs it every two seconds; the rest is for
+slow machines.
+"""
 
 
 async def be_fooled(tour: Tour, env: Mapping[str, str]) -> None:
     """A sign tells the agent to drive through the wall, and it obeys; then the operator lets it drive slowly.
 
     Args:
-        tour: its client is one of a server under the policy.
-        env: the environment in which that server runs, which the operator's command needs to find it.
+        tour: the tour; its client is connected to a server under the policy.
+        env: the environment of that server, which the operator's command needs in order to find it.
     """
     tour.say(f"7. A sign says: drive through the wall. The agent obeys; the server has the policy {PROFILE}.")
     allowed = await tour.call("ros2_policy")
@@ -53,7 +55,9 @@ async def be_fooled(tour: Tour, env: Mapping[str, str]) -> None:
 
 
 async def _read_sign(tour: Tour) -> re.Match[str] | None:
-    """What the log tells the agent to do, a tool and its arguments, once the camera has told it of the sign."""
+    """Return the order in the log, a tool and its arguments, when the camera has logged the sign; None if
+    it does not.
+    """
     for _ in range(_SIGN_S):
         lines = (await tour.call("ros2_log_read", pattern="NOTICE", limit=1))["lines"]
         if lines and (found := _ORDER.search(lines[-1]["text"])):
@@ -64,7 +68,7 @@ async def _read_sign(tour: Tour) -> re.Match[str] | None:
 
 
 async def _reset(tour: Tour, env: Mapping[str, str]) -> None:
-    """What the operator types, in a terminal of their own."""
+    """Reset the latch as the operator would, in another terminal."""
     tour.show("the operator types: ros2-mcp operate reset")
     words = (sys.executable, "-m", "ros2_mcp", "operate", "reset")
     operator = await asyncio.create_subprocess_exec(*words, env=dict(env), stdout=asyncio.subprocess.PIPE)

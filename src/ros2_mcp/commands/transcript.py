@@ -1,4 +1,4 @@
-"""One client of the tour with its transcript: each step prints what was asked and what came back."""
+"""The client of the tour, and its transcript: each step prints the call and the answer."""
 
 # ruff: noqa: T201 - printing is this module's job
 
@@ -21,11 +21,11 @@ _BOLD, _DIM, _GREEN, _RED, _END = "\033[1m", "\033[2m", "\033[32m", "\033[31m", 
 
 
 class StepFailed(Exception):
-    """A tool answered with an error that the tour cannot go on from."""
+    """A tool returned an error after which the tour cannot continue."""
 
 
 class Tour:
-    """One client with a transcript; each step prints what was asked and what came back."""
+    """One client with a transcript; each step prints the call and the answer."""
 
     client: Client
 
@@ -38,23 +38,23 @@ class Tour:
         self.failures: list[str] = []
 
     def say(self, text: str) -> None:
-        """A line of the story."""
+        """Print a heading."""
         self.transcript.append({"say": text})
         print(f"\n{_paint(_BOLD, text)}", flush=True)
 
     def show(self, text: str) -> None:
-        """A line of result."""
+        """Print a line of results."""
         self.transcript.append({"show": text})
         print(f"  {text}", flush=True)
 
     def verify(self, claim: str, holds: bool) -> None:
-        """A claim that the tour proves, or fails with."""
+        """Print a claim that the tour has checked. If it does not hold, the tour fails."""
         if not holds:
             self.failures.append(claim)
         self.show(_paint(_GREEN if holds else _RED, f"{'verified' if holds else 'NOT TRUE'}: {claim}"))
 
     async def play(self, *chapters: Callable[[Tour], Awaitable[None]]) -> None:
-        """The chapters one after the other; a step that fails ends the tour, and is told at its end."""
+        """Run chapters one after the other. A failed step ends the tour, and is reported at its end."""
         try:
             for chapter in chapters if not self._is_over else ():
                 await chapter(self)
@@ -63,14 +63,16 @@ class Tour:
             self._is_over = True
 
     async def call(self, tool: str, **arguments: Any) -> Any:
-        """One tool call; returns its structured content, also of a motion that failed, and saves its pictures."""
+        """Call a tool, and save its pictures. Return its structured content, even if a motion failed. Raises
+        `StepFailed`.
+        """
         result, text = await self._ask(tool, arguments)
         if result.structured_content is None:
             raise StepFailed(f"{tool}: {text}")
         return result.structured_content
 
     async def refused(self, tool: str, **arguments: Any) -> str:
-        """One tool call that is to be refused; returns why."""
+        """Call a tool that has to be refused. Return the reason. Raises `StepFailed` if it was not refused."""
         result, text = await self._ask(tool, arguments)
         if not result.is_error:
             raise StepFailed(f"{tool} was not refused: {text}")
@@ -100,7 +102,7 @@ class Tour:
         return path
 
     def finish(self) -> int:
-        """Writes the transcript; returns the exit code."""
+        """Write the transcript, and return the exit code."""
         path = self._folder / "transcript.json"
         path.write_text(json.dumps(self.transcript, indent=1, ensure_ascii=False))
         seconds = time.monotonic() - self._started

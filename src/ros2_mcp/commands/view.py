@@ -1,4 +1,4 @@
-"""`ros2-mcp view`: the page beside the agent, in a browser of this machine."""
+"""`ros2-mcp view`: the page that shows what the agent sees, in a browser on this machine."""
 
 from __future__ import annotations
 
@@ -25,18 +25,20 @@ if TYPE_CHECKING:
 
 _TOKEN_BYTES = 32
 _FRAMES_IDLE_S = 4.0
-"""A page that is looked at asks for them five times a second; a closed one is to cost nothing ten seconds later."""
+"""Transforms are dropped after so long without a request: an open page requests them five times a second, and a closed
+one must cost nothing ten seconds later.
+"""
 _LAST_S = 16
-"""For what is under way at the end: a stop waits 15 s for the last server."""
+"""The longest wait for running requests at the end, in s: a stop waits 15 s for the last server."""
 
 
 def view(settings: Settings, state: Path, port: int = 0) -> int:
-    """Shows the page until it is told to end.
+    """Show the page until a signal ends the process. Return the exit code.
 
     Args:
-        settings: of one robot, or with `bag` of a recording.
+        settings: the settings of one robot, or with `bag` of a recording.
         state: the state folder of the robot that the button stops.
-        port: on 127.0.0.1; 0 takes any that is free.
+        port: the port on 127.0.0.1; 0 chooses a free one.
     """
     settings = replace(settings, read_only=True)
     show_log(settings)
@@ -46,7 +48,7 @@ def view(settings: Settings, state: Path, port: int = 0) -> int:
 
 async def _view(settings: Settings, state: StateFolder, port: int) -> None:
     bridge = launch(settings)
-    # Imported here because the bridge has been launched now, and comes up meanwhile.
+    # Imported here, because the bridge has been launched and starts meanwhile.
     import anyio
 
     from ros2_mcp.compose.robot import robot_for, running, store_for
@@ -78,12 +80,12 @@ async def _view(settings: Settings, state: StateFolder, port: int) -> None:
         tasks.start_soon(serve)
         _say(f"The page of {visible(title)}, for this machine alone (Ctrl+C ends it):\n  {_address(taken, token)}\n")
         await ending.wait()
-        views.close()  # a page waits for news for a second and more
-        server.should_exit = True  # a stop that is under way is finished
+        views.close()  # a page waits for updates for a second or more
+        server.should_exit = True  # a running stop is finished
 
 
 def _address(port: int, token: str) -> str:
-    """Where the browser finds it. What stands behind # is not sent to anybody."""
+    """Return the page's URL. Browsers do not send the part after #."""
     return f"http://127.0.0.1:{port}/#{token}"
 
 
@@ -95,7 +97,7 @@ def _server(app: LocalPage) -> uvicorn.Server:
 
         @contextmanager
         def capture_signals(self) -> Generator[None, None, None]:
-            """Captures none."""
+            """Capture no signals."""
             yield
 
     config = uvicorn.Config(

@@ -1,1 +1,1 @@
-"""Puts a robot and a server together, once, from settings."""
+"""Composition: builds robots and servers from settings."""

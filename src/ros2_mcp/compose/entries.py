@@ -1,6 +1,6 @@
-"""The robots of one server, each with settings of its own: what `--robot` names, and the file of `--robots`.
+"""The robots of one server, each with its own settings: those of `--robot`, and those in the file of `--robots`.
 
-The file is never looked for: a client starts a server in any folder, and what lies there must not choose hosts.
+The file is never searched for: a client may start a server in any folder, and a file there must not choose hosts.
 """
 
 from __future__ import annotations
@@ -22,27 +22,27 @@ from ros2_mcp.settings import OPTIONS, Settings
 
 _ROBOT = "robot="
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,31}")
-"""Of a robot: it becomes a word of a URI, and the name of a folder."""
+"""The name of a robot, which is used in URIs and as the name of a folder."""
 _NAMES = "A name has letters and digits, behind the first one also . _ and -; 32 of them at most."
 _MOST_NAMED = 15
-"""In one error text."""
+"""The most names in one error text."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Entry:
-    """One robot of a server: its name, which is empty for the only one of a server, and the settings for it alone."""
+    """One robot of a server: its name, which is empty for the only robot, and its own settings."""
 
     name: str
     settings: Settings
 
 
 def entries_of(settings: Settings) -> Sequence[Entry]:
-    """The robots that the settings name, in the order of the file and then of the options; at least one.
+    """Return the robots that the settings name, those of the file first, in order; at least one.
 
-    Where there are several, each records into a folder of its own name below that of the settings.
+    If there are several, each records into its own folder, with its name, within the record folder.
 
     Raises:
-        BadInput: naming the file's line, or the two names of one robot.
+        BadInput: naming the line of the file, or the two names of one robot.
     """
     if settings.bag or (settings.robots_file is None and len(settings.robots) < 2):
         return [Entry(name="", settings=settings)]
@@ -63,7 +63,9 @@ def entries_of(settings: Settings) -> Sequence[Entry]:
 
 
 def only_one(settings: Settings, what: str) -> Settings:
-    """The settings of the only robot that they name; raises `BadInput` where there are several: `what` takes one."""
+    """Return the settings of the only robot. Raises `BadInput` if there are several; `what` is the name of
+    the command.
+    """
     entries = entries_of(settings)
     if len(entries) > 1:
         folders = (f"{state_of(one.settings, policy_for(one.settings)).path} is {one.name}" for one in entries)
@@ -73,12 +75,12 @@ def only_one(settings: Settings, what: str) -> Settings:
 
 
 def named_in(settings: Settings, words: Sequence[str], *, needed: bool) -> tuple[Settings, Sequence[str]]:
-    """The settings of the robot that a word `robot=NAME` of a command line names, and the other words.
+    """Return the settings of the robot that a word `robot=NAME` of a command line names, and the other words.
 
-    Without such a word those of the only robot, or where it is not `needed` of the first.
+    Without such a word: the settings of the only robot, or of the first if a name is not `needed`.
 
     Raises:
-        BadInput: if there are several, and none of them is named.
+        BadInput: if there are several robots and none of them is named.
     """
     entries = entries_of(settings)
     if len(entries) == 1:
@@ -105,7 +107,9 @@ def _check_names(names: Sequence[str]) -> None:
 
 
 def _check_states(entries: Iterable[Entry]) -> None:
-    """Raises where two names are one robot, or one policy makes them one: they would share a latch and an audit."""
+    """Raise `BadInput` if two entries are the same robot, also because of a shared policy: they would share a latch and
+    an audit.
+    """
     known: dict[Path, str] = {}
     for entry in entries:
         folder = state_of(entry.settings, policy_for(entry.settings)).path
@@ -117,14 +121,14 @@ def _check_states(entries: Iterable[Entry]) -> None:
         known[folder] = entry.name
 
 
-# ── the file ─────────────────────────────────────────────────────────────────────────────────────────────────────
+# ── the file of robots ───────────────────────────────────────────────────────────────────────────────────────────
 
 
 def _read(settings: Settings, path: Path) -> list[tuple[str, Settings]]:
-    """Name and settings of each robot in the file, in its order."""
+    """Return the name and settings of each robot in the file, in order."""
     path = path.expanduser()
     try:
-        # As with a policy nobody else may change it: it names commands that are run, and hosts.
+        # As with a policy, other users must not be able to change it: it names hosts and commands to run.
         top = parse(opened(path), str(path), "the file of robots", "Begin with: robots:")
         top.require("robots")
         found = [
@@ -132,20 +136,20 @@ def _read(settings: Settings, path: Path) -> list[tuple[str, Settings]]:
             for name, section in top.named_sections("robots", "the robot").items()
         ]
         top.done()
-    except PolicyFileError as error:  # it is no policy: the same error by a name that does not mislead
+    except PolicyFileError as error:  # it is not a policy: the same error under a suitable name
         raise BadInput(error.message, error.hint) from None
     return found
 
 
 def _of_section(settings: Settings, name: str, section: Section, folder: Path) -> Settings:
-    """The settings of one robot of the file; what it does not say is as for all robots of this server."""
+    """Return the settings of one robot of the file. What the file does not set is as for all robots of this server."""
     if not _NAME.fullmatch(name):
         raise section.error(section.node, f"{quoted(name)} is no name of a robot.", _NAMES)
     address = _address(name, section)
     given: dict[str, Any] = {
         "distro": section.text("distro"),
         "rmw": section.text("rmw"),
-        "workspaces": tuple(map(Path, section.texts("workspaces"))),  # the robot's: nothing of ours is looked up
+        "workspaces": tuple(map(Path, section.texts("workspaces"))),  # on the robot: not looked up here
         "bridge_python": Path(section.text("python")) if section.has("python") else None,
         "ssh_options": (*settings.ssh_options, *section.texts("ssh_options")),
         "robot_env": (*settings.robot_env, *_variables(section)),
@@ -164,7 +168,7 @@ def _of_section(settings: Settings, name: str, section: Section, folder: Path) -
 
 
 def _address(name: str, section: Section) -> RobotAddress:
-    """Where the robot is: `at` an address, or behind a `command`."""
+    """Return the address of the robot, from `at` or `command`."""
     has_command = section.has("command")
     if has_command == section.has("at"):
         raise section.error(section.node, f"{section.what} needs 'at' or 'command', and one of them alone.")
@@ -177,7 +181,7 @@ def _address(name: str, section: Section) -> RobotAddress:
 
 
 def _variables(section: Section) -> tuple[str, ...]:
-    """What is said under `env`, as `--robot-env` takes it."""
+    """Return the variables under `env`, in the form of `--robot-env`."""
     if not (env := section.section("env")):
         return ()
     given = {name: f"{name}={env.text(name)}" for name in env.all()}
@@ -188,5 +192,5 @@ def _variables(section: Section) -> tuple[str, ...]:
 
 
 def _policy(text: str, folder: Path) -> str:
-    """A profile, or a file beside the file of robots."""
+    """Return the name of a profile, or the path of a file relative to the folder of the robots' file."""
     return text if text in PROFILES else str(folder / Path(text).expanduser())

@@ -36,10 +36,11 @@ from ros2_mcp.settings import Settings
 
 @asynccontextmanager
 async def connect(settings: Settings | None = None) -> AsyncGenerator[Robot, None]:
-    """The robot that the settings name, or the environment without them; a recording where they name a bag.
+    """Within this context, the robot that the settings name, by default those of the environment; a recording if they
+    name a bag.
 
-    Returns at once: operations wait for the bridge themselves, and raise `RobotError` if there is none. When it is
-    left, everything that was set in motion is stopped.
+    Entering does not wait: operations wait for the bridge, and raise `RobotError` if there is none. On exit, all motion
+    that was started is stopped.
     """
     settings = only_one(settings or Settings.from_environment(), "connect")
     store = store_for(settings)
@@ -49,12 +50,14 @@ async def connect(settings: Settings | None = None) -> AsyncGenerator[Robot, Non
 
 
 def store_for(settings: Settings) -> BagStore:
-    """The bags that the settings name."""
+    """Return the store of the bags that the settings name."""
     return BagStore(settings.record_dir, settings.bag_dir, settings.bag)
 
 
 def robot_for(settings: Settings, store: BagStore, bridge: Bridge | None = None) -> Robot:
-    """The robot that the settings name; nothing is started. Without a `bridge` that is coming up, one is made."""
+    """Return the robot that the settings name, without starting anything. Without a `bridge` that is already starting,
+    one is made.
+    """
     keeps = [AnswerBytes(settings.result_bytes), KeptPrograms(settings.programs)]
     if store.subject:
         return recorded_robot(store, keeps)
@@ -76,25 +79,29 @@ def robot_for(settings: Settings, store: BagStore, bridge: Bridge | None = None)
 
 
 def _epoch(bridge: Bridge, guard: Guard) -> str:
-    """In which stop epoch the robot is, and at which latch: what was approved in another one has lapsed."""
+    """Return the robot's stop epoch and the count of the latch: an approval given in another epoch has lapsed."""
     return f"{bridge.stop_epoch}.{guard.latch.look().count}"
 
 
 def _tell_spent(bridge: Bridge, spent: Spent) -> None:
-    """Until this server got the lock another one may have acted, after this one's bridge was told what was used."""
+    """Tell the bridge what was spent: another server may have acted after the bridge was told, before this server got
+    the lock.
+    """
     spent.read()
     bridge.tell("spent", json.dumps(spent.ages()).encode())
 
 
 def _told_latch(guard: Guard) -> dict[str, Any]:
-    """What each ping tells a bridge of the latch, whose file it does not see."""
+    """Return the state of the latch, which each ping carries to a bridge that cannot read its file."""
     state = guard.latch.look()
     cause = {"latch_by": state.by, "latch_reason": state.reason} if state.is_set else {}
     return {"latch_set": int(state.is_set), "latch_count": state.count, **cause}
 
 
 def _latch_here(guard: Guard, note: Callable[[str, str, bool], None], by: str, reason: str, own: bool) -> None:
-    """A bridge that does not see the file has set the latch, as its watchdog does: it holds here, too, and is kept."""
+    """Set the latch here after a bridge that cannot read its file has set it, for example its watchdog, and write the
+    file.
+    """
     note(by, reason, own)
     if own and not guard.latch.look().is_set:
         guard.latch.hold(by=by, reason=reason)
@@ -102,9 +109,10 @@ def _latch_here(guard: Guard, note: Callable[[str, str, bool], None], by: str, r
 
 
 def _noting_latched(guard: Guard) -> Callable[[str, str, bool], None]:
-    """Writes a line in the audit: who has set the latch may be the bridge's watchdog, the stopper, or another server.
+    """Return a function that notes in the audit that the latch was set, by the bridge's watchdog, a stopper or another
+    server.
 
-    Each bridge tells of a latch that it finds set at its start: one that was known then has no line again.
+    Each bridge reports a latch that it finds set at its start; a latch that was already known is not noted again.
     """
     before = guard.latch.look()
     known = before.count if before.is_set else -1
@@ -121,7 +129,7 @@ def _noting_latched(guard: Guard) -> Callable[[str, str, bool], None]:
 
 
 def guard_for(settings: Settings) -> Guard:
-    """What decides about every command: the policies that the settings name, and what holds commands back."""
+    """Return the guard of the settings, which decides about every command: policies, latch and the server's lock."""
     policy = policy_for(settings)
     folder = state_of(settings, policy)
     return Guard(
@@ -134,10 +142,10 @@ def guard_for(settings: Settings) -> Guard:
 
 @asynccontextmanager
 async def operated(robot: Robot, settings: Settings) -> AsyncGenerator[None, None]:
-    """While it is entered, an operator can reach this server (`ros2-mcp operate`)."""
+    """Within this context, an operator can reach this server with `ros2-mcp operate`."""
     consent, auditing = robot.guard.approvals, robot.guard.audit
     if not (isinstance(consent, Consent) and isinstance(auditing, Auditing)):
-        yield  # a recording: nothing acts
+        yield  # a recording: there is nothing to operate
         return
     folder = state_of(settings, robot.policy)
 
@@ -177,16 +185,16 @@ def _told(job: Job) -> dict[str, Any]:
 
 @asynccontextmanager
 async def running(robot: Robot, store: BagStore) -> AsyncGenerator[None, None]:
-    """While it is entered the bridge is there, if there is a robot; at the end all work is ended.
+    """Within this context the bridge runs, unless the robot is a recording. On exit, all work is ended.
 
-    Jobs end first, as long as the bridge can still stop what they move; the bridge leaves the robot last.
+    Jobs end first, while the bridge can still stop their motion; then the bridge is ended.
     """
     if not store.subject:
         await robot.attach()
     try:
         yield
     finally:
-        with anyio.CancelScope(shield=True):  # who is cancelled leaves the robot stopped all the same
+        with anyio.CancelScope(shield=True):  # even if cancelled, the robot has to be stopped
             try:
                 await robot.leave()
             finally:

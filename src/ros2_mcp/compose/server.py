@@ -1,4 +1,4 @@
-"""One composition for everything that needs a robot with tools: `serve`, `call`, the documentation and the tests."""
+"""The one composition of robots with tools: for `serve`, `call`, the documentation and the tests."""
 
 from __future__ import annotations
 
@@ -35,15 +35,15 @@ from ros2_mcp.view.mesh_files import prefixes_of
 from ros2_mcp.view.viewing import Viewing
 
 SOURCE_KINDS: Sequence[SourceKind] = (DataBlackBoxes(), *OWN_KINDS)
-"""Where samples can be read from, in the order in which they are asked. A vendor's kind is one line here."""
+"""The kinds of sources of samples, in the order in which they are tried. A vendor's kind is one line here."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Assembly:
-    """Everything of one server, put together and not yet running.
+    """All parts of one server, assembled, but not running yet.
 
-    `fleet` has its robots. Of the only one, or else the first: `robot`, which is a recording where the settings name a
-    bag, `toolset` the tools that it allows, `store` its bags.
+    `fleet` has its robots. `robot`, `toolset` and `store` are those of the only or first robot, which is a recording if
+    the settings name a bag.
     """
 
     settings: Settings
@@ -66,7 +66,7 @@ class Assembly:
 
     @cached_property
     def catalog(self) -> Catalog:
-        """The prompts: ours, and those that the settings name."""
+        """The prompts: the base prompts, and those that the settings name."""
         catalog = Catalog(
             self.robot,
             folder=self.settings.prompts,
@@ -82,12 +82,12 @@ class Assembly:
 
     @cached_property
     def leases(self) -> Leases:
-        """Of its clients over HTTP."""
+        """The leases of the server's clients over HTTP."""
         return Leases(*(member.robot for member in self.fleet.members.values()))
 
     @cached_property
     def scopes(self) -> Scopes:
-        """What the tokens of its clients over HTTP allow."""
+        """The check of the tokens of the server's HTTP clients."""
         return Scopes(self.toolset)
 
     @cached_property
@@ -103,20 +103,22 @@ class Assembly:
         )
 
     def running(self) -> AbstractAsyncContextManager[None]:
-        """While it is entered the bridge is there, if there is a robot; at the end all work of this server is ended."""
+        """Return a context in which the bridge runs, unless the robot is a recording; on exit, all work of this server
+        is ended.
+        """
         return self.fleet.running()
 
 
 def assemble(settings: Settings, bridge: Bridge | None = None) -> Assembly:
-    """Puts everything together. Starts nothing.
+    """Assemble a server. Starts nothing.
 
     Args:
-        settings: what was asked for.
-        bridge: that of the only robot, where it is already coming up; without it, one is made, and launched when it is
+        settings: the settings of the server.
+        bridge: the bridge of the only robot, if it is already starting; otherwise one is made, and launched when it is
             first needed.
 
     Raises:
-        BadInput: for a group of tools that does not exist, and for what is wrong with the robots that are named.
+        BadInput: for an unknown group of tools, and for errors in the robots that the settings name.
     """
     entries = entries_of(settings)
     return Assembly(settings=settings, fleet=Fleet([_member(entry, bridge) for entry in entries]))
@@ -133,5 +135,7 @@ def _member(entry: Entry, bridge: Bridge | None) -> Member:
 
 
 def _own_prompts(member: Member) -> Catalog:
-    """The prompts that know the robot: without those of the user, which are the same for all."""
+    """Return the prompts that depend on the robot. The user's own prompts are the same for all robots, and not
+    included.
+    """
     return Catalog(member.robot, missing=member.toolset.missing, why_missing=member.toolset.why_missing)

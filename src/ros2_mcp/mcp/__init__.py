@@ -1,1 +1,1 @@
-"""MCP: the server, its tools as clients meet them, completions, approvals and apps."""
+"""MCP: the server, the tools as clients see them, completions, approvals and apps."""

@@ -1,7 +1,7 @@
-"""MCP Apps, the extension with which a chat host shows a server's page beside the chat: all its words are here.
+"""MCP Apps, an extension with which a chat host shows a server's page beside the chat.
 
-The page is the one of `ros2-mcp view`. A host gets it as a resource, shows it in a frame of its own under a strict
-policy, and passes on what it asks: tools that no model sees. See docs/decisions/0052-the-page-in-a-chat.md.
+The page is that of `ros2-mcp view`. A host reads it as a resource, shows it in a frame under a strict content policy,
+and forwards the page's calls of tools that models do not see. See docs/decisions/0052-the-page-in-a-chat.md.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _FOR_PAGE = {tool.name for tool in PAGE_TOOLS}
 
 
 def shows_pages(context: Context) -> bool:
-    """Whether this client has said that it shows such pages: in its handshake, or with each request."""
+    """Return whether this client has declared support for such pages, in its handshake or with each request."""
     declared = context.session.client_capabilities
     settings = (declared.extensions or {}).get(EXTENSION) if declared else None
     mime_types = settings.get("mimeTypes") if settings else None
@@ -44,7 +44,7 @@ def shows_pages(context: Context) -> bool:
 
 
 def page_uri() -> str:
-    """Where the page is read. Hosts keep what they have read, so another page has another address."""
+    """Return the URI of the page. It contains a hash of the page, because hosts cache what they have read."""
     return f"{_URI}{_hash()}.html"
 
 
@@ -54,9 +54,10 @@ def _hash() -> str:
 
 
 def marked(tools: Sequence[Tool]) -> list[Tool]:
-    """The tools as such a client gets them: what opens the page, what only the page calls, and what it never may.
+    """Return the tools with the visibility that such a client needs: the tool that opens the page, those that only the
+    page calls, and those that the page must not call.
 
-    Without a mark a page may call a tool, and some hosts do not ask their user about what a page calls.
+    A page may call any tool without a stated visibility, and some hosts do not ask their user about a page's calls.
     """
     return [tool.model_copy(update={"meta": {**(tool.meta or {}), **_mark(tool.name)}}) for tool in tools]
 
@@ -74,13 +75,13 @@ Reading = Callable[[Any, ReadResourceRequestParams], Awaitable[ReadResourceResul
 
 
 class PageResource:
-    """The page among the other resources, which `listing` and `reading` answer for."""
+    """The page as one more resource. `listing` and `reading` answer for the other resources."""
 
     def __init__(self, listing: Listing, reading: Reading) -> None:
         self._listing, self._reading = listing, reading
 
     async def list(self, context: Context, params: PaginatedRequestParams | None) -> ListResourcesResult:
-        """The other resources, and the page for clients that show it."""
+        """List the other resources and, for clients that show pages, the page."""
         found = await self._listing(context, params)
         if not shows_pages(context):
             return found
@@ -90,7 +91,9 @@ class PageResource:
         return found.model_copy(update={"resources": [*found.resources, row]})
 
     async def read(self, context: Context, params: ReadResourceRequestParams) -> ReadResourceResult:
-        """The page, also where the list that a host has kept names an older one; else the other resource."""
+        """Read the page, also by the URI of an earlier version that a host has cached; or read one of the other
+        resources.
+        """
         uri = str(params.uri)
         if not uri.startswith(_URI):
             return await self._reading(context, params)

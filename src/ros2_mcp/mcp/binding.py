@@ -1,4 +1,4 @@
-"""A declared tool as clients meet it: strict arguments in, text and structured content out, errors mapped once."""
+"""A declared tool as an MCP tool: strict arguments in, text and structured content out, errors mapped in one place."""
 
 from __future__ import annotations
 
@@ -37,40 +37,41 @@ from ros2_mcp.view.viewing import Viewing
 
 _PLAIN_WORDS = {"dict_type": "an object is expected", "list_type": "a list is expected"}
 _NO_NUMBER = frozenset({"finite_number", "float_type", "float_parsing", "int_type", "int_parsing", "int_parsing_size"})
-"""The types of validation errors of what is no number, or none that can be used."""
-# What of a recording is damaged or missing, in every answer made from it; results with `problems` say it there.
+"""Types of validation errors that mean: the value is not a usable number."""
+# Damaged or missing parts of recordings, in every answer read from them; results with `problems` report them there.
 _DAMAGE = "damage"
 SUMMARY = "summary"
-"""The field of structured content with the lines of the summary."""
-# What there is to be said of an answer, also how arguments were taken that do not say it all.
+"""The field of structured content that holds the summary's lines."""
+# Notes on an answer, and on corrected arguments, in results without a note of their own.
 _NOTE = "note"
 _MOST_NAMED = 5
 _NARROWING = (
     *("pattern", "fields", "max_array", "every_n", "message_limit", "number_of_messages", "limit", "start", "end"),
     *("since", "node", "node_name", "node_names", "names", "topic_names", "kind", "package"),
 )
-# Twice a second looks alive, and does not fill the client's log during a minute's wait.
+# Two updates per second look alive, and do not fill the client's log during a wait of a minute.
 _PROGRESS_S = 0.5
 
 
 class CallFailed(Exception):
-    """A call that did not do what was asked; its text is what the model reads, on one line and with nothing hidden."""
+    """A call that failed. Its text is what the model reads: one line, with all hidden characters escaped."""
 
     def __init__(self, text: str) -> None:
         super().__init__(_cut(visible(text)))
 
 
 class StrictArguments(BaseModel):
-    """The arguments of a tool; an unknown one is an error."""
+    """The arguments of a tool; an unknown argument is an error."""
 
     model_config = ConfigDict(extra="forbid", arbitrary_types_allowed=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoundTool:
-    """A declared tool with what it works on: `listed` is how clients see it, `arguments` checks what they send.
+    """A declared tool with its robot and stores. `listed` is the tool as clients see it; `arguments` validates what
+    they send.
 
-    `only_offered` says in a hint or a note which tools that it names are not offered.
+    `only_offered` appends to a hint or a note which of the tools that it names are not offered.
     """
 
     declaration: ToolDeclaration
@@ -86,18 +87,18 @@ class BoundTool:
 
     @property
     def name(self) -> str:
-        """The name under which it is listed."""
+        """The name of the tool in `tools/list`."""
         return self.declaration.name
 
     async def call(
         self, arguments: Mapping[str, Any], report: Report, session: Session | None = None, *, shows_pages: bool = False
     ) -> CallToolResult:
-        """Validates the arguments, calls the function and renders its result.
+        """Validate the arguments, call the function and render its result.
 
         Args:
             arguments: as the client sent them.
-            report: is told of progress, at most twice a second.
-            session: that of the client that asks; one of its own if nobody in particular does.
+            report: receives the progress, at most twice a second.
+            session: that of the client that asks; a new one if None.
             shows_pages: whether that client shows the page beside the chat.
 
         Raises:
@@ -128,10 +129,10 @@ class BoundTool:
             return await aside(extent(as_json(noted)), made, noted, self._damage(damage()), told)
 
     async def perform(self, arguments: Mapping[str, Any], report: Report, session: Session) -> Any:
-        """The result itself, for a program; strict as a call is.
+        """Return the result of the function itself, for a program. Arguments are checked as strictly as in a call.
 
         Raises:
-            RobotError: as the tool does; `BadInput` for arguments that it does not take.
+            RobotError: as raised by the tool; `BadInput` for invalid arguments.
         """
         try:
             checked, _ = self._checked(arguments, are_exact=True)
@@ -171,7 +172,9 @@ class BoundTool:
             raise
 
     def _checked(self, arguments: Mapping[str, Any], *, are_exact: bool = False) -> tuple[StrictArguments, list[str]]:
-        """The arguments as declared, and what is to be told of how they were taken; raises `ValidationError` too."""
+        """Return the validated arguments, and notes on how they were corrected. Raises `ValidationError` or
+        `CallFailed`.
+        """
         meant, told = self._as_meant(arguments, are_exact=are_exact)
         self._refuse_texts(meant)
         return self.arguments.model_validate(meant), told
@@ -180,7 +183,7 @@ class BoundTool:
         return [self.only_offered(line) for line in lines]
 
     def _with_notes(self, result: Any, told: Sequence[str]) -> Any:
-        """The result with what is to be told in its own note, and there only tools that are offered."""
+        """Return the result with the notes added to its own `note`, where tools that are not offered are marked."""
         note = getattr(result, _NOTE, None)
         if not isinstance(note, str):
             return result
@@ -188,19 +191,19 @@ class BoundTool:
         return result if shown == note else replace(result, note=shown)
 
     def _times(self) -> list[tuple[str, TimeArgument]]:
-        """The arguments that are times."""
+        """Return the arguments that are times, with their names."""
         fields = self.arguments.model_fields
         return [
             (name, item) for name, field in fields.items() for item in field.metadata if isinstance(item, TimeArgument)
         ]
 
     def _as_meant(self, arguments: Mapping[str, Any], *, are_exact: bool = False) -> tuple[dict[str, Any], list[str]]:
-        """The arguments as they are meant, and what is to be told of that.
+        """Return the arguments as they were meant, and notes on what was corrected.
 
-        They have their own names, are taken apart where they came as text, and have the robot's own texts; what counts
-        as not given is left out. One desktop client sends a list or an object as a string of JSON, always. What the
-        model was shown with its hidden characters escaped, and sends back, means those characters; arguments that
-        `are_exact` come from a program, which was shown nothing.
+        Names become the declared ones, JSON texts are parsed, and arguments that count as not given are dropped. One
+        desktop client always sends lists and objects as a string of JSON. Escapes of hidden characters, which the model
+        copies from what it was shown, become those characters again. Arguments that `are_exact` come from a program,
+        which was not shown any escapes.
         """
         meant: dict[str, Any] = {}
         renamed: list[str] = []
@@ -208,7 +211,7 @@ class BoundTool:
         unknown: list[str] = []
         for name, value in arguments.items():
             own_name = self.declaration.aliases.get(name, name)
-            if not own_name and name:  # an alias that is accepted and has no meaning here
+            if not own_name and name:  # an alias that is accepted and ignored
                 continue
             if own_name == name and (own_name := taken_for(name, self.arguments.model_fields, acts=self.acts)) != name:
                 renamed.append(f"{name} was taken as {own_name}.")
@@ -225,24 +228,26 @@ class BoundTool:
             meant[own_name] = value if are_exact else _as_sent(value)
         taken, told = as_meant(self.listed.input_schema, meant, acts=self.acts)
         told[:0] = renamed
-        if unknown:  # what stops is not refused because of them
+        if unknown:  # a stop is not refused because of unknown arguments
             told.append(f"{self.name} has no argument {', '.join(map(quoted, unknown[:_MOST_NAMED]))}: ignored.")
-        fields = self.arguments.model_fields  # some say themselves what null means, such as no time-out
+        fields = self.arguments.model_fields  # for some arguments null has a meaning, such as no time-out
         nulls = [name for name, value in meant.items() if value is None and name in fields]
         return {**{name: None for name in nulls if type(None) in get_args(fields[name].annotation)}, **taken}, told
 
     @property
     def _narrowing(self) -> Sequence[str]:
-        """Its arguments with which a caller gets less, or another part."""
+        """The names of the arguments with which a caller gets less, or another part."""
         return [name for name in _NARROWING if name in self.arguments.model_fields]
 
     @property
     def acts(self) -> bool:
-        """Whether it can change or move something, or stop it."""
+        """Whether the tool can change, move or stop something."""
         return self.declaration.risk != "read"
 
     def _refuse_texts(self, arguments: Mapping[str, Any]) -> None:
-        """Where the tool acts a text is no number: pydantic would take "1 " for one, and the robot would act on it."""
+        """Refuse a text where a number is expected, if the tool acts: pydantic would read "1 " as 1, and the robot
+        would act on it.
+        """
         if self.acts and (path := text_for_number(self.listed.input_schema, arguments)):
             raise CallFailed(f"BadInput: {path}: a text is given, a number is expected. Write it without quotes.")
 
@@ -258,7 +263,7 @@ def bind(
     functions: Callable[[], Sequence[Function]] = tuple,
     viewing: Viewing | None = None,
 ) -> BoundTool:
-    """The tool with plain closed schemas, and annotations from the declared risk."""
+    """Return the tool with plain closed schemas, and with annotations that follow from the declared risk."""
     signature = declaration.arguments()
     fields: dict[str, Any] = {
         name: (parameter.annotation, ... if parameter.default is Parameter.empty else parameter.default)
@@ -275,17 +280,17 @@ def bind(
             read_only_hint=declaration.risk == "read",
             destructive_hint=declaration.risk == "actuate",
             idempotent_hint=declaration.risk in ("read", "stop"),
-            # A client that may not ask runs no tool with an open world: neither what only reads, nor the stop, needs to
-            # be asked about (decision 58).
+            # Where a client must not ask its user, it runs no tool with an open world. Neither tools that only read nor
+            # the stop need to be asked about (decision 58).
             open_world_hint=declaration.risk in ("write", "actuate"),
         ),
         _meta=_hints_of(declaration),
     )
     results: Mapping[str, Any] = listed.output_schema or {}
     if results and declaration.recorded and "problems" not in results["properties"]:
-        results["properties"][_DAMAGE] = {"type": "array", "items": {"type": "string"}}  # only where there is some
+        results["properties"][_DAMAGE] = {"type": "array", "items": {"type": "string"}}  # only if there is some
     if results:
-        results["properties"].setdefault(_NOTE, {"type": "string"})  # not the result's own: only where there is one
+        results["properties"].setdefault(_NOTE, {"type": "string"})  # only present if there is a note
     return BoundTool(
         declaration=declaration,
         listed=listed,
@@ -301,7 +306,7 @@ def bind(
 
 
 def _hints_of(declaration: ToolDeclaration) -> dict[str, Any] | None:
-    """What one client's search goes by; others leave it alone."""
+    """Return hints for the tool search of one client; other clients ignore them."""
     hints: dict[str, Any] = {"anthropic/searchHint": declaration.finds} if declaration.finds else {}
     if declaration.always_loaded:
         hints["anthropic/alwaysLoad"] = True
@@ -309,7 +314,7 @@ def _hints_of(declaration: ToolDeclaration) -> dict[str, Any] | None:
 
 
 def answer_schema(kind: Any) -> dict[str, Any]:
-    """The schema of the structured content of an answer with such a result."""
+    """Return the schema of an answer's structured content, for results of this kind."""
     schema = result_schema(kind)
     properties = {SUMMARY: {"type": "string"}, **schema["properties"]}
     return {**schema, "properties": properties, "required": [SUMMARY, *schema["required"]]}
@@ -323,17 +328,17 @@ def answer(
     most: int = MOST_CHARACTERS,
     narrowing: Sequence[str] = (),
 ) -> CallToolResult:
-    """A result as MCP content: a text of at most so many characters, pictures, and all of it as structured content.
+    """Return a result as MCP content: a text of at most `most` characters, pictures, and structured content.
 
-    A summary is one line or a list of lines: a line break within one is shown as what it is, and begins no line.
-    `damage` says of the bags that were read for it what of them is damaged or missing, `told` how arguments were taken,
-    `narrowing` names the arguments with which a caller gets less.
+    A summary is one line or a list of lines: a line break within a line is escaped. `damage` are lines on damaged or
+    missing parts of the bags that were read, `told` are notes on corrected arguments, and `narrowing` names the
+    arguments with which a caller gets less.
     """
     beside: dict[str, Any] = {}
     if told and not hasattr(result, _NOTE):
         beside[_NOTE] = " ".join(told)
     lines = [*told]
-    if damage and not hasattr(result, "problems"):  # those say it themselves
+    if damage and not hasattr(result, "problems"):  # results with `problems` report the damage there
         beside[_DAMAGE] = list(damage)
         lines += [f"Damage: {line}" for line in damage]
     content: list[ContentBlock] = [
@@ -352,10 +357,10 @@ def answer(
 
 
 def _parsed(text: str, *, acts: bool) -> Any:
-    """What a text says in JSON, if that is a list, an object or null; the text itself otherwise.
+    """Return the list, object or null that a JSON text contains; the text itself otherwise.
 
-    For a tool that acts only if there is something in it: "{}" would become a message of defaults, which moves a robot
-    to places that nobody named.
+    For a tool that acts, an empty object or list and null stay text, too: "{}" would become a message of default
+    values, which moves a robot to a place that the caller did not name.
     """
     try:
         value = json.loads(text)
@@ -365,7 +370,7 @@ def _parsed(text: str, *, acts: bool) -> Any:
 
 
 def _as_sent(value: Any) -> Any:
-    """An argument as the client means it; see `as_sent`."""
+    """Return an argument with the escapes of hidden characters reversed in all its texts; see `as_sent`."""
     if isinstance(value, str):
         return as_sent(value)
     if isinstance(value, dict):
@@ -376,7 +381,7 @@ def _as_sent(value: Any) -> Any:
 
 
 def _visibly(report: Report) -> Report:
-    """A `Report` whose lines have nothing hidden."""
+    """Return a `Report` that escapes hidden characters in its lines."""
 
     async def shown(done: float, whole: float, line: str) -> None:
         await report(done, whole, visible(line))
@@ -385,14 +390,14 @@ def _visibly(report: Report) -> Report:
 
 
 def _cut(text: str) -> str:
-    """Text within the limit of what clients take."""
+    """Return a text cut to the longest that clients accept."""
     if len(text) <= MOST_CHARACTERS:
         return text
     return f"{text[:MOST_CHARACTERS]}… (cut after {MOST_CHARACTERS} characters)"
 
 
 def _explain(tool: str, error: ValidationError, schema: Mapping[str, Any]) -> str:
-    """What was wrong with a call's arguments and what would be right, a sentence for each."""
+    """Return a sentence for each error in a call's arguments: what is wrong and what is expected."""
     return " ".join(_explain_one(tool, problem, schema) for problem in error.errors())
 
 
@@ -411,12 +416,12 @@ def _explain_one(tool: str, problem: Mapping[str, Any], schema: Mapping[str, Any
         message = f"{kind} is expected"
     else:
         message = _PLAIN_WORDS.get(problem["type"], str(problem["msg"]).removeprefix("Value error, "))
-    path = path or "the name of an argument"  # that is no text, such as half a character
+    path = path or "the name of an argument"  # no text, such as an unpaired surrogate
     return f"BadInput: {path}: {message}, not {json.dumps(problem['input'], default=str)[:100]}."
 
 
 def _names_beside(schema: Mapping[str, Any], path: Sequence[str | int]) -> list[str]:
-    """The names that are known where the path ends: arguments, or the fields of an element of one."""
+    """Return the names that are known at this path: arguments, or the fields of an argument's elements."""
     for part in path[:-1]:
         schema = schema["items"] if isinstance(part, int) else schema["properties"][part]
     return list(schema["properties"])

@@ -1,4 +1,4 @@
-"""Completions of arguments: live names of the graph and choices, what starts with the typed text first."""
+"""Completions of arguments: names of the live graph and fixed choices, those that start with the typed text first."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ _ONE_OF_MANY = {"topics": "topic", "services": "service", "nodes": "node"}
 
 @dataclass(frozen=True, slots=True)
 class CompletionRequest:
-    """How an argument is completed: with a kind of name (`topic`, `topics`, `message_type`, …), or with its choices.
+    """How to complete an argument: with names of a kind (`topic`, `topics`, `message_type`, …), or with its choices.
 
-    `type_of` names another argument: a topic whose type is likely, and offered first.
+    `type_of` names another argument that holds a topic: the type of that topic is offered first.
     """
 
     kind: str
@@ -30,13 +30,15 @@ class CompletionRequest:
 
 
 Find = Callable[[str, str], Awaitable[CompletionRequest | None]]
-"""How an argument of a prompt (by both names) or of a resource template (by its URI and the name) is completed."""
+"""Finds how to complete an argument of a prompt (name of the prompt, name of the argument) or of a resource template
+(URI, name of the argument).
+"""
 
 
 class Completions:
-    """Answers `completion/complete`: `of_prompt` and `of_template` say how an argument is completed.
+    """Answers `completion/complete`. `of_prompt` and `of_template` return how to complete an argument.
 
-    Of several `robots`, by their names, it is the one that the argument `robot` names.
+    With several `robots`, by name, names are taken from the robot that the argument `robot` names.
     """
 
     def __init__(self, robots: Mapping[str, Robot], *, of_prompt: Find, of_template: Find) -> None:
@@ -45,9 +47,9 @@ class Completions:
         self._of_template = of_template
 
     async def complete(self, _: Any, params: CompleteRequestParams) -> CompleteResult:
-        """The completions of one argument; none for an argument, a prompt or a template that there is not.
+        """Return the completions of one argument; none for an unknown argument, prompt or template.
 
-        Quick, or nothing: a robot that does not answer is not waited for.
+        The answer is quick or empty: it does not wait for a robot that does not answer.
         """
         ref, argument = params.ref, params.argument
         if isinstance(ref, PromptReference):
@@ -65,7 +67,9 @@ class Completions:
         )
 
     async def _values(self, request: CompletionRequest, typed: str, others: Mapping[str, str]) -> list[str]:
-        """What the typed text may become; where a list is taken, its last part. `others` are the other arguments."""
+        """Return the completions of the typed text; of a list, those of its last element. `others` are the other
+        arguments.
+        """
         if request.choices or request.kind == "boolean":
             return ranked(request.choices or ("true", "false"), typed)
         robot = self._robots.get(others.get("robot", "") if len(self._robots) > 1 else next(iter(self._robots)))
@@ -83,7 +87,9 @@ class Completions:
 
 
 def ranked(names: Iterable[str], typed: str) -> list[str]:
-    """The names that contain the typed text: first those that start with it (a leading slash may be left out)."""
+    """Return the names that contain the typed text, ignoring case. Those that start with it, with or without a leading
+    slash, are first.
+    """
     low = typed.lower()
     having = [name for name in names if low in name.lower()]
     return sorted(having, key=lambda name: not name.lower().startswith((low, f"/{low}")))

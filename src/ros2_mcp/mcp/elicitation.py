@@ -1,8 +1,8 @@
-"""Approvals by form elicitation, where every policy in force accepts them: the client asks its user (decision 31).
+"""Approvals by form elicitation, if all policies in force accept it: the client asks its user (decision 31).
 
-Who answers is only claimed by the client, and the audit says so. A client of the handshake era is asked while its call
-is open; one of the modern era gets the question as the result, and repeats its call with the answer. The approval is
-the same as an operator's: of exactly that command, used once, whatever the client repeats.
+The client only claims who has answered, and the audit says so. A client of the handshake era is asked while its call is
+open; a client of the modern era gets the question as the result, and repeats its call with the answer. The approval is
+like an operator's: for exactly that command, used once, even if the client repeats the answer.
 """
 
 from __future__ import annotations
@@ -33,16 +33,17 @@ _SCHEMA: dict[str, Any] = {
     "required": ["approve"],
 }
 _ASKED_S = 45.0
-"""How long a call is held open for the answer: below the minute after which clients give up. An operator may answer
-later."""
+"""How long a call waits for the answer: less than the minute after which clients give up. An operator can still answer
+later.
+"""
 _KEY = "approve-"
-"""Before the nonce, in the name of a question."""
+"""Prefix of the name of a question; the nonce follows."""
 
 Context = ServerRequestContext[Any, Any]
 
 
 class Elicitation:
-    """The questions that one call gives rise to; they name the robot, where a `name` tells it from others."""
+    """The questions that one call raises. They name the robot if `name` is not empty."""
 
     def __init__(self, robot: Robot, principal: Principal, context: Context, name: str = "") -> None:
         consent = robot.guard.approvals
@@ -55,7 +56,7 @@ class Elicitation:
         self._by = f"user of the client {principal.name} (claimed)"
 
     def take_answers(self, params: CallToolRequestParams) -> None:
-        """Takes the answers that a repeated call of the modern era brings; what waits no longer is left out."""
+        """Take the answers in a repeated call of the modern era. Answers that come too late are ignored."""
         if self._approvals is None:
             return
         for key, answer in (params.input_responses or {}).items():
@@ -64,10 +65,11 @@ class Elicitation:
                 self._answer(self._approvals, request, answer)
 
     async def put_to_user(self, error: BaseException | None) -> InputRequiredResult | bool:
-        """Has the user asked, if an approval is what the call failed for and the client can ask.
+        """Ask the user, if the call failed because an approval is needed and the client can ask.
 
         Returns:
-            The question as a result, for the modern era; else whether it was approved and the call is to be made again.
+            The question as a result, in the modern era; otherwise, whether the command was approved, so that the call
+            has to be repeated.
         """
         if self._approvals is None or not isinstance(error, ApprovalNeeded) or not self._can_ask():
             return False
@@ -82,20 +84,22 @@ class Elicitation:
         with anyio.move_on_after(_ASKED_S):
             try:
                 answer = await self._context.session.elicit_form(message, _SCHEMA, self._context.request_id)
-            except MCPError:  # it has no way back, or its client cannot
+            except MCPError:  # the connection cannot carry requests, or the client cannot answer them
                 return False
             still = self._waiting(request.nonce)
             return still is not None and self._answer(self._approvals, still, answer)
         return False
 
     def _can_ask(self) -> bool:
-        """A bare `elicitation: {}`, the only shape before there were modes, counts as forms."""
+        """Return whether the client supports forms. `elicitation: {}`, the only shape before there were modes, means
+        forms.
+        """
         declared = self._context.session.client_capabilities
         able = declared.elicitation if declared else None
         return able is not None and (able.form is not None or able.url is None)
 
     def _waiting(self, nonce: str) -> Request | None:
-        """What waits under that nonce, if this client asked for it."""
+        """Return the request with this nonce that still waits, if this client made it; else None."""
         waiting = self._approvals.waiting() if self._approvals else ()
         return next((one for one in waiting if one.nonce == nonce and one.exact.principal == self._principal), None)
 
@@ -103,6 +107,6 @@ class Elicitation:
         if answer.action == "accept" and (answer.content or {}).get("approve") is True:
             approvals.approve(request.id, request.nonce, by=self._by)
             return True
-        if answer.action != "cancel":  # that says nothing: an operator may still answer
+        if answer.action != "cancel":  # cancelling is no decision: an operator may still answer
             approvals.deny(request.id, request.nonce, by=self._by)
         return False

@@ -1,8 +1,8 @@
-"""Client leases: what a client over HTTP keeps moving ends, with its zero, when that client has gone.
+"""Client leases: when a client over HTTP has gone, the motion that it commanded is stopped.
 
-A client that closes an open response is gone at once, unless it has another one open. Of one whose network has gone
-nothing is heard: its lease is over 2 s after its last sign of life, which is a request, or an open response whose
-bytes it acknowledges (`mcp/transports/http/presence.py`). stdio needs no lease: the end of the stream is enough.
+A client that closes an open response has gone, unless it has another one open. A client whose network fails sends
+nothing: its lease ends 2 s after its last sign of life, which is a request, or an open response whose bytes it
+acknowledges (`mcp/transports/http/presence.py`). stdio needs no lease: the end of the stream is enough.
 """
 
 from __future__ import annotations
@@ -35,70 +35,75 @@ if TYPE_CHECKING:
     from starlette.types import Scope
 
 CLIENT_LEASE_S = 2.0
-"""Without a sign of life. A lost packet is sent again within 0.2 s, then 0.4 s: four signs may fail on a bad wireless
-network before a robot is stopped, and one at walking pace has gone 2 m at most."""
+"""The longest time without a sign of life. TCP repeats a lost packet after 0.2 s, then 0.4 s: four signs may be lost on
+a bad wireless network before a robot is stopped. At walking pace the robot has then moved 2 m at most.
+"""
 UNRENEWED_REPEAT_S = 10.0
-"""How long a repeat of motion lasts without a request or an answered ping: the kernel of a client that is stopped or
-hangs acknowledges for it, so that an open response does not show that anybody is there."""
+"""How long a repeat of motion lasts without a request or an answered ping. The kernel acknowledges even if the client
+process hangs or is stopped, so an open response is no proof that the client works.
+"""
 ALIVE_S = 0.5
-"""Between two comments on an open event stream while its client moves something: four of them in a lease."""
+"""Time between two comments on an open event stream while its client moves something: four in a lease."""
 PING_S = 2.0
-"""Between two pings: four may go unanswered before a repeat is ended."""
+"""Time between two pings: four may go unanswered before a repeat is ended."""
 _LOOK_S = 0.05
-"""Between two looks at the leases: how late the end of one may be noticed, of the 0.3 s that a zero may take."""
+"""Time between two checks of the leases, and so the delay with which the end of a lease may be noticed. A zero may take
+0.3 s in total.
+"""
 _LATE_S = 0.5
-"""A look that comes so much too late shows that this process did not run: the silence was its own."""
+"""A check that is late by more than this shows that this process did not run, so that it may have missed signs of life.
+"""
 _CLOSED = "The client closed the response before its result was sent."
 _GONE = "the end of its client, which closed its last open response"
 _UNHEARD = f"the client lease: nothing was received from its client for {CLIENT_LEASE_S:g} s"
 RESPONSE = "ros2_mcp.response"
-"""The key of a request's scope under which its `OpenResponse` is found."""
+"""The key of the `OpenResponse` in a request's ASGI scope."""
 _ACCEPTED = "ros2_mcp.accepted"
-"""The key under which is noted when all of a request had come."""
+"""The key in a request's ASGI scope for the stop epochs at which all of the request had arrived."""
 
 Context = ServerRequestContext[Any, Any]
 _logger = logging.getLogger(__name__)
 
 
 class OpenResponse(Protocol):
-    """The response to one HTTP request, from its arrival on.
+    """The response to one HTTP request, from the arrival of the request on.
 
-    `listens` says that it carries what the server tells unasked: who closes that, goes.
+    `listens`: the response carries the server's unsolicited messages; a client that closes it has gone.
     """
 
     listens: bool
 
     @property
     def is_open(self) -> bool:
-        """Whether it is neither complete nor closed."""
+        """Whether the response is neither complete nor closed."""
         ...
 
     @property
     def was_closed(self) -> bool:
-        """Whether its client has closed it before it was complete."""
+        """Whether the client has closed the response before it was complete."""
         ...
 
     def heard_at(self) -> float:
-        """When its client last acknowledged or sent anything (monotonic, s); now, where nobody can tell; 0 where it has
-        closed the connection, which `closed` is told a moment later.
+        """Return when the client last acknowledged or sent anything (monotonic clock, s): the current time if that is
+        unknown; 0 if the client has closed the connection, which `closed` is told shortly after.
         """
         ...
 
     async def show_alive(self) -> None:
-        """Sends something that says nothing, so that its client has something to acknowledge."""
+        """Send a comment without content, so that the client has something to acknowledge."""
         ...
 
 
 class Connected(OpenResponse, Protocol):
-    """A client at a connection of its own, which carries all its requests and their answers."""
+    """A client with a connection of its own, which carries all its requests and their answers."""
 
     principal: Principal
 
 
 @dataclass(eq=False)
 class Call:
-    """One call of a tool that is under way, and the response that carries its result. `acts` if the tool can; `about`
-    names the robot, where there are several and it names one.
+    """One running call of a tool, and the response that carries its result. `acts`: the tool can change, move or stop
+    something. `about` is the name of the robot that the call names, or "".
     """
 
     scope: anyio.CancelScope
@@ -110,28 +115,28 @@ class Call:
     end_reason: str = ""
 
     def end(self, reason: str) -> None:
-        """Cancels it: nobody awaits its result."""
+        """Cancel the call: its result is no longer awaited."""
         self.end_reason = self.end_reason or reason
         self.scope.cancel()
 
 
 @dataclass(eq=False)
 class Client:
-    """One client over HTTP. Times are monotonic, in s.
+    """One client over HTTP. Times are on the monotonic clock, in s.
 
-    `has_gone` from the time on at which what it moves is ended, until it asks for something: it is ended once.
-    `ends_for` are, for each robot on which it is being ended, the reasons that are still to be carried out.
-    `has_closed` if it has closed a response that shows its going, and not asked for anything since.
+    `has_gone` is set when the end of its motion begins, and reset by its next request, so that the motion is ended
+    once. `ends_for` holds, for each robot on which its motion is being ended, the reasons that are still to be carried
+    out. `has_closed`: it has closed a response in a way that shows that it has gone, and has sent no request since.
     """
 
     principal: Principal
     asked_at: float
     granted_at: float = 0.0
-    """Its lease is not over sooner than this and the lease's length: set when it begins to move something."""
+    """When the client began to move something: its lease lasts at least `CLIENT_LEASE_S` from then on."""
     credited_until: float = 0.0
-    """Nor sooner than this: set when this process was late."""
+    """The lease does not end before this time; set when this process was late."""
     credited_at: float = 0.0
-    """When it was last heard of before the silence for which lateness is credited, of which `credit_s` is left."""
+    """The last sign of life before the present silence; `credit_s` is the credit that is left for it."""
     credit_s: float = CLIENT_LEASE_S
     shown_alive_at: float = 0.0
     responses: set[OpenResponse] = field(default_factory=set[OpenResponse])
@@ -143,16 +148,18 @@ class Client:
     has_gone: bool = False
 
     def heard_at(self) -> float:
-        """The last sign of its life."""
+        """Return the time of the client's last sign of life."""
         return max(self.asked_at, self.granted_at, *(response.heard_at() for response in self.responses))
 
     def lease_ends_at(self) -> float:
-        """When its lease is over, unless it is heard of again."""
+        """Return when the client's lease ends, unless there is another sign of life."""
         return max(self.heard_at() + CLIENT_LEASE_S, self.credited_until)
 
     def credit(self, late_s: float, now: float) -> None:
-        """Makes good for what this process was late, in one silence of its client by the length of a lease at most."""
-        if (heard_at := self.heard_at()) > self.credited_at + _LOOK_S:  # the kernel counts ms: the same time differs
+        """Extend the lease by the time that this process was late, but in one silence of the client by at most
+        one lease.
+        """
+        if (heard_at := self.heard_at()) > self.credited_at + _LOOK_S:  # the kernel's ms make it vary
             self.credited_at, self.credit_s = heard_at, CLIENT_LEASE_S
         if (credit_s := min(late_s, self.credit_s)) > 0:
             self.credit_s -= credit_s
@@ -161,7 +168,7 @@ class Client:
 
 
 class Leases:
-    """The clients over HTTP that were heard of lately, and the end of what those keep moving that have gone."""
+    """The clients over HTTP that were active lately. Ends the motion of those that have gone."""
 
     def __init__(self, *robots: Robot) -> None:
         self._robots = robots
@@ -170,7 +177,7 @@ class Leases:
         self._tasks: TaskGroup | None = None
 
     async def keep(self) -> None:
-        """Watches the leases, until cancelled. Rests while no client asks for anything and none moves anything."""
+        """Watch the leases until cancelled. Sleeps while no client sends requests or moves anything."""
         async with anyio.create_task_group() as self._tasks:
             while True:
                 await self._asked.wait()
@@ -181,13 +188,13 @@ class Leases:
                     await anyio.sleep(_LOOK_S)
 
     def calls_under_way(self, about: str) -> int:
-        """How many calls of tools about that robot wait for their results; of "" those that name none."""
+        """Return how many calls about that robot are running; with "", how many that name no robot."""
         return sum(call.about == about for client in self._clients.values() for call in client.calls)
 
-    # ── what is heard of clients ───────────────────────────────────────────────────────────────────────────────
+    # ── signs of life ──────────────────────────────────────────────────────────────────────────────────────────
 
     async def note(self, ctx: Context, call_next: CallNext) -> Any:
-        """As a middleware of the server: notes who asks, and that he does."""
+        """Record each request, and who sent it. A middleware of the server."""
         if (principal := principal_of(ctx)) != LOCAL:
             response = _response_of(ctx)
             if response and ctx.method == "subscriptions/listen":
@@ -196,15 +203,15 @@ class Leases:
         return await call_next(ctx)
 
     def received(self, scope: Scope) -> None:
-        """Notes in a request that all of it has come: a stop that comes now is a later one, however long the request
-        is still read and waits.
+        """Record that all of a request has arrived: a stop that comes from now on is later than it, even if the request
+        has not been parsed yet.
         """
         scope[_ACCEPTED] = {robot.stops: robot.stops.now() for robot in self._robots}
 
     def asked(self, principal: Principal, response: OpenResponse | None = None) -> None:
-        """Notes a request of a client, which renews its lease, and the response that is open for it.
+        """Record a request of a client, which renews its lease, and the open response to it.
 
-        One whose response the client has closed already says nothing more of the client.
+        A request whose response the client has already closed is no sign of life.
         """
         if response and response.was_closed:
             return
@@ -215,14 +222,15 @@ class Leases:
         self._asked.set()
 
     def finished(self, response: OpenResponse) -> None:
-        """Notes that a response is complete."""
+        """Record that a response is complete."""
         for client in self._clients.values():
             client.responses.discard(response)
 
     def closed(self, response: OpenResponse) -> None:
-        """Notes that a client has closed a response: ends its call, and all it moves if no other one is open.
+        """Record that a client has closed a response: end its call, and all that the client moves if it has no other
+        open response.
 
-        Who closes the response to what only reads cancels that, and has not gone.
+        A client that closes the response to a call that only reads cancels that call, and has not gone.
         """
         for client in [client for client in self._clients.values() if response in client.responses]:
             client.responses.discard(response)
@@ -237,15 +245,15 @@ class Leases:
             self._begin_end(client, _GONE)
 
     def left(self, principal: Principal) -> None:
-        """Notes that a client has ended its session."""
+        """Record that a client has ended its session."""
         if client := self._clients.get(principal):
             self._begin_end(client, "the end of its client, which ended its session")
 
     @contextmanager
     def attended(self, context: Context, *, acts: bool, about: str = "") -> Generator[Call]:
-        """The block is a call of a client: it is cancelled, and says why, when that client has gone.
+        """Run the block as a call of a client. The call is cancelled, with a reason, when that client has gone.
 
-        One whose response was closed before this is cancelled from its beginning on.
+        If its response was closed before, it is cancelled from the beginning.
         """
         with anyio.CancelScope() as scope:
             principal = principal_of(context)
@@ -263,19 +271,17 @@ class Leases:
             finally:
                 client.calls.discard(call)
 
-    # ── the watch ──────────────────────────────────────────────────────────────────────────────────────────────
+    # ── watching the leases ────────────────────────────────────────────────────────────────────────────────────
 
     def _look(self, looked_at: float) -> bool:
-        """Ends what must end; whether there is anything to watch."""
+        """End what has to end. Return whether there is anything left to watch."""
         now = monotonic()
         late_s = now - looked_at - _LOOK_S
         for client in list(self._clients.values()):
             try:
                 self._look_at(client, late_s, now)
-            except (
-                Exception
-            ):  # a fault that one client brings out must not end the watch over the others, nor the server
-                if not client.has_failed:  # said once, and not 20 times a second
+            except Exception:  # an error caused by one client must not end the watch over the others, nor the server
+                if not client.has_failed:  # logged once, not 20 times a second
                     _logger.exception("the watch over %s failed", client.principal.name)
                 client.has_failed = True
         return any(
@@ -289,14 +295,17 @@ class Leases:
             client.credit(late_s, now)
         if client.is_moving and not was_moving:
             client.granted_at = client.shown_alive_at = now
-        # Where it is being ended on all robots there is nothing to end; one that is away takes its time for it.
+        # If its motion is being ended on all robots, there is nothing more to end; with a robot that is away, that
+        # takes time.
         if client.is_moving and len(client.ends_for) < len(self._robots):
             self._watch(client, now)
         elif not client.calls and not client.responses and now > client.lease_ends_at():
             del self._clients[client.principal]
 
     def _is_moving(self, client: Client) -> bool:
-        """Whether it may move something, or a call is under way that may: one that waits moves something later."""
+        """Return whether the client may move something, or has a running call that may: a call that waits may move
+        something later.
+        """
         if client.has_gone:
             return False
         return any(call.acts for call in client.calls) or any(
@@ -329,7 +338,7 @@ class Leases:
                 self._tasks.start_soon(_end_repeat, repeat)
 
     def _begin_end(self, client: Client, reason: str) -> None:
-        """Ends what a client moves who has gone, once: again only if it has asked for something since."""
+        """End the motion of a client that has gone. Done once, until its next request."""
         if not self._tasks or client.has_gone:
             return
         client.has_gone = True
@@ -340,7 +349,7 @@ class Leases:
                 self._tasks.start_soon(self._end, client, robot)
 
     async def _end(self, client: Client, robot: Robot) -> None:
-        """Ends the calls of a client that has gone, and what it keeps moving on one robot; again if it goes again
+        """End the calls of a client that has gone, and what it moves on one robot; repeat that if it goes again
         meanwhile.
         """
         reasons = client.ends_for[robot]
@@ -351,7 +360,7 @@ class Leases:
                     call.end(f"This call was ended and its motion stopped by {reason}.")
                 if ended := await robot.stop_owned(client.principal, reason):
                     _logger.warning("%s: ended by %s: %s", client.principal.name, reason, ", ".join(ended))
-        except Exception:  # a fault in ending what one client moves must not end the watch over the others
+        except Exception:  # an error with one client must not end the watch over the others
             _logger.exception("what %s moves was not ended in good order", client.principal.name)
         finally:
             del client.ends_for[robot]
@@ -363,7 +372,7 @@ def _response_of(context: Context) -> OpenResponse | None:
 
 
 def _connected(context: Context) -> Connected | None:
-    """The client at a connection of its own, if the request came there."""
+    """Return the client with a connection of its own from which the request came; None for other transports."""
     return context.request if hasattr(context.request, "principal") else None
 
 
@@ -378,12 +387,14 @@ async def _end_repeat(repeat: Repetition) -> None:
 
 
 def _ping(context: Context) -> Callable[[], Awaitable[object]] | None:
-    """Sends a ping on the response of a call; None in the modern era, in which a server asks nothing of clients."""
+    """Return a function that sends a ping on the response of a call; None in the modern era, in which servers send no
+    requests.
+    """
     session = context.session
     if not session.can_send_request:
         return None
 
-    async def ping() -> None:  # its answer is a request of the client, which renews the lease
+    async def ping() -> None:  # the client's answer is a request, which renews the lease
         on_this_response = ServerMessageMetadata(related_request_id=context.request_id)
         await session.send_request(PingRequest(), EmptyResult, UNRENEWED_REPEAT_S, on_this_response)
 
@@ -391,21 +402,21 @@ def _ping(context: Context) -> Callable[[], Awaitable[object]] | None:
 
 
 async def _attempt(sign: Callable[[], Awaitable[object]]) -> None:
-    """A comment or a ping; that it does not arrive is noticed by what is not heard."""
+    """Send a comment or a ping. A failure is only logged: the missing sign of life has its own effect."""
     try:
         await sign()
     except Exception as error:  # noqa: BLE001 - whatever a dying connection raises must not end the watch over others
         _logger.debug("a sign of life was not sent: %r", error)
 
 
-# ── who asks ─────────────────────────────────────────────────────────────────────────────────────────────────────
+# ── principals ───────────────────────────────────────────────────────────────────────────────────────────────────
 
 
 def principal_of(context: Context) -> Principal:
-    """Who asks: the one client over stdio, a session over HTTP, or a program of that name at an address.
+    """Return who sent a request: the one client of stdio, a session over HTTP, or a program by its name and address.
 
-    HTTP requests of the modern era belong to no session. What tells their clients apart is their token, the address
-    they come from and what they call themselves: two that run the same program on one machine are the same principal.
+    HTTP requests of the modern era belong to no session. Their clients are told apart by token, address and program
+    name: two clients with the same program on one machine are the same principal.
     """
     if connected := _connected(context):
         return connected.principal
@@ -421,21 +432,21 @@ def principal_of(context: Context) -> Principal:
 
 
 def accepted_at(context: Context, robot: Robot) -> Accepted | None:
-    """When a request over HTTP had come, as that robot counts it, if that was noted."""
+    """Return when an HTTP request had arrived, in the stop epochs of that robot; None if it was not recorded."""
     request: Request[Any] | None = context.request
     noted: Mapping[Stops, Accepted] = {} if request is None or _connected(context) else request.scope.get(_ACCEPTED, {})
     return noted.get(robot.stops)
 
 
 def session_of(request: Request[Any]) -> str:
-    """The id of the session that a request names; empty where it names none."""
+    """Return the session id in a request; "" if there is none."""
     version = request.headers.get("mcp-protocol-version")
-    is_modern = version is not None and version not in HANDSHAKE_PROTOCOL_VERSIONS  # which knows no sessions
+    is_modern = version is not None and version not in HANDSHAKE_PROTOCOL_VERSIONS  # the modern era has no sessions
     return "" if is_modern else request.headers.get("mcp-session-id", "")
 
 
 def principal_of_session(session: str, login: Login | None = None) -> Principal:
-    """The client of a session. Who knows the session's id can use it: the principal is named by a hash of it."""
+    """Return the principal of a session. Its name contains a hash of the session id, because the id is a secret."""
     return _named(f"session {session}", login)
 
 

@@ -1,4 +1,4 @@
-"""A bound tool as a function of the module `robot` of programs."""
+"""Bound tools as functions of the module `robot` of programs."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from ros2_mcp.programs.declare import Function, Use
 
 
 def function_of(tool: BoundTool) -> Function:
-    """The function that a tool with a name in programs is: its arguments, its result, and its own checks of both."""
+    """Return the function of the module `robot` that calls this tool, with its arguments, result and checks."""
     declaration = tool.declaration
     signature = declaration.arguments()
-    # What must be given comes first, so that it can be given without its name.
+    # Required parameters come first, so that they can be given by position.
     parameters = sorted(signature.parameters.values(), key=lambda each: each.default is not inspect.Parameter.empty)
     plain = [each.replace(kind=inspect.Parameter.POSITIONAL_OR_KEYWORD) for each in parameters]
     named = {each.name: each for each in plain}

@@ -1,4 +1,4 @@
-"""What the token of a request allows: reading, acting, stopping, by the risk that each tool declares."""
+"""What the token of a request allows: to read, to act and to stop, by the declared risk of each tool."""
 
 from __future__ import annotations
 
@@ -14,17 +14,19 @@ from ros2_mcp.mcp.toolset import Toolset
 from ros2_mcp.model.commands import Principal
 
 _FREE = frozenset({"initialize", "server/discover", "ping", "tools/list"})
-"""What every token may ask: without it no client would come as far as to stop anything. Notifications are free, too."""
+"""Methods that need no scope: without them no client could connect in order to stop anything. Notifications need none
+either.
+"""
 
 
 class Scopes:
-    """What the scopes of a token allow of this server."""
+    """Checks requests against the scopes of their tokens."""
 
     def __init__(self, toolset: Toolset) -> None:
         self._toolset = toolset
 
     def lacking(self, login: Login | None, method: str, params: Mapping[str, Any] | None) -> str:
-        """The scope that a request lacks; empty if it may be answered. Without a login everything may."""
+        """Return the scope that a request lacks; "" if it is allowed. Without a login, all requests are allowed."""
         if login is None or method in _FREE or method.startswith("notifications/"):
             return ""
         if method != "tools/call":
@@ -33,7 +35,7 @@ class Scopes:
         return may(login.scopes, self._toolset.risk_of(name) if isinstance(name, str) else "read")
 
     def refuse(self, lacking: str, login: Login | None, params: Mapping[str, Any] | None) -> str:
-        """The words with which a request is refused that lacks a scope; of a tool that acts the audit has a line."""
+        """Return the text of a refusal for a missing scope. Refused calls of tools that act are noted in the audit."""
         words = f"The token of this client lacks the scope {lacking!r}: not done. Use a token that has this scope."
         if login and isinstance(name := (params or {}).get("name"), str):
             principal = Principal(name=login.name, transport="http", login=login.name)
@@ -41,15 +43,15 @@ class Scopes:
         return words
 
     def stops(self, method: str, params: Mapping[str, Any] | None) -> bool:
-        """Whether a request calls a tool that stops."""
+        """Return whether a request calls a tool that stops."""
         name = (params or {}).get("name")
         return method == "tools/call" and isinstance(name, str) and self._toolset.risk_of(name) == "stop"
 
     async def check(self, ctx: ServerRequestContext[Any, Any], call_next: CallNext) -> Any:
-        """As a middleware of the server: refuses what the scopes do not allow, however it was read before.
+        """Refuse requests that the scopes do not allow, whichever transport read them. A middleware of the server.
 
         Raises:
-            MCPError: naming the scope that is lacking.
+            MCPError: naming the missing scope.
         """
         login = _login_in(ctx)
         if lacking := self.lacking(login, ctx.method, ctx.params):
@@ -62,12 +64,12 @@ def _login_in(context: ServerRequestContext[Any, Any]) -> Login | None:
 
 
 def login_of(request: Any) -> Login | None:
-    """Who asks; None over stdio, at a socket, and where no login is asked for."""
+    """Return the login of a request; None over stdio, at a socket, and without a login."""
     scope = getattr(request, "scope", None)
     return scope.get(LOGIN) if scope else None
 
 
 def login_name(scope: Mapping[str, Any]) -> str:
-    """The name of the token of a request over HTTP; empty where no login is asked for."""
+    """Return the name of the token of an HTTP request; "" without a login."""
     login: Login | None = scope.get(LOGIN)
     return login.name if login else ""

@@ -48,14 +48,15 @@ from ros2_mcp.tools import PAGE_TOOLS, TOOLS
 _logger = logging.getLogger(__name__)
 
 STRUCTURED = "io.github.ros2-mcp/structured"
-"""The key in a request's `_meta` that asks with `true` for structured content beside the text."""
+"""The key in a request's `_meta` whose value `true` requests structured content beside the text."""
 _OPENS_PAGE = frozenset(name for tool in TOOLS if tool.opens_page for name in (tool.name, tool.also_named))
 _FOR_PAGE = frozenset(tool.name for tool in PAGE_TOOLS)
 _MOST_NAMED = 15
-"""Robots in the instructions: each is read with every task. ros2_robots has them all."""
+"""The most robots that the instructions name: the model reads them with every task. ros2_robots lists all."""
 _MOST_CALLS = 32
-"""At once about one robot, of all clients over HTTP: sixteen of them with two each; every call may hold messages and
-pictures. Calls that wait for a robot which is away leave room for those about another one."""
+"""The most simultaneous calls about one robot, of all clients over HTTP: two each of sixteen clients. Every call may
+hold messages and pictures. Calls that wait for a robot that is away leave room for those about other robots.
+"""
 _TOO_MANY_CALLS = (
     f"Not done: {_MOST_CALLS} calls are under way {{0}}, the most at once. Call again when one of them has ended."
 )
@@ -110,15 +111,15 @@ Context = ServerRequestContext[Any, Any]
 def build_server(
     fleet: Fleet, catalog: Catalog, leases: Leases, scopes: Scopes, *, recording: str = "", structured: bool = False
 ) -> Server[Any]:
-    """The MCP server for these robots.
+    """Return the MCP server of these robots.
 
     Args:
         fleet: the robots and their tools.
         catalog: the prompts.
-        leases: of its clients over HTTP.
-        scopes: what the tokens of its clients allow.
-        recording: the name of the bag that stands for the only robot, if one does.
-        structured: whether every client gets structured content and output schemas; else only who asks for them.
+        leases: the leases of the clients over HTTP.
+        scopes: the check of the clients' tokens.
+        recording: the name of the bag that replaces the only robot; "" if there is none.
+        structured: whether every client gets structured content and output schemas; otherwise, those that request them.
     """
     events = InMemorySubscriptionBus()
     robots = {name: member.robot for name, member in fleet.members.items()}
@@ -128,7 +129,7 @@ def build_server(
     completions = Completions(
         robots, of_prompt=partial(_of_prompt, catalog), of_template=partial(_of_template, resources)
     )
-    # Nothing in a recording changes while it is looked at: its server has no resources, and nobody can subscribe.
+    # A recording does not change, so its server has no resources and no subscriptions.
     live = not recording
     page = apps.PageResource(resources.list if live else _no_resources, resources.read if live else _no_resource)
     server: Server[Any] = Server(
@@ -167,8 +168,8 @@ class Tools:
         self._structured = structured
 
     async def list(self, context: Context, params: PaginatedRequestParams | None) -> ListToolsResult:
-        """The tools in a fixed order; with those of the page for clients that show it, with output schemas for those
-        that ask for structured content.
+        """List the tools in a fixed order: with those of the page for clients that show pages, and with output schemas
+        for clients that request structured content.
         """
         return self._listed(apps.shows_pages(context), self._structured or _asks_for_structure(params))
 
@@ -180,14 +181,15 @@ class Tools:
         return ListToolsResult(tools=tools)
 
     def input_schema(self, name: str) -> dict[str, Any] | None:
-        """What the SDK checks the headers of a modern HTTP request against."""
+        """Return the schema against which the SDK checks the headers of a modern HTTP request."""
         return self._fleet.input_schema(name)
 
     async def call(self, context: Context, params: CallToolRequestParams) -> CallToolResult | InputRequiredResult:
-        """One call; what went wrong is a result that the model reads, never an error of the protocol.
+        """Run one call. An error is a result that the model reads, never an error of the protocol.
 
-        Structured content goes to who asked for it alone, and to the page, which reads nothing else, also what it was
-        opened with: clients that get it hide text and pictures from their model (decision 58).
+        Structured content is sent only to clients that request it and to the page, which reads nothing else (including
+        the result of the tool that opened it): clients that get structured content hide text and pictures from their
+        model (decision 58).
         """
         result = await self._call(context, params)
         for_page = params.name in _FOR_PAGE or (params.name in _OPENS_PAGE and apps.shows_pages(context))
@@ -203,7 +205,7 @@ class Tools:
             return CallToolResult(content=[TextContent(type="text", text=refusal)], is_error=True)
         with self._leases.attended(context, acts=self._fleet.acts(params.name), about=about) as attended:
             try:
-                await checkpoint_if_cancelled()  # its client may have closed the response before this
+                await checkpoint_if_cancelled()  # its client may already have closed the response
                 arguments = params.arguments or {}
                 about_all = await self._fleet.call_all(params.name, arguments, principal_of(context).name)
                 if about_all is not None:
@@ -213,7 +215,7 @@ class Tools:
             except CallFailed as error:
                 _logger.info("%s failed: %r", params.name, str(error))
                 failed = error
-            except Exception as error:  # a fault of ours; without an answer the model would believe that it went well
+            except Exception as error:  # a fault of ours; without an answer the model would assume success
                 _logger.exception("%s raised an unexpected exception", params.name)
                 failed = CallFailed(
                     f"{params.name} failed because of a fault in this server: {type(error).__name__}: {error}"
@@ -224,7 +226,7 @@ class Tools:
     async def _call_one(
         self, context: Context, params: CallToolRequestParams, member: Member, arguments: Mapping[str, Any]
     ) -> CallToolResult | InputRequiredResult:
-        """A call about one robot; the user is asked where an approval is needed. Raises `CallFailed`."""
+        """Call a tool of one robot, and ask the user if an approval is needed. Raises `CallFailed`."""
 
         async def report(done: float, whole: float, line: str) -> None:
             await context.session.report_progress(done, whole, line)
@@ -250,17 +252,17 @@ class Tools:
 
 
 def text_alone(result: CallToolResult) -> CallToolResult:
-    """A result as a model's client gets it: text and pictures."""
+    """Return a result without its structured content."""
     return CallToolResult(content=result.content, is_error=result.is_error)
 
 
 def _asks_for_structure(params: RequestParams | None) -> bool:
-    """Whether a request asks in its `_meta` for structured content, or in `tools/list` for its schemas."""
+    """Return whether a request's `_meta` requests structured content, or the schemas of it in `tools/list`."""
     return bool(params and params.meta and params.meta.get(STRUCTURED) is True)
 
 
 def _session(context: Context, robot: Robot) -> Session:
-    """What the client of a request does with a robot."""
+    """Return the session of a request's client with a robot."""
     return robot.session(principal_of(context), accepted_at(context, robot))
 
 

@@ -1,4 +1,4 @@
-"""The tools of one server: which it offers, why it lacks the others, and a call of one by its name."""
+"""The tools of one robot: which are offered, why others are not, and calls by name."""
 
 from __future__ import annotations
 
@@ -36,18 +36,18 @@ _OTHER_NAMES = {tool.also_named: tool.name for tool in TOOLS if tool.also_named}
 
 
 _VIEW = "view"
-"""The group of the page beside the chat: without being chosen it is listed for clients that show such pages."""
+"""The group of the page beside the chat. Unless chosen, it is listed only for clients that show pages."""
 
 _NOT_ALLOWED = "The policy of this server allows nothing that this tool does (ros2_policy)."
 _BESIDE = {"turn": "drive", "feedback": "goal"}
-"""Functions that only programs have, and those of tools without which they are not there either."""
+"""Functions that only programs have, each with the tool's function that it needs."""
 
 
 class Toolset:
     """The tools that the chosen groups and the policy leave, in the order of `tools/list`.
 
-    A tool that is not allowed is absent, not refused. `by_name` has those that are offered, `missing` says of each
-    other why it is not. `with_pages` are those that only clients are offered which show pages beside the chat.
+    A tool that is not allowed is absent, not refused. `by_name` are the offered tools. `missing` gives, for each other
+    tool, the reason. `with_pages` are tools that only clients that show pages beside the chat are offered.
 
     Raises:
         BadInput: for a group that does not exist.
@@ -71,9 +71,9 @@ class Toolset:
                 raise BadInput(f"There is no group of tools {group!r}.", f"Choose from {choices}.")
         self._store, self._kinds = store, kinds
         allowed = [_as_allowed(tool, robot.policy) for tool in TOOLS if _is_allowed(tool, robot.policy)]
-        # Who opens a recording has all that works on one: it is a short list.
+        # For a recording, all tools that work on one are offered: they are few.
         chosen = [tool for tool in allowed if robot.policy.recorded or _is_chosen(tool, groups)]
-        if any(tool.risk != "read" for tool in chosen):  # whatever can set something in motion comes with what stops it
+        if any(tool.risk != "read" for tool in chosen):  # tools that start motion come with the stop
             chosen = [tool for tool in allowed if tool in chosen or tool.risk == "stop"]
         beside: list[ToolDeclaration] = []
         if viewing and (robot.policy.recorded or not groups or not {"default", "all", _VIEW}.isdisjoint(groups)):
@@ -105,7 +105,9 @@ class Toolset:
 
     @cache  # noqa: B019 - a toolset lives as long as its server
     def functions(self) -> Sequence[Function]:
-        """The module `robot` of programs: what only they have, and what is allowed of the groups that are offered."""
+        """Return the functions of the module `robot`: those that only programs have, and the allowed tools of the
+        offered groups.
+        """
         groups = {tool.declaration.group for tool in self.by_name.values()}
         tools = [function_of(self._bind(tool)) for tool in self._allowed if tool.program and tool.group in groups]
         may_act, recorded = not self._robot.policy.read_only, self._robot.policy.recorded
@@ -116,13 +118,13 @@ class Toolset:
 
     @property
     def left_out_groups(self) -> list[str]:
-        """The groups with tools that could be offered, and are not."""
+        """The groups with tools that are allowed, but not offered."""
         groups = {tool.group for tool in self._left_out}
         return [group for group in GROUPS if group in groups]
 
     @property
     def limitations(self) -> list[str]:
-        """In words, what this server was told to do without, and which tools are not offered although they could be."""
+        """Limitations in words: warnings about the settings, and tools that are allowed but not offered."""
         return list(self._warnings) + [
             f"Not offered: {', '.join(tool.name for tool in self._left_out if tool.group == group)}. "
             f"Start the server with --tools default,{group} (or all) to have them."
@@ -130,7 +132,7 @@ class Toolset:
         ]
 
     def why_missing(self, names: Collection[str]) -> str:
-        """Why this server does not offer these tools, in words that continue a sentence."""
+        """Return why these tools are not offered, as the end of a sentence."""
         tools = [tool for tool in TOOLS if tool.name in names]
         if any(tool.runs_programs for tool in tools) and not is_installed():
             return "the extra `programs` is not installed (ros2-mcp doctor shows the command)"
@@ -142,28 +144,28 @@ class Toolset:
         return f"the option --tools {','.join(groups)} is needed"
 
     def note_refusal(self, name: str, reason: str, principal: Principal) -> None:
-        """A line in the audit about a call of a tool that acts, which did not come as far as the guard."""
+        """Note in the audit that a call of a tool that acts was refused before it reached the guard."""
         if self.risk_of(name) in ("write", "actuate") and (audit := self._robot.guard.audit):
             who = {"principal": principal.name, "transport": principal.transport, "login": principal.login}
             with called_through(_OTHER_NAMES.get(name, name)):
                 audit.note("refused", **who, reason=reason)
 
     def risk_of(self, name: str) -> Risk:
-        """The risk of a tool, offered or not; `read` where there is none of that name."""
+        """Return the risk of a tool, offered or not; `read` for an unknown name."""
         for tool in (*TOOLS, *PAGE_TOOLS):
             if tool.name == _OTHER_NAMES.get(name, name):
                 return tool.risk
         return "read"
 
     def _only_offered(self, text: str) -> str:
-        """A hint or a note, with the tools that it names and that are not offered, and how to have those."""
+        """Return a hint or a note, with the tools in it that are not offered listed at its end, and how to get them."""
         absent = self.missing.keys() & set(_TOOL.findall(text))
         if not absent:
             return text
         return f"{text.rstrip()} (Not offered here: {', '.join(sorted(absent))}; {self.why_missing(absent)}.)"
 
     def offered(self, name: str) -> BoundTool | None:
-        """The tool of that name, or of the one that it has in another server; None if it is not offered."""
+        """Return the tool of that name, or of that alias from another server; None if it is not offered."""
         own_name = _OTHER_NAMES.get(name, name)
         return self.by_name.get(own_name) or self.with_pages.get(own_name)
 
@@ -176,7 +178,7 @@ class Toolset:
         *,
         shows_pages: bool = False,
     ) -> CallToolResult:
-        """Calls a tool by its name, or by the one that it has in another server.
+        """Call a tool by its name, or by its alias from another server.
 
         Raises:
             CallFailed: with the text that the model reads.
@@ -190,7 +192,7 @@ class Toolset:
                 if own_name in self.missing:
                     raise CallFailed(f"{own_name} is not offered: {self.missing[own_name]}.")
             except CallFailed as error:
-                if not call.has_line:  # it has not come as far as the guard
+                if not call.has_line:  # it did not reach the guard
                     self.note_refusal(name, str(error), session.principal if session else LOCAL)
                 raise
         names = [tool.name for tool in TOOLS]
@@ -206,7 +208,7 @@ def _is_allowed(tool: ToolDeclaration, policy: Policy) -> bool:
 
 
 def _as_allowed(tool: ToolDeclaration, policy: Policy) -> ToolDeclaration:
-    """A tool that runs programs only reads where nothing may be moved."""
+    """Return the tool as this policy allows it: a tool that runs programs only reads if nothing may be moved."""
     return replace(tool, risk="read") if tool.runs_programs and (policy.recorded or policy.read_only) else tool
 
 

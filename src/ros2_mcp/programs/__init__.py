@@ -1,1 +1,1 @@
-"""Programs that an agent writes, run in a sandbox in which the robot is a module."""
+"""Programs that an agent writes, run in a sandbox that offers the robot as a module."""

@@ -1,6 +1,6 @@
-"""What programs compute on clouds, grids and bytes, which the sandbox has no library for: done here, with NumPy.
+"""Functions of programs for clouds, grids and bytes: computed here with NumPy, because the sandbox has no such library.
 
-Each takes a message as the program got it, live or from a recording, and gives plain numbers.
+Each takes a message as the program received it, live or from a recording, and returns plain numbers.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ T = TypeVar("T")
 Message = Mapping[str, Any]
 
 MOST_POINTS = 50_000
-"""In one list: 10 MB in the sandbox, which has 64 MB."""
+"""The most points in one list: 10 MB in the sandbox, which has 64 MB."""
 USUAL_POINTS = 20_000
-"""Enough for a plane or a cluster, and given within 0.1 s."""
+"""The default: enough for a plane or a cluster, and returned within 0.1 s."""
 MOST_CELLS = 250_000
-"""In the rows of a grid: 500 × 500, 25 m × 25 m of most maps."""
+"""The most cells in the rows of a grid: 500 × 500, 25 m × 25 m in most maps."""
 MOST_GRID_CELLS = 25_000_000
-"""Of a grid that is looked into: 5000 × 5000."""
+"""The most cells of a grid that the functions accept: 5000 × 5000."""
 MOST_VALUES = 100_000
-"""Of one `unpack`."""
+"""The most values of one `unpack`."""
 _MOST_FORMAT = 100
-"""Characters of a format."""
+"""The longest format, in characters."""
 _MOST_FIELDS = 20
 _CODE = re.compile(r"(\d*)([xcbB?hHiIlLqQnNefdspP])")
 
@@ -44,7 +44,7 @@ KINDS: Mapping[str, tuple[int, int]] = {
     "free": (0, OCCUPIED_FROM - 1),
     "unknown": (-128, -1),
 }
-"""The values of cells, from and to."""
+"""The range of cell values of each kind, both ends included."""
 
 
 @function()
@@ -208,17 +208,17 @@ async def unpack(
     return found[0] if count is None else found
 
 
-# ── messages as the program gives them ───────────────────────────────────────────────────────────────────────────────
+# ── messages from the program ────────────────────────────────────────────────────────────────────────────────────────
 
 
 def _values_of(format_text: str) -> int:
-    """How many values a record of a format has."""
+    """Return how many values a record of a format has."""
     codes: Iterable[tuple[str, str]] = _CODE.findall(format_text)
     return sum(0 if code == "x" else 1 if code in "sp" else int(times or 1) for times, code in codes)
 
 
 async def _grid_of(use: Use, name: str, value: Message) -> OccupancyGrid:
-    """A grid that is held, or that of a message."""
+    """Return a grid that is held, or the grid in a message."""
     await load("ros2_mcp.world.occupancy")
     from ros2_mcp.world.occupancy import OccupancyGrid
 
@@ -232,7 +232,7 @@ async def _grid_of(use: Use, name: str, value: Message) -> OccupancyGrid:
 
 
 def _object(use: Use, name: str, value: Any, type_name: str, needed: Sequence[str]) -> Any:
-    """A message as an object with attributes, its `data` as an array; raises `BadInput` where a field is missing."""
+    """Return a message as an object with attributes, with `data` as an array. Raises `BadInput` for a missing field."""
     import numpy as np
 
     if not isinstance(value, Mapping):
@@ -265,7 +265,7 @@ def _attributes(value: Any) -> Any:
 
 
 async def _computed(name: str, size: int, work: Callable[..., T], *args: Any) -> T:
-    """What `work` gives; what is wrong with a message that the program made is the program's error."""
+    """Return the result of `work`. An error in a message that the program made becomes `BadInput`."""
     try:
         return await aside(size, work, *args)
     except BadData as error:

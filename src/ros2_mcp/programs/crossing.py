@@ -1,7 +1,7 @@
-"""Values that come out of the sandbox, made plain and small before anything walks through them.
+"""Copies values from the sandbox into plain values of limited size, before any other code walks through them.
 
-What a program gives may share its parts, so that thirty small lists are a tree of a billion leaves; may be nested
-without end, or be nothing that JSON has a word for. So it is copied once, by a walk that counts every step.
+A program's value may share its parts, so that thirty small lists are a tree of a billion leaves. It may be nested
+without end, or contain types that JSON does not have. So it is copied once, by a walk that counts every step.
 """
 
 from __future__ import annotations
@@ -13,31 +13,37 @@ from typing import Any, cast
 from ros2_mcp.model.errors import BadInput
 
 MOST_PARTS = 20_000
-"""Numbers, texts, lists and objects within one value: a trajectory of 500 points of 6 joints has half as many. The walk
-holds up the server by some 10 ms; ten times as many held it up for longer than its link may be silent, under load."""
+"""The most numbers, texts, lists and objects within one value: a trajectory of 500 points of 6 joints has half as many.
+The walk blocks the server for some 10 ms; ten times as many, under load, blocked it for longer than its link may be
+silent.
+"""
 MOST_CHARACTERS = 2_100_000
-"""Of all texts and bytes within one value: those of a message that a program was given whole, and some more."""
+"""The most characters of all texts and bytes within one value: somewhat more than in the largest message given to a
+program.
+"""
 MOST_NUMBERS = 500_000
-"""Of lists of numbers alone, which are looked at as a whole, in 0.1 µs each: the cells of a map of 35 m × 35 m."""
+"""The most numbers in lists of numbers only, which are checked as a whole at 0.1 µs each: the cells of a map of 35 m ×
+35 m.
+"""
 _FEW = 64
-"""Shorter lists are walked through like all others."""
+"""Lists up to this length are walked through like all others."""
 DEEPEST = 40
-"""Lists within lists: no message of ROS is nested half as deep."""
+"""The deepest nesting of lists and objects: no ROS message is nested half as deep."""
 _EXACT_IN_JSON = 2**53
 _EXACT = 10**400
-"""Integers beyond it are no number of any message, and their text alone would take long."""
+"""The largest integer: no message contains a larger one, and converting it to text would take long."""
 
 
 def crossed(value: Any, what: str, *, for_json: bool = False) -> Any:
-    """A copy of plain parts: None, bool, numbers, texts, bytes, lists, and objects with texts as keys.
+    """Return a copy of plain parts: None, bool, numbers, texts, bytes, lists, and objects with texts as keys.
 
     Args:
-        value: as it came out of the sandbox.
-        what: what it is, for the error.
-        for_json: also what JSON has no word for becomes text: infinities, NaN, bytes, anything else.
+        value: the value from the sandbox.
+        what: its name in errors.
+        for_json: convert what JSON does not have to text: infinities, NaN, bytes and all other types.
 
     Raises:
-        BadInput: if it is too large or nested too deep; without `for_json` also for what is no plain value.
+        BadInput: if it is too large or nested too deep; without `for_json`, also for types other than those above.
     """
     left = [MOST_PARTS, MOST_CHARACTERS]
     numbers_left = MOST_NUMBERS
@@ -51,10 +57,10 @@ def crossed(value: Any, what: str, *, for_json: bool = False) -> Any:
 
     def text(found: str) -> str:
         spend(len(found))
-        return found.encode("utf-8", "replace").decode()  # half a character is none
+        return found.encode("utf-8", "replace").decode()  # an unpaired surrogate is not a character
 
     def numbers(found: Sequence[Any]) -> list[Any] | None:
-        """A copy of a long list of numbers of one kind that need no change; None for any other."""
+        """Return a copy of a long list of numbers of one type that need no conversion; None for any other list."""
         nonlocal numbers_left
         kinds = set(map(type, found))
         is_exact = kinds == {int} and max(found) < _EXACT_IN_JSON and min(found) > -_EXACT_IN_JSON

@@ -1,7 +1,8 @@
-"""What the module `robot` of a program is made of: functions with typed signatures, from which all else follows.
+"""The functions of the module `robot` of programs, with typed signatures from which all else follows.
 
-Most are tools, which the toolset gives (`ToolDeclaration.program`). What only programs have is declared here: a typed
-function with a docstring under `@function`. A parameter `use: Use` is given to it; the others are what a program gives.
+Most are tools, which the toolset adds (`ToolDeclaration.program`). Functions that only programs have are declared with
+`@function`: a typed function with a docstring. A parameter `use: Use` is passed by the server; the others are the
+program's arguments.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ Risk = Literal["read", "act"]
 
 
 class Use(Protocol):
-    """What a function gets of the program that calls it: `session` is for this call alone."""
+    """What a function can use on behalf of the program that calls it; one object per call."""
 
     @property
     def robot(self) -> Robot:
@@ -39,7 +40,7 @@ class Use(Protocol):
 
     @property
     def session(self) -> Session:
-        """What is done in it is done for the program."""
+        """The session of this call: its actions are the program's."""
         ...
 
     @property
@@ -49,12 +50,12 @@ class Use(Protocol):
 
     @property
     def sources(self) -> Sources:
-        """What can be read from, live or recorded."""
+        """The sources of messages, live or recorded."""
         ...
 
     @property
     def streams(self) -> Streams:
-        """The topics that the program follows."""
+        """The topics that the program follows, each as a stream."""
         ...
 
     @property
@@ -64,45 +65,45 @@ class Use(Protocol):
 
     @property
     def report(self) -> Report:
-        """Progress, for who called `ros2_program_run`."""
+        """Reports progress to the caller of `ros2_program_run`."""
         ...
 
     @property
     def line(self) -> int:
-        """The line of the program that calls."""
+        """The line of the call in the program."""
         ...
 
     async def follow(self, source: Source, wanted: FollowRequest) -> Any:
-        """Follows topics; what stands for their messages in the program."""
+        """Follow topics. Return the stream's representation in the program."""
         ...
 
     def follow_goal(self, goal: Goal | None) -> Any:
-        """Follows the feedback of a goal; what stands for it in the program."""
+        """Follow the feedback of a goal. Return the stream's representation in the program."""
         ...
 
     def tell(self, note: str) -> None:
-        """Adds a sentence to the note of the result, once."""
+        """Add a sentence to the note of the result, once."""
         ...
 
     def keep(self, picture: Picture) -> None:
-        """Hands a picture to the model at the end."""
+        """Add a picture to the result, for the model."""
         ...
 
     async def stop_own(self) -> list[str]:
-        """Ends what this program has in motion; in words, what that was."""
+        """End the motion of this program. Return what was ended, in words."""
         ...
 
 
 Perform = Callable[[Use, Mapping[str, Any]], Awaitable[Any]]
-"""Does what a function does, with its arguments by name; the result is a JSON value."""
+"""Performs a function with its arguments by name; the result is a JSON value or a dataclass."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Function:
     """A function of the module `robot`.
 
-    `signature` is what a program gives and gets; what it returns may be a dataclass, which the program sees as an
-    object of JSON. `recorded`: it works where a recording stands for the robot, too. `tool` is the tool that it is.
+    `signature` has the parameters and the result as a program sees them; a dataclass as result becomes a JSON object.
+    `recorded`: it also works if the robot is a recording. `tool` is the name of the tool that it calls, or "".
     """
 
     name: str
@@ -115,7 +116,9 @@ class Function:
 
     @property
     def unwrapped(self) -> str:
-        """The field of its result that it gives, if it is named like one: `topics()` gives the list of topics."""
+        """The field of the result that the function returns alone, because it has its name: `topics()` returns the list
+        `topics`.
+        """
         kind = self.signature.return_annotation
         if self.name not in getattr(kind, "__dataclass_fields__", {}):
             return ""
@@ -124,11 +127,11 @@ class Function:
 
 
 DECLARED: list[Function] = []
-"""What only programs have, in the order of declaration."""
+"""The functions that only programs have, in the order of declaration."""
 
 
 def function(*, risk: Risk = "read", recorded: bool = True) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Declares a function of the module `robot` under its own name. It may be async; pure ones need no `Use`."""
+    """Declare a function of the module `robot` under its own name. It may be async; it may omit the parameter `use`."""
 
     def declare(implementation: Callable[..., Any]) -> Callable[..., Any]:
         whole = inspect.signature(implementation, eval_str=True)
@@ -159,7 +162,7 @@ def function(*, risk: Risk = "read", recorded: bool = True) -> Callable[[Callabl
 
 
 def pure(name: str, implementation: Callable[..., Any]) -> Function:
-    """A function that only computes, from its arguments alone; what it raises is an error of who called it."""
+    """Return a function that only computes, from its arguments alone. Its errors become `BadInput`."""
 
     async def perform(_: Use, arguments: Mapping[str, Any]) -> Any:
         try:

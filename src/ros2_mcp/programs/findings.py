@@ -1,4 +1,4 @@
-"""What is said of a program before it runs: of its types, its names, and what it would do."""
+"""Findings about a program before it runs: errors of types and names, with hints."""
 
 from __future__ import annotations
 
@@ -24,9 +24,13 @@ _SURE = frozenset(
         "unresolved-reference",
     }
 )
-"""Rules of the check of types that are wrong at run time, too. Others, such as of what may be None, may be right."""
+"""Rules of the type checker whose findings are also errors at run time. Others, such as a value that may be None, may
+be false alarms.
+"""
 _MAY_BE_NONE = re.compile(r"[Ff]ound `(?=[^`]*\|)[^`]*\bNone\b[^`]*`")
-"""Of an argument: the check knows the variable with None, too, as it is before a loop that sets it."""
+"""Matches a finding about an argument whose type includes None, as before a loop that sets it: it may be a
+false alarm.
+"""
 _NO_MEMBER = re.compile(r"Module `(\w+)` has no member `(\w+)`")
 _IMPORTS = "It can import robot, math, time, json, re, datetime, asyncio, and no others."
 _ARRAYS = (
@@ -45,7 +49,9 @@ _HINTS = (
 
 
 def require_sound(findings: Sequence[Finding], text: str, functions: Sequence[str], done: str = "run") -> None:
-    """Raises `BadInput` with each line that cannot be right, and what would be; `done` is what was not done with it."""
+    """Raise `BadInput` with each line that is certainly wrong, and a hint. `done` is what was not done with the
+    program, such as "run".
+    """
     lines = text.splitlines()
     told: list[str] = []
     for finding in findings:

@@ -1,4 +1,6 @@
-"""What programs have beside the tools: messages one after the other, and ending what the program itself has begun."""
+"""Functions that only programs have: reading messages one by one, a scan, a picture, a turn, and stopping its own
+motion.
+"""
 
 from __future__ import annotations
 
@@ -107,7 +109,7 @@ async def scan(use: Use, topic_name: str = "", timeout: float = 5.0, bag: str = 
     beams: list[list[float]] = []
     for index, metres in enumerate(message["ranges"]):
         degrees = math.degrees(message["angle_min"] + index * message["angle_increment"])
-        if metres >= least:  # which NaN is not
+        if metres >= least:  # false for NaN
             beams.append([round(degrees, 2), metres if metres <= most else math.inf])
     hit = min((beam for beam in beams if beam[1] < math.inf), key=lambda beam: beam[1], default=None)
     return Scan(

@@ -1,7 +1,7 @@
-"""Large arrays of messages that a program reads: they stay in this process, and the program gets a reference to each.
+"""Large arrays of the messages that a program reads. They stay in this process; the program gets a reference to each.
 
 A reference is `{"$summary": "uint8[]", "length": 6220800, "held": 7}`. Functions of the module `robot` that compute on
-arrays take it in the place of the array.
+arrays accept it in place of the array.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from ros2_mcp.model.errors import BadInput
 from ros2_mcp.model.values import SUMMARY
 
 MOST_BYTES = 32_000_000
-"""Of all that is held for one program: a picture of a 4K camera and a cloud, or five clouds of a large lidar."""
+"""The most bytes held for one program: a picture of a 4K camera and a cloud, or five clouds of a large lidar."""
 HELD = "held"
 """The key of the number in a reference."""
 
 
 class Held:
-    """What is held for one program; the oldest is dropped first, the newest never."""
+    """The arrays held for one program. If there are too many, the oldest are dropped; the newest never is."""
 
     def __init__(self) -> None:
         self._kept: dict[int, tuple[Any, int]] = {}
@@ -27,7 +27,7 @@ class Held:
         self._count = 0
 
     def hold(self, value: Any, size: int) -> int:
-        """Keeps a value of so many bytes; the number by which `get` finds it."""
+        """Hold a value of `size` bytes. Return the number with which `get` finds it."""
         self._count += 1
         self._kept[self._count] = value, size
         self._bytes += size
@@ -37,14 +37,14 @@ class Held:
         return self._count
 
     def reference(self, array: Any, type_name: str) -> dict[str, Any]:
-        """Keeps an array of NumPy; what stands for it in the program."""
+        """Hold a NumPy array. Return its reference, which the program gets."""
         return {SUMMARY: type_name, "length": len(array), HELD: self.hold(array, int(array.nbytes))}
 
     def get(self, value: Any) -> Any:
-        """What a reference stands for, any other value as it is.
+        """Return the array of a reference; any other value unchanged.
 
         Raises:
-            BadInput: if it is not held any more.
+            BadInput: if the array is no longer held.
         """
         if not isinstance(value, Mapping) or HELD not in value:
             return cast("Any", value)

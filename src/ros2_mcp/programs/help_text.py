@@ -1,4 +1,4 @@
-"""What `help()` prints in a program: the functions of the module `robot`, or one of them with all that it takes."""
+"""The text of `help()` in a program: a list of the functions of the module `robot`, or all about one of them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _HEAD = "The functions of the module robot. help(robot.latest) prints one with i
 
 
 def help_text(functions: Sequence[Function], name: str = "") -> str:
-    """What all functions take and do, in a line each; of one by its name all there is to say."""
+    """Return a line for each function, or, for a name, the function's signature, description, arguments and result."""
     if not name:
         lines = [f"{each.name}({short_arguments(each.signature)}): {_first_sentence(each.doc)}" for each in functions]
         return "\n".join([_HEAD, *lines])
@@ -29,7 +29,7 @@ def help_text(functions: Sequence[Function], name: str = "") -> str:
 
 
 def signature_of(function: Function) -> str:
-    """As `robot.turn(angle_deg: float, speed: float | None = None) -> {outcome, …}`."""
+    """Return the signature, as in `robot.turn(angle_deg: float, speed: float | None = None) -> {outcome, …}`."""
     shown: list[str] = []
     for name, each in function.signature.parameters.items():
         star = "*" if each.kind is inspect.Parameter.VAR_POSITIONAL else ""
@@ -41,7 +41,7 @@ def signature_of(function: Function) -> str:
 
 
 def _argument(each: inspect.Parameter) -> str:
-    """What is said of an argument; nothing where that is its name alone."""
+    """Return the line of an argument with a description; "" for one without."""
     said = [getattr(one, "description", None) for one in getattr(each.annotation, "__metadata__", ())]
     told = " ".join(one for one in said if isinstance(one, str))
     return f"  {each.name}: {told}" if told else ""
@@ -53,7 +53,7 @@ def _result(function: Function) -> Any:
 
 
 def _result_fields(function: Function) -> list[str]:
-    """The fields of the result, or of the elements of a list, with their types."""
+    """Return the fields of the result, or of the elements of a list, with their types."""
     kind = _result(function)
     element = next((each for each in (kind, *get_args(kind)) if is_dataclass(each)), None)
     if not isinstance(element, type):

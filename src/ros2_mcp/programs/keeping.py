@@ -1,4 +1,4 @@
-"""`ros2_program_save` and `ros2_program_list`: programs that are kept for next time."""
+"""`ros2_program_save` and `ros2_program_list`: programs that are kept for later use."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class ProgramEntry:
     code: str = ""
 
     def summary(self) -> str:
-        """One line: how it is called, and what for."""
+        """Return one line: name, inputs, version and description."""
         inputs = ", ".join(each.name if each.required else f"{each.name}={each.default!r}" for each in self.inputs)
         return f"{named(self.name)}({inputs}), version {self.version}: {quoted(self.description)}"
 
@@ -67,7 +67,7 @@ class ProgramList:
     note: str = ""
 
     def summary(self) -> list[str]:
-        """A line for each, and the code where it was asked for."""
+        """Return a line for each program, and its code if requested."""
         lines = [line for each in self.programs for line in (each.summary(), *each.code.splitlines())]
         return [*(lines or ["No programs are kept."]), *map(quoted, self.mistakes), *([self.note] if self.note else [])]
 
@@ -82,7 +82,7 @@ class ProgramSaved:
     former: str = ""
 
     def summary(self) -> str:
-        """One line."""
+        """Return one line."""
         before = f" The former version is in {named(self.former)}." if self.former else ""
         how = "" if self.done == "removed" else " Run it with its name as program of ros2_program_run."
         return f"{self.done}: {self.program.summary()}.{how}{before}"
@@ -90,7 +90,7 @@ class ProgramSaved:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProgramRequest:
-    """A program to keep or to remove; `inputs` as in the front matter of a prompt."""
+    """A program to keep or to remove. `inputs` are declared as in the front matter of a prompt."""
 
     name: str
     code: str = ""
@@ -101,7 +101,7 @@ class ProgramRequest:
 
 
 async def list_programs(robot: Robot, pattern: str = "", *, with_code: bool = False) -> ProgramList:
-    """The programs whose names match."""
+    """Return the programs whose names match the pattern; "" matches all."""
     kept = programs_of(robot)
     programs, mistakes = await to_thread.run_sync(kept.all)
     chosen = set(names.matching([each.name for each in programs], pattern))
@@ -111,10 +111,10 @@ async def list_programs(robot: Robot, pattern: str = "", *, with_code: bool = Fa
 
 
 async def save_program(robot: Robot, session: Session, programs: Programs, request: ProgramRequest) -> ProgramSaved:
-    """Keeps a program that can be right, or removes one; written into the audit. Nothing runs.
+    """Keep a program that passes the checks, or remove one, and note it in the audit. Nothing runs.
 
     Raises:
-        BadInput: if something in it cannot be right, too.
+        BadInput: for an error in the program, too.
         BadInput, NotFound, BadData, RobotError: as `KeptPrograms.save` and `remove`.
         Refused: under a policy in the mode observe.
     """
@@ -145,7 +145,9 @@ async def save_program(robot: Robot, session: Session, programs: Programs, reque
 
 
 async def _require_sound(programs: Programs, program: KeptProgram) -> None:
-    """Raises `BadInput` as a run would; without a sandbox nothing is known. What a client will give is of any type."""
+    """Raise `BadInput` for errors that would also keep a run from starting. Inputs may be of any type. Without a
+    sandbox, nothing is checked.
+    """
     if not is_installed():
         return
     names = [each.name for each in programs.functions]
@@ -160,14 +162,14 @@ async def _require_sound(programs: Programs, program: KeptProgram) -> None:
 
 
 async def _no_message(_number: int) -> None:
-    """What is only checked follows no topic."""
+    """Do nothing: a program that is only checked follows no topic."""
 
 
 def inputs_of(declared: Sequence[Mapping[str, Any]]) -> tuple[Argument, ...]:
-    """Inputs as a client declares them.
+    """Parse inputs as a client declares them.
 
     Raises:
-        BadInput: naming what is wrong.
+        BadInput: with the first error.
     """
     found: dict[str, Argument] = {}
     for given in declared:
@@ -182,7 +184,7 @@ def inputs_of(declared: Sequence[Mapping[str, Any]]) -> tuple[Argument, ...]:
 
 
 def _as_written(given: Mapping[str, Any]) -> Mapping[str, Any]:
-    """An input as a file would have it, where a default of type json stands as text."""
+    """Return an input as it is written in a file, where a default of type json is a text."""
     default = given.get("default")
     if given.get("type") != "json" or default is None or isinstance(default, str):
         return given

@@ -1,7 +1,7 @@
-"""Kept programs: a folder of Markdown files, each with a program, what it is for and which inputs it takes.
+"""Kept programs: a folder of Markdown files, each with a program, its description and its inputs.
 
-A file is written by `ros2_program_save` or by hand. It has the name of its program, so that it is found without reading
-the others; what a program was before it was replaced stays in the folder `former`.
+A file is written by `ros2_program_save` or by hand. It has the name of its program, so that the program is found
+without reading other files. Former versions are kept in the folder `former`.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from ros2_mcp.robot.kept import Kept
 from ros2_mcp_common.files import replace
 
 FORMER = "former"
-"""The folder, inside the folder of programs, of what was replaced."""
+"""The folder, within the folder of programs, of former versions."""
 MAX_BYTES = 100_000
-"""The longest file that is read; no program that an agent writes comes near it."""
+"""The longest file that is read, far longer than the programs that agents write."""
 MAX_PROGRAMS = 500
-"""More than anybody looks through; to list them takes a second at most."""
+"""More programs than a person reads through; listing them takes a second at most."""
 _MOST_FORMER = 20
-"""Of each program: as many changes as somebody may want to take back."""
+"""The most former versions of each program: as many changes as a user may want to revert."""
 _MOST_DESCRIPTION = 1000
 _KEYS = ("description", "inputs", "version", "saved", "by")
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
@@ -42,7 +42,9 @@ _CODE = re.compile(r"^(?P<fence>`{3,})python[ \t]*\n(?P<code>.*?)^(?P=fence)[ \t
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KeptProgram:
-    """One program. `version` counts from 1; `saved` is ISO 8601, `by` the client that saved it: empty by hand."""
+    """One program. `version` counts from 1. `saved` (ISO 8601) and `by` (the client) are empty if it was written by
+    hand.
+    """
 
     name: str
     description: str
@@ -53,7 +55,7 @@ class KeptProgram:
     by: str = ""
 
     def checked(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """A value for every input: the given one, checked, else the default; text that nobody gives is empty.
+        """Return a value for every input: the given value, checked, or the default. A text without either is empty.
 
         Raises:
             BadInput: for an unknown, missing or wrong input.
@@ -66,7 +68,7 @@ class KeptProgram:
 
 @dataclass(frozen=True, slots=True)
 class Mistake:
-    """A file that is no program: its line, or 0 for the whole, and why."""
+    """A mistake in a file: the line, or 0 for the whole file, and the reason."""
 
     file: str
     line: int
@@ -77,41 +79,41 @@ class Mistake:
 
 
 class KeptPrograms(Kept):
-    """The programs of one folder, read anew each time: people and other servers write there, too."""
+    """The programs of one folder. Files are read anew each time, because people and other servers write there, too."""
 
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder.expanduser() if folder else None
 
     @property
     def folder(self) -> Path | None:
-        """Where they are, or None where none are kept."""
+        """The folder of the programs; None if this server keeps none."""
         return self._folder
 
     def names(self) -> list[str]:
-        """Of every file that may be one."""
+        """Return the names of all files that may be programs."""
         if self._folder is None:
             return []
         names = sorted(path.stem for path in self._folder.glob("*.md") if _NAME.fullmatch(path.stem))
         return [name for name in names if name.lower() != "readme"][:MAX_PROGRAMS]
 
     def all(self) -> tuple[list[KeptProgram], list[Mistake]]:
-        """Every program by name, and what is wrong with the other files."""
+        """Return all programs in the order of their names, and the mistakes in other files."""
         programs: list[KeptProgram] = []
         mistakes: list[Mistake] = []
         for name in self.names():
             found = self._read(name)
             if isinstance(found, KeptProgram):
                 programs.append(found)
-            elif found:  # None: it has gone since
+            elif found:  # None: it was removed meanwhile
                 mistakes.append(found)
         return programs, mistakes
 
     def find(self, name: str) -> KeptProgram:
-        """One by its name.
+        """Return the program of that name.
 
         Raises:
-            NotFound: with the nearest name.
-            BadData: if its file is no program.
+            NotFound: with the most similar name.
+            BadData: if its file is not a valid program.
         """
         found = self._read(name)
         if isinstance(found, KeptProgram):
@@ -122,7 +124,7 @@ class KeptPrograms(Kept):
         raise NotFound(f"There is no kept program {quoted(name)}.", hint)
 
     async def resolve(self, program: str, inputs: Mapping[str, Any]) -> tuple[str, Mapping[str, Any]]:
-        """What shall run, and its inputs: a text that is nothing but a name is that of a kept program.
+        """Return the code to run and its inputs. A text that is only a name is the name of a kept program.
 
         Raises:
             NotFound, BadData: as `find`.
@@ -135,16 +137,16 @@ class KeptPrograms(Kept):
         return kept.code, kept.checked(inputs)
 
     def former_file(self, program: KeptProgram) -> Path:
-        """Where a program is after it was replaced or removed."""
+        """Return the file in which a program is kept after it was replaced or removed."""
         return self._file(program.name).parent / FORMER / f"{program.name}.v{program.version}.md"
 
     def save(self, program: KeptProgram, *, overwrite: bool) -> tuple[KeptProgram, KeptProgram | None]:
-        """Keeps a program; returns it with its version, and the one of that name that it replaces, if there is one.
+        """Keep a program. Return it with its new version, and the program that it replaces, or None.
 
         Raises:
-            BadInput: for a name that cannot be, for inputs that cannot be, or where there is one and not `overwrite`.
-            BadData: if the file of that name is no program.
-            RobotError: if it cannot be written, or no folder is there for it.
+            BadInput: for an invalid name, description or input, or if the name exists and `overwrite` is false.
+            BadData: if the file of that name is not a valid program.
+            RobotError: if the file cannot be written, or this server has no folder for it.
         """
         self._check(program)
         former = self._read(program.name)
@@ -177,7 +179,7 @@ class KeptPrograms(Kept):
         return again, former
 
     def remove(self, name: str) -> KeptProgram:
-        """Moves a program to `former`; raises as `find` and `save`."""
+        """Move a program to the folder `former`. Raises as `find` and `save`."""
         found = self.find(name)
         self._put_away(found)
         return found
@@ -220,7 +222,7 @@ class KeptPrograms(Kept):
         return sorted(int(digits) for path in found if (digits := path.stem.rpartition(".v")[2]).isdigit())
 
     def _put_away(self, program: KeptProgram) -> None:
-        """Moves a file to `former`, and removes the oldest there beyond `_MOST_FORMER`."""
+        """Move a file to the folder `former`, and remove the oldest files there beyond `_MOST_FORMER`."""
         former = self.former_file(program)
         try:
             former.parent.mkdir(exist_ok=True)
@@ -241,12 +243,12 @@ class KeptPrograms(Kept):
 
 
 def programs_of(robot: Robot) -> KeptPrograms:
-    """The kept programs of a robot; none where it was built without a folder for them."""
+    """Return the kept programs of a robot; an empty collection if it was built without a folder."""
     return robot.kept.get(KeptPrograms, lambda: KeptPrograms(None))
 
 
 def parse(where: Path, name: str, text: str) -> KeptProgram | Mistake:
-    """The program in the text of a file of that name, or what is wrong with it."""
+    """Parse the text of a file of that name. Return the program, or its mistake."""
     try:
         front, body, first_line = split(text)
         front.check_keys(_KEYS)
@@ -274,7 +276,7 @@ def _version(front: Entry) -> int:
 
 
 def text_of(program: KeptProgram) -> str:
-    """The file of a program. Texts are written as JSON, which YAML reads."""
+    """Return the text of a program's file. Values in the front matter are JSON, which is also YAML."""
     front = [f"description: {_written(program.description)}"]
     if program.inputs:
         front.append("inputs:")
@@ -290,7 +292,7 @@ def text_of(program: KeptProgram) -> str:
 
 
 def _declared(argument: Argument) -> dict[str, Any]:
-    """What is not left to its default."""
+    """Return the attributes of an argument that differ from their defaults."""
     found: dict[str, Any] = {}
     if argument.description:
         found["description"] = argument.description
@@ -309,5 +311,5 @@ def _written(value: Any) -> str:
 
 
 def _as_text(value: Any) -> str:
-    """A value as an argument of a prompt would write it."""
+    """Return a value as it is written in an argument of a prompt."""
     return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)

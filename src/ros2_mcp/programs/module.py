@@ -1,10 +1,10 @@
-"""All functions that only programs have: a module that declares some is one line here."""
+"""All functions that only programs have. A module that declares some is one line here."""
 
 from collections.abc import Sequence
 
 from ros2_mcp.programs import functions  # isort: split
 
-# What is used most is declared first, and shown first.
+# Functions are shown in the order of declaration: the most used first.
 from ros2_mcp.programs import arrays
 from ros2_mcp.programs.declare import DECLARED, Function, pure
 from ros2_mcp.programs.numbers import NUMBERS
@@ -12,4 +12,4 @@ from ros2_mcp.programs.numbers import NUMBERS
 __all__ = ["FUNCTIONS", "arrays", "functions"]
 
 FUNCTIONS: Sequence[Function] = [*DECLARED, *(pure(name, implementation) for name, implementation in NUMBERS.items())]
-"""In the order in which they are shown; `functions` and `arrays` have declared theirs."""
+"""In the order in which they are shown. Those of `functions` and `arrays` were declared when these were imported."""

@@ -1,4 +1,4 @@
-"""The names of topics and fields that stand in a program, against the robot as it is now."""
+"""Checks the names of topics and fields in a program's text against the current graph."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from ros2_mcp.programs.sandbox import MODULE
 from ros2_mcp.robot import Robot
 
 _READ = frozenset({"latest", "messages", "wait_until", "scan", "picture"})
-"""Functions whose first texts are topics that must be there."""
+"""Functions whose leading text arguments are topics that must exist."""
 
 
 @dataclass(frozen=True, slots=True)
 class Named:
-    """Topics and fields that a call names by texts of its own, with its line."""
+    """The topics and fields that a call names as literal texts, with its line."""
 
     line: int
     topics: Sequence[str]
@@ -28,15 +28,15 @@ class Named:
 
 
 async def require_names(robot: Robot, text: str) -> None:
-    """Raises `BadInput` where a topic is not there, but one of nearly that name is, or its type has no such field.
+    """Raise `BadInput` for a topic that does not exist but has a similar name, or whose type lacks a named field.
 
-    A topic that is near no other may be coming up: its reader waits for it, and says so.
+    A topic unlike any other may appear later: the function that reads it waits for it, and raises its own error.
     """
     if not (found := [one for one in named_in(text) if one.topics]):
         return
     try:
         present = {row.name: row for row in await robot.graph.topics()}
-    except RobotError:  # whoever reads says that there is no robot
+    except RobotError:  # the function that reads raises the error
         return
     for one in found:
         full = [await robot.graph.name_of(topic) for topic in one.topics]
@@ -56,12 +56,12 @@ async def _require_fields(robot: Robot, type_name: str, one: Named) -> None:
         parse_fields(robot.values.definitions, type_name, one.fields)
     except BadValue as error:
         raise BadInput(f"line {one.line}: {error.message}", error.hint) from error
-    except RobotError:  # whoever reads it says what is wrong
+    except RobotError:  # the function that reads it raises the error
         return
 
 
 def named_in(text: str) -> Iterator[Named]:
-    """What the calls of a program name by texts: `robot.latest("/odom", fields=["pose"])`."""
+    """Yield the literal names in the calls of a program, such as `robot.latest("/odom", fields=["pose"])`."""
     tokens = [token for token in tokens_of(text) if token.type not in (tokenize.NL, tokenize.COMMENT)]
     for place in range(len(tokens) - 4):
         module, dot, function, bracket = tokens[place : place + 4]
@@ -82,7 +82,7 @@ def _named(tokens: Sequence[tokenize.TokenInfo], function: tokenize.TokenInfo) -
                 argument, is_first = "", False
         elif token.type == tokenize.NAME and depth == 0 and tokens[place + 1].string == "=":
             argument = token.string
-            if argument == "bag":  # of a recording, whose reader says what is not in it
+            if argument == "bag":  # a recording: the function that reads it checks the names
                 return Named(function.start[0], (), ())
         elif token.type == tokenize.STRING and (value := _text(token.string)):
             if argument == "fields":
@@ -93,7 +93,7 @@ def _named(tokens: Sequence[tokenize.TokenInfo], function: tokenize.TokenInfo) -
 
 
 def _text(literal: str) -> str:
-    """What a plain literal says; nothing for one of bytes, or with fields of its own."""
+    """Return the value of a plain text literal; "" for bytes, f-strings and other prefixed literals."""
     if literal[:1] not in "'\"" or len(literal) > 300:
         return ""
     try:

@@ -1,8 +1,8 @@
-"""Numbers for programs: what one computes on messages, without a library.
+"""Numeric functions for programs, which have no library for them.
 
-Each function of `NUMBERS` stands in the module `robot` under its name there. Values that are no finite number are left
-out, as messages have them: NaN and infinities, also in words ("nan", "inf"), and None. Angles are radians, points and
-quaternions are dicts or messages with x, y, z, w.
+Each function of `NUMBERS` is in the module `robot` under its name there. Values that are not finite numbers are
+ignored: NaN and infinities, also as texts ("nan", "inf"), and None, all of which messages contain. Angles are in rad.
+Points and quaternions are dicts or messages with x, y, z, w.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ def mean_angle(values: Values) -> float:
     """The mean direction; that of pi and -pi is pi, not 0."""
     found = _some(values)
     x, y = math.fsum(map(math.cos, found)), math.fsum(map(math.sin, found))
-    if math.hypot(x, y) < 1e-9 * len(found):  # what rounding leaves of directions that cancel each other
+    if math.hypot(x, y) < 1e-9 * len(found):  # the rounding error of directions that cancel each other
         raise ValueError("these directions have no mean: they cancel each other")
     return normalize_angle(math.atan2(y, x))
 
@@ -116,11 +116,11 @@ NUMBERS: Mapping[str, Callable[..., Any]] = {
     "yaw": yaw,
     "distance": distance,
 }
-"""The name in the module `robot` → the function."""
+"""From the name in the module `robot` to the function."""
 
 
 _WRAPPERS = ("orientation", "rotation", "pose", "transform")
-"""What a quaternion is found under: of an Odometry it is pose.pose.orientation."""
+"""The fields that may contain a quaternion: in an Odometry it is pose.pose.orientation."""
 _POINT_WRAPPERS = ("position", "translation", "point", "pose", "transform")
 
 
@@ -148,7 +148,7 @@ def _quaternion(found: Any) -> Any:
 
 
 def _point(found: Any) -> list[float]:
-    """Two numbers or three: of a list as of a message."""
+    """Return the x, y, z of a point: a list of 2 or 3 numbers, or a message. A missing z is 0."""
     found = _within(found, _POINT_WRAPPERS, "y")
     if isinstance(found, (list, tuple)):
         numbers = [_number(part) for part in cast("Sequence[Any]", found)]
@@ -159,7 +159,7 @@ def _point(found: Any) -> list[float]:
 
 
 def _within(found: Any, wrappers: Sequence[str], part: str) -> Any:
-    """The innermost of what a message wraps: at most three deep, as in an Odometry."""
+    """Return the innermost message that has the field `part`: in an Odometry it is three levels deep."""
     for _ in wrappers:
         if _get(found, part, None) is not None:
             break

@@ -1,7 +1,7 @@
-"""What the system tells of a process: its state, and its processor time, by which one that computes for too long is
-ended, and not by the clock.
+"""The state and the processor time of a process.
 
-On a busy machine a process waits for its turn, and the clock goes on: a program that computes for 0.1 s may need 5 s.
+A program that computes for too long is ended by its processor time, not by the clock: on a busy machine a process waits
+for a processor while the clock runs, so that 0.1 s of computing may take 5 s.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from typing import Any, TypeVar
 T = TypeVar("T")
 
 _SCHEDULED = 2
-"""CPUCLOCK_SCHED of Linux: the clock of what all threads of a process have used (clock_getcpuclockid(3))."""
+"""CPUCLOCK_SCHED of Linux: the clock of the processor time of all threads of a process (clock_getcpuclockid(3))."""
 _LOOK_S = 0.05
-"""The shortest time between two looks: a process that has a millisecond left is not looked at every millisecond."""
+"""The shortest time between two checks, so that a process with a millisecond left is not checked every millisecond."""
 
 
 def processor_s(pid: int) -> float:
-    """The processor time that a process has used, in s. Where the system does not tell that of others, the clock.
+    """Return the processor time that a process has used, in s. Except on Linux: the monotonic clock.
 
     Raises:
         OSError: if there is no such process.
@@ -34,7 +34,9 @@ def processor_s(pid: int) -> float:
 
 
 def state_of(pid: int) -> str:
-    """The state of a process, a letter as in proc_pid_stat(5); "" if there is none, "R" where only that is known."""
+    """Return the state of a process as a letter of proc_pid_stat(5); "" if it has ended. Except on Linux, only "R" or
+    "".
+    """
     if sys.platform != "linux":
         return "R" if _has_not_ended(pid) else ""
     try:
@@ -44,19 +46,19 @@ def state_of(pid: int) -> str:
 
 
 def _has_not_ended(pid: int) -> bool:
-    system: Any = os  # macOS has `waitid` from Python 3.13 on, which its type stubs do not say
+    system: Any = os  # macOS has `waitid` from Python 3.13 on, but not in its type stubs
     if not hasattr(system, "waitid"):
         return True
-    try:  # it is a child of this process; whoever began it waits for its end
+    try:  # it is a child of this process; the code that started it waits for its end
         return system.waitid(system.P_PID, pid, system.WEXITED | system.WNOHANG | system.WNOWAIT) is None
     except OSError:
         return False
 
 
 class ProcessorLimit:
-    """Calls `exceed` once a process has computed for more than `turn_s` in one turn, or `all_s` in all of them (s).
+    """Calls `exceed` when a process has computed for more than `turn_s` in one turn, or `all_s` in all turns (s).
 
-    Only the turns count, which `turn` is told of. `exceeded` is then the limit that was too short.
+    Only computing during `turn` counts. `exceeded` is then the limit that was exceeded, in s; None before.
     """
 
     def __init__(self, pid: int, turn_s: float, all_s: float, exceed: Callable[[], None]) -> None:
@@ -69,7 +71,7 @@ class ProcessorLimit:
         self.exceeded: float | None = None
 
     async def turn(self, step: Awaitable[T]) -> T:
-        """The result of a step in which the process computes, until it waits for us again."""
+        """Await a step in which the process computes until it waits for this server again. Return the result."""
         self._began = self._now()
         self._look_after(min(self._turn_s, self._all_s - self._used_s))
         try:
@@ -77,7 +79,7 @@ class ProcessorLimit:
         finally:
             self._timer.cancel()
             self._used_s += self._now() - self._began
-            if self.exceeded is None and self._used_s >= self._all_s:  # no look falls into turns that are short
+            if self.exceeded is None and self._used_s >= self._all_s:  # short turns end before a check
                 self.exceeded = self._all_s
                 self._exceed()
 
@@ -94,7 +96,7 @@ class ProcessorLimit:
         self._exceed()
 
     def _now(self) -> float:
-        """Its processor time; of a process that has ended nothing more is counted."""
+        """Return the processor time of the process; if it has ended, the time at which the turn began."""
         try:
             return processor_s(self._pid)
         except OSError:

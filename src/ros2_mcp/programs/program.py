@@ -1,4 +1,4 @@
-"""One program as a job: its process, what it asks for, its limits, and the end of all that it has begun."""
+"""A program as a job: its process, its calls, its limits, and the end of everything that it has begun."""
 
 from __future__ import annotations
 
@@ -36,25 +36,27 @@ from ros2_mcp.robot.session import Session
 from ros2_mcp.robot.stops import Accepted
 
 MOST_CALLS = 100_000
-"""Of functions: ten minutes of a loop at 100 Hz that calls once in each turn, and 40,000 more."""
+"""The most calls of functions: ten minutes of a loop at 100 Hz with one call per turn, and 40,000 more."""
 MOST_CALLS_PER_S = 1000
-"""Each costs this process 0.1 ms at least: so ten programs that call without end leave it time for others."""
+"""The most calls per second. Each takes this process at least 0.1 ms, so that ten programs in endless loops leave it
+time for other work.
+"""
 MOST_MESSAGES = 600_000
-"""Ten minutes of 1 kHz: what a program asks for beyond that, it had better ask statistics for."""
+"""The most messages: ten minutes at 1 kHz. For more, statistics are the better tool."""
 MOST_COMMANDS = 12_000
-"""Ten minutes of 20 Hz, as fast as most bases follow."""
+"""The most commands: ten minutes at 20 Hz, which is as fast as most bases follow."""
 MOST_PRINTED = 12_000
-"""Characters that are shown of what it prints: a third of a result."""
+"""The most characters shown of what a program prints."""
 _MOST_PRINTED_IN_ALL = 1_000_000
-"""A program that prints more prints in a circle."""
+"""The most characters that a program may print: more come from an endless loop."""
 _MOST_DONE = 40
-"""Commands that are listed, the first and the last ones; all are counted."""
+"""The most commands that are listed, the first and the last ones; all are counted."""
 _LOOK_S = 0.1
-"""Between two looks whether its process and its bridge are there: a fifth of the time in which a robot has to stop."""
+"""Time between two checks that the process and the bridge live: a fifth of the time in which a robot has to stop."""
 _ASKED_AGAIN_S = 0.2
-"""Between two looks whether a person has answered: they have taken seconds already."""
+"""Time between two checks whether a person has answered, which takes seconds anyway."""
 _MOST_PICTURES = 4
-"""A picture costs a model some 1500 tokens."""
+"""The most pictures of a result: each costs a model about 1500 tokens."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +70,7 @@ class Done:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Programs:
-    """What programs of a server are made of: the functions of the module `robot`, and what can be read from."""
+    """What the programs of a server can use: the functions of the module `robot`, and the sources of messages."""
 
     functions: Sequence[Function]
     store: BagStore
@@ -77,7 +79,7 @@ class Programs:
 
 @dataclass(slots=True, kw_only=True)
 class Record:
-    """What a program has done so far."""
+    """The record of a program so far: its output, counts, commands and result."""
 
     printed: list[str] = field(default_factory=list[str])
     characters: int = 0
@@ -92,7 +94,7 @@ class Record:
     failure: Failure | None = None
 
     def note(self, done: Done) -> None:
-        """Keeps the first and the last commands."""
+        """Add a command. Of many, the first and the last are kept."""
         self.done.append(done)
         if len(self.done) > _MOST_DONE:
             del self.done[_MOST_DONE // 2]
@@ -100,7 +102,7 @@ class Record:
 
 @dataclass(frozen=True, slots=True)
 class _Use:
-    """What one call of a function gets of its program (`declare.Use`)."""
+    """The `declare.Use` of one call: what the function can use on behalf of the program."""
 
     program: Program
     robot: Robot
@@ -144,16 +146,16 @@ class _Use:
 
 
 class Program(Job):
-    """A program that runs in the sandbox; its owner is who asked for it. All that it begins belongs to it and ends
-    with it, whatever ends it: its topics are no longer followed, what it drives gets its zero, its goals are cancelled.
+    """A program that runs in the sandbox. Its owner is the principal who started it.
 
-    `record` is what it has done so far, `waits_for` in words which person's answer it waits for. In a rehearsal it
-    reads, and of what it would do nothing is done.
+    All that the program begins ends with it, whatever ends it: its topics are unsubscribed, its motion is
+    stopped by a zero, its goals are cancelled. `record` is its record so far. `waits_for` says, in words, which
+    approval it waits for. A rehearsal reads, but carries out no command.
     """
 
     kind = "program"
     most_running = 10
-    """Each may take a processor for a while."""
+    """Each may use a processor for a while."""
     stopped_by = "ros2_stop"
 
     def __init__(
@@ -168,7 +170,7 @@ class Program(Job):
         is_rehearsal: bool,
     ) -> None:
         super().__init__(owner=session.principal)
-        self.moves = (self.id,)  # whatever it may move: a stop of everything, and the end of its client, end it
+        self.moves = (self.id,)  # it may move anything, so a stop and the end of its client end it
         self.at_most_s = timeout_s
         self.programs = programs
         self.record = Record()
@@ -186,7 +188,7 @@ class Program(Job):
         self._sandbox = Sandbox([*self._functions], stub(programs.functions), self._next_message, self._help)
 
     async def run(self) -> None:
-        """Checks it, runs it, and ends all that it has begun."""
+        """Check the program, run it, and end everything that it has begun."""
         program = rewritten(self._text)
         try:
             async with self._sandbox.open():
@@ -206,9 +208,9 @@ class Program(Job):
                 self.record.ended += await self.end_own(self.stop_reason or f"the end of {self.id}")
 
     async def _run(self, program: Rewritten) -> Any:
-        """Its value, unless its process dies or its bridge is lost meanwhile, whatever it waits for."""
+        """Run the program and return its value. Raise a `Failure` if its process dies or its bridge is lost."""
         value: Any = None
-        failures: list[Exception] = []  # the first one is raised by itself, and not in the group of a task group
+        failures: list[Exception] = []  # the first one is raised itself, not in an exception group
 
         async def watch(scope: anyio.CancelScope) -> None:
             while not (lost := self._sandbox.died() or self._bridge_lost()):
@@ -229,38 +231,40 @@ class Program(Job):
         return value
 
     def _bridge_lost(self) -> Failure | None:
-        """It ends with the bridge that it began with: the next one would move what this one's death has stopped."""
+        """Return a failure if the bridge with which the program began is lost: its next commands would restart motion
+        that the loss has stopped.
+        """
         graph = self._robot.graph
         if graph.losses == self._losses:
             return None
         return Failure("error", 0, f"BridgeLost: {graph.last_loss}")
 
     def doing(self) -> str:
-        """Its commands so far, and whose answer it waits for."""
+        """Return the number of the program's commands, and the approval that it waits for."""
         told = "rehearsal" if self._is_rehearsal else counted(self.record.commands, "command")
         return f"{told}; {self.waits_for}" if self.waits_for else told
 
     async def end_own(self, reason: str = "its program") -> list[str]:
-        """Ends what it has in motion; in words, what that was. What it begins later is not touched by it."""
+        """End the program's motion. Return what was ended, in words. Later commands of the program are not affected."""
         ended = list(await self._robot.stop_owned(self._principal, reason))
         self._accepted = Accepted(self._accepted.epoch, self._robot.stops.now().ends)
         return ended
 
     async def follow(self, source: Source, wanted: FollowRequest) -> Any:
-        """Follows topics; what stands for their messages in the sandbox."""
+        """Follow topics. Return the object in the sandbox that represents their messages."""
         return self._sandbox.stream(await self.streams.follow(source, wanted))
 
     def follow_goal(self, robot: Robot, goal: Goal | None) -> Any:
-        """Follows the feedback of a goal; what stands for it in the sandbox."""
+        """Follow the feedback of a goal. Return the object in the sandbox that represents it."""
         return self._sandbox.stream(self.streams.follow_goal(robot, goal))
 
     def keep(self, picture: Picture) -> None:
-        """Keeps a picture for the result."""
+        """Add a picture to the result."""
         if len(self.record.pictures) >= _MOST_PICTURES:
             raise BadInput(f"A program hands over at most {_MOST_PICTURES} pictures.")
         self.record.pictures.append(picture)
 
-    # ── what the sandbox asks ──────────────────────────────────────────────────────────────────────────────────
+    # ── calls from the sandbox ─────────────────────────────────────────────────────────────────────────────────
 
     async def _answer(self, name: str, given: Sequence[Any], named: Mapping[str, Any], line: int) -> Any:
         if lost := self._bridge_lost():
@@ -297,7 +301,7 @@ class Program(Job):
         return value[function.unwrapped] if function.unwrapped else value
 
     async def _in_turn(self) -> None:
-        """Holds a program back that calls faster than others can bear beside it."""
+        """Delay a program that calls so often that others would suffer."""
         now = monotonic()
         if now - self._second_began_at >= 1.0:
             self._second_began_at, self._calls_in_second = now, 0
@@ -306,7 +310,7 @@ class Program(Job):
             await asyncio.sleep(self._second_began_at + 1.0 - now)
 
     async def _perform(self, function: Function, arguments: Mapping[str, Any], line: int) -> Any:
-        """Does it; where a person has to approve it, the program waits until one has answered."""
+        """Perform a function. If a person has to approve it, wait for the answer and try again."""
         while True:
             use = _Use(self, self._robot, self._robot.session(self._principal, self._accepted), line)
             try:
@@ -321,7 +325,7 @@ class Program(Job):
                 self.waits_for = ""
 
     async def _rehearse(self, function: Function, arguments: Mapping[str, Any], line: int) -> Any:
-        """Does nothing, and notes what would be done: its result has nothing in it."""
+        """Check a command without carrying it out, and record what would be done. All fields of the result are None."""
         session = self._robot.session(self._principal, self._accepted)
         session.rehearsed = []
         said = ""
@@ -330,7 +334,7 @@ class Program(Job):
                 await function.perform(_Use(self, self._robot, session, line), arguments)
         except Rehearsed:
             pass
-        except RobotError as error:  # it would fail now; what would have been done before may change that
+        except RobotError as error:  # it would fail now; the commands before it might change that
             said = f"would fail now: {error.message}"
         self.record.note(Done(line, function.name, "; ".join(session.rehearsed) or said or "would be done"))
         return dict.fromkeys(getattr(function.signature.return_annotation, "__dataclass_fields__", {}))
@@ -359,7 +363,7 @@ class Program(Job):
 
 
 def _bound(function: Function, given: Sequence[Any], named: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The arguments by name; raises `BadInput` for what the function does not take."""
+    """Return the arguments by name. Raises `BadInput` for arguments that the function does not take."""
     names = [*function.signature.parameters]
     named = {name: value for name, value in named.items() if value is not None or not _means_not_given(function, name)}
     if unknown := [name for name in named if name not in names]:
@@ -374,7 +378,7 @@ def _bound(function: Function, given: Sequence[Any], named: Mapping[str, Any]) -
 
 
 def _means_not_given(function: Function, name: str) -> bool:
-    """Whether None for an argument means that its default is to be taken, as a null does in a call of a tool."""
+    """Return whether None for an argument stands for its default, like null in a call of a tool."""
     each = function.signature.parameters.get(name)
     if each is None or each.default in (each.empty, None):
         return False
@@ -382,7 +386,7 @@ def _means_not_given(function: Function, name: str) -> bool:
 
 
 def _in_words(result: Any) -> str:
-    """What became of a command, on one line."""
+    """Return the outcome of a command in one line."""
     if hasattr(result, "summary"):
         return (lines_of(result.summary()) or [""])[0][:200]
     return ", ".join(map(str, cast("list[Any]", result)))[:200] if isinstance(result, list) else "done"

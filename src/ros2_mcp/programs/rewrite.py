@@ -1,7 +1,7 @@
-"""Programs as the sandbox takes them: it cannot wait for the robot in the middle of a `for` loop, nor has `async for`.
+"""Rewrites programs for the sandbox, which cannot wait for the robot within the iterator of a `for` loop.
 
-So a loop over messages is written as one over a list that grows with every turn, and the next message is asked for in
-the first line of its body, where the sandbox can wait. Lines move by that; `Rewritten.line` leads back.
+A loop over messages becomes a loop over a list that grows with every turn. The first line of its body requests the next
+message: there, the sandbox can wait. `Rewritten.line` maps the shifted line numbers back.
 """
 
 from __future__ import annotations
@@ -45,55 +45,57 @@ def help(about=None):
 _streams = [Messages(number) for number in range({streams})]
 _streams
 """
-"""Runs in the sandbox before the program. Its value are the objects that stand for streams of messages there."""
+"""Runs in the sandbox before the program. Its value is the list of objects that represent streams of messages there."""
 
 _AWAIT = re.compile(r"\bawait[ \t]+(?=robot\.)")
 _ASYNC_FOR = re.compile(r"\basync[ \t]+(?=for\b)")
 _BLANKS = (tokenize.NL, tokenize.COMMENT)
 _DEEPEST = 60
-"""Brackets within brackets, and blocks within blocks: no program that a person reads has as many."""
+"""The deepest nesting of brackets, and of blocks: programs that people can read have less."""
 
 
 @dataclass(frozen=True, slots=True)
 class Rewritten:
-    """A program for the sandbox; `lines` has for each of its lines the number of that of the original."""
+    """A program for the sandbox. `lines` has, for each of its lines, the line number in the original."""
 
     text: str
     lines: Sequence[int]
 
     def line(self, number: int) -> int:
-        """The line of the original, from 1 on; 0 where there is none."""
+        """Return the line in the original, counted from 1; 0 if there is none."""
         return self.lines[number - 1] if 0 < number <= len(self.lines) else 0
 
 
 @dataclass(slots=True)
 class _Edits:
-    """What changes: in a line (from column, to column, new text), and lines that are put before one."""
+    """Edits of a program: within a line (from column, to column, new text), and lines to insert before a line."""
 
     within: dict[int, list[tuple[int, int, str]]] = field(default_factory=dict[int, list[tuple[int, int, str]]])
     before: dict[int, list[str]] = field(default_factory=dict[int, list[str]])
 
     def put(self, at: tuple[int, int], new: str, end: tuple[int, int] | None = None) -> None:
-        """Puts text there, in the place of what stands up to `end` on the same line."""
+        """Insert text at a place, replacing the text up to `end` on the same line."""
         self.within.setdefault(at[0], []).append((at[1], (end or at)[1], new))
 
 
 def without_async(text: str) -> str:
-    """The program without the `await` and `async` that the functions of the robot do not need, and many write."""
+    """Return the program without `await` before functions of the robot and `async` before `for`: models often write
+    them, but they are not needed.
+    """
     return _ASYNC_FOR.sub("", _AWAIT.sub("", text))
 
 
 def rewritten(text: str) -> Rewritten:
-    """The program with its loops written so that they can wait for messages.
+    """Return the program with its loops rewritten so that they can wait for messages.
 
     Raises:
-        BadInput: for what cannot be read as Python at all, with the line.
+        BadInput: with the line, if the text is not Python.
     """
     text = without_async(text)
     lines = text.splitlines(keepends=True)
     tokens = tokens_of(text)
     edits = _Edits()
-    if any(token.string in ("messages", "feedback") for token in tokens):  # else nothing is to be waited for
+    if any(token.string in ("messages", "feedback") for token in tokens):  # otherwise there is nothing to wait for
         _rewrite(tokens, edits)
     out: list[str] = []
     numbers: list[int] = []
@@ -108,7 +110,7 @@ def rewritten(text: str) -> Rewritten:
 
 
 def tokens_of(text: str) -> list[tokenize.TokenInfo]:
-    """The tokens of a program; raises `BadInput` with the line where it is no Python, or nested beyond all measure."""
+    """Return the tokens of a program. Raises `BadInput` with the line if it is not Python, or nested too deep."""
     depth = blocks = 0
     found: list[tokenize.TokenInfo] = []
     try:
@@ -128,7 +130,7 @@ def tokens_of(text: str) -> list[tokenize.TokenInfo]:
 
 
 def _rewrite(tokens: Sequence[tokenize.TokenInfo], edits: _Edits) -> None:
-    """Of each `for` the iterable is wrapped, and the first line of its body fetches the message."""
+    """Wrap the iterable of each `for`, and fetch the message in the first line of its body."""
     depth, begins = 0, True
     for place, token in enumerate(tokens):
         if token.type == tokenize.OP:
@@ -143,7 +145,7 @@ def _rewrite(tokens: Sequence[tokenize.TokenInfo], edits: _Edits) -> None:
 
 
 def _rewrite_loop(tokens: Sequence[tokenize.TokenInfo], start: int, edits: _Edits) -> None:
-    """A statement. At the end of the messages its list grows no more, so that an `else` of it is reached."""
+    """Rewrite a `for` statement. After the last message its list stops growing, so that an `else` is still reached."""
     within, end = _parts(tokens, start, (":",))
     after = [token for token in tokens[end + 1 :][:64] if token.type not in _BLANKS][:2]
     if not within or not end or len(after) < 2 or tokens[within].end[0] != tokens[start].start[0]:
@@ -162,12 +164,12 @@ def _rewrite_loop(tokens: Sequence[tokenize.TokenInfo], start: int, edits: _Edit
     edits.put(tokens[end].start, "))")
     if is_block:
         edits.before.setdefault(after[1].end[0], []).extend(fetching)
-    else:  # its body stands on the same line
+    else:  # the body is on the same line
         edits.put(tokens[end].end, "".join(["\n", *fetching, indent]), after[0].start)
 
 
 def _parts(tokens: Sequence[tokenize.TokenInfo], start: int, ends: Sequence[str]) -> tuple[int, int]:
-    """The places of `in`, and of what ends the iterable; 0 where there is none."""
+    """Return the indices of the token `in` and of the token that ends the iterable; 0 for one that is missing."""
     depth = within = 0
     for place in range(start + 1, len(tokens)):
         token = tokens[place]
@@ -190,5 +192,5 @@ def _rewrite_comprehension(tokens: Sequence[tokenize.TokenInfo], start: int, edi
 
 
 def _text(tokens: Sequence[tokenize.TokenInfo]) -> str:
-    """A target as it is written, on one line."""
+    """Return the source of a loop's target, on one line."""
     return "".join(f" {token.string}" for token in tokens if token.type not in (tokenize.NL, tokenize.COMMENT)).strip()

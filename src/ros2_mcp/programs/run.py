@@ -1,4 +1,4 @@
-"""Running a program, and what there is to be told of it."""
+"""Runs a program, and reports its result."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from ros2_mcp.robot import Robot
 from ros2_mcp.robot.session import Session
 
 MOST_CHARACTERS = 20_000
-"""Of a program: ten times what a task needs; what is longer is no program that somebody reads."""
+"""The longest program: ten times what a task needs."""
 _MOST_TOLD = 5
-"""Sentences of functions about what they gave."""
+"""The most notes from functions about their results."""
 MOST_VALUE = 12_000
-"""Characters of JSON of what a program gives, and of what it is given."""
+"""The most characters of JSON of a program's value, and of its inputs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,13 +60,13 @@ class Ran(WithPictures):
 
     @property
     def has_failed(self) -> bool:
-        """Whether it did not come to its end; a stop is no failure."""
+        """Whether the program failed; a stop is not a failure."""
         return self.outcome in ("failed", "limit", "crashed")
 
     def summary(self) -> str:
-        """One line."""
+        """Return one line: the outcome, the error, the time, and the counts of calls and commands."""
         why = ""
-        if self.error:  # of a program it may have what it read of the robot
+        if self.error:  # an error of the program may contain texts from the robot
             message = quoted(self.error.message) if self.outcome == "failed" else self.error.message
             why = f" at line {self.error.line}: {message}" if self.error.line else f": {message}"
         did = f"{counted(self.calls, 'call')}, {counted(self.commands_given, 'command')}"
@@ -84,12 +84,13 @@ async def run(
     *,
     dry_run: bool = False,
 ) -> Ran:
-    """Runs a program to its end, and tells of it; what it prints is progress meanwhile. A dry run reads, and does
-    nothing: it tells what would be done.
+    """Run a program to its end, and return the report. Its output is reported as progress.
+
+    A dry run reads, but carries out no command: it reports what would be done.
 
     Raises:
-        BadInput: if it is no program, or something in it cannot be right; nothing was run.
-        Refused: if too many run.
+        BadInput: if the program cannot be run, or is certainly wrong; nothing was run.
+        Refused: if too many programs are running.
     """
     given = _checked_inputs(inputs or {})
     if len(text) > MOST_CHARACTERS:
@@ -170,7 +171,7 @@ def _returned(record: Record) -> tuple[Mapping[str, Any] | None, str]:
 
 
 def _checked_inputs(inputs: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Raises `BadInput` for a name that is none, or for too much."""
+    """Return the inputs. Raises `BadInput` for an invalid name, or if they are too large."""
     for name in inputs:
         if not name.isidentifier() or name.startswith("_"):
             raise BadInput(f"inputs: {name!r} is not a valid name in a program.", "Use letters, such as topic.")

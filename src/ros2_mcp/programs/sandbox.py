@@ -1,9 +1,9 @@
-"""The sandbox: a process of pydantic-monty for each program, which has no files, no network and no robot of its own.
+"""The sandbox: a process of pydantic-monty for each program, without files, network or its own access to the robot.
 
-The program runs there until it calls a function of the module `robot`; that call comes here, as a question with a line,
-and the program stands still until it is answered. So nothing of a program runs in this process, and it can do nothing
-but ask. Its check, before it, has another process. No process serves two programs: what one has done to it, no other
-meets, and an idle server has none.
+When the program calls a function of the module `robot`, the call comes to this process as a question with a line
+number, and the program waits for the answer. So no code of a program runs in this process, and a program can only ask.
+Its type check, before it runs, uses another process. No process serves two programs, so none affects another one; an
+idle server has no such process.
 """
 
 from __future__ import annotations
@@ -32,39 +32,45 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 MODULE = "robot"
-"""What programs import."""
+"""The module that programs import."""
 LONGEST_S = 600.0
-"""No program runs longer."""
+"""The longest run of a program, in s."""
 MEMORY_BYTES = 64_000_000
-"""Of the program's values: a hundred thousand messages of a scan's size; the process itself takes 11 MB."""
+"""The memory for a program's values: a hundred thousand messages of a scan's size. The process itself takes 11 MB."""
 CPU_S = 60.0
-"""Processor time of one program, waiting not counted: six hours of reacting to 100 Hz take less."""
+"""Processor time of one program in s, waiting excluded: enough for six hours of reacting at 100 Hz."""
 TURN_S = 5.0
-"""Processor time between two calls: what computes longer reacts to nothing, and holds a processor of the robot."""
+"""Processor time between two calls, in s: a program that computes for longer does not react, and occupies a processor
+of the robot.
+"""
 CHECK_S = 5.0
-"""Processor time of the check of types: that of the longest program takes 0.2 s."""
+"""Processor time of the type check, in s: that of the longest program takes 0.2 s."""
 CHECK_WITHIN_S = 40.0
-"""On the clock: below the 50 s of a call. Only a machine with far more work than processors needs so long."""
+"""Time limit of the type check by the clock, in s: less than the 50 s of a call. Only a heavily overloaded machine
+needs so long.
+"""
 DEEPEST_CALLS = 200
-"""Functions that have called each other."""
+"""The deepest recursion of functions."""
 STREAMS = 16
-"""Topics that a program can follow one beside the other: more than a task has."""
+"""The most topics that a program can follow at the same time: more than a task needs."""
 _MOST_SUSPENSIONS = 10_000_000
-"""The sandbox's own count of calls is not used: `Limits` of the program counts what each call is."""
+"""Practically no limit: `Program` counts the calls itself, by what they do."""
 _NICE = 5
-"""How far a program stands back behind the server, which the bridge waits for, where both want the processor."""
+"""The nice value of a program's process: the server, for which the bridge waits, takes precedence."""
 _SHORTEST_SLEEP_S = 0.001
-"""A program that sleeps for no time in a circle would take as much of the server's processor as of its own."""
+"""The shortest sleep: a program that sleeps for 0 s in a loop would take as much processor time here as in its own
+process.
+"""
 _SLEEPS = ("system.sleep", "asyncio.sleep", "time.sleep", "sleep")
 _GATE = "_checked"
-"""The module that the text is made to import first: who asks for it has passed the check."""
+"""The module that the checked text imports first: when it is requested, the program has passed the type check."""
 _PLACE = re.compile(r"^main\.py:(\d+):\d+: (\w+)\[([\w-]+)\] (.*)$")
 
 
 class Failure(Exception):
-    """A program that has not come to its end: an error of its own, a limit, a stop, or the death of its process.
+    """The early end of a program: an error of its own, a limit, a stop, or the death of its process.
 
-    `kind` is `error`, `limit`, `stopped` or `crash`; `line` that of the program, 0 where there is none.
+    `kind` is `error`, `limit`, `stopped` or `crash`. `line` is the line in the program, 0 if there is none.
     """
 
     def __init__(self, kind: str, line: int, message: str) -> None:
@@ -76,7 +82,7 @@ class Failure(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What the check of types says of a line."""
+    """A finding of the type check about a line."""
 
     line: int
     rule: str
@@ -84,20 +90,20 @@ class Finding:
 
 
 Answer = Callable[[str, Sequence[Any], Mapping[str, Any], int], Awaitable[Any]]
-"""Answers a call of a function of the module: its name, positional and named arguments, and the line that calls."""
+"""Answers a call of a function of the module: its name, positional and named arguments, and the line of the call."""
 
 
 def is_installed() -> bool:
-    """Whether there is a sandbox: it comes with the extra `programs`."""
+    """Return whether the sandbox is installed: it comes with the extra `programs`."""
     return importlib.util.find_spec("pydantic_monty") is not None
 
 
 class Sandbox:
     """The process of one program, while it is `open`.
 
-    `names` are the functions of the module `robot`, `stubs` says of what types they are. `next_message` gives the next
-    message of a stream by its number, None at its end; `help_text` what `help(…)` prints of a function by its name, or
-    of all of them.
+    `names` are the functions of the module `robot`, `stubs` their types. `next_message` returns the next message of a
+    stream by its number, None at its end. `help_text` returns the text of `help(…)` for a function by its name, or for
+    all functions.
     """
 
     def __init__(
@@ -118,25 +124,27 @@ class Sandbox:
 
     @asynccontextmanager
     async def open(self) -> AsyncGenerator[Sandbox, None]:
-        """While it is entered there is a process, anew for check and run; each is killed at its end."""
+        """Within this context there is a process: a new one for the check and for the run, each killed at its end."""
         from pydantic_monty import AsyncMonty
 
         async with AsyncMonty(
             min_processes=1,
             max_processes=1,
-            feed_duration_limit_grace=None,  # these two end the process by the clock, however little it has computed
+            feed_duration_limit_grace=None,  # these two end the process by the clock, not by its processor time
             turn_duration_limit_grace=None,
         ) as self._pool:
             yield self
 
     def kill(self) -> None:
-        """Ends the process at once, if it runs."""
+        """Kill the process, if there is one."""
         if self._pid is not None:
             with suppress(OSError):
                 os.kill(self._pid, signal.SIGKILL if sys.platform != "win32" else signal.SIGTERM)
 
     def died(self) -> Failure | None:
-        """Why its process cannot go on, where nothing here has ended it: it has died, or was stopped (SIGSTOP)."""
+        """Return why the process cannot go on: it has died, or was stopped (SIGSTOP). None if it runs, or a limit has
+        ended it.
+        """
         if self._pid is None or (self._limit and self._limit.exceeded is not None):
             return None
         state = state_of(self._pid)
@@ -147,10 +155,10 @@ class Sandbox:
         return None
 
     async def check(self, text: str, inputs: Mapping[str, Any]) -> list[Finding]:
-        """What the check of types says of a program, which does not run: it is let go at its first line.
+        """Return the findings of the type check. The program does not run: it is abandoned at its first line.
 
         Raises:
-            Failure: if it does not come to its end.
+            Failure: if the check does not end.
         """
         from pydantic_monty import (
             AsyncFunctionSnapshot,
@@ -179,7 +187,7 @@ class Sandbox:
         except MontyTypingError as error:
             return _findings(error.display())
         except MontyRuntimeError:
-            return []  # what is wrong at run time is said there
+            return []  # the run reports run-time errors
         except MontyCrashedError as error:
             if self._limit and self._limit.exceeded is not None:
                 raise Failure("limit", 0, f"its check took more than {CHECK_S:g} s of computing") from None
@@ -192,10 +200,10 @@ class Sandbox:
     async def run(
         self, program: Rewritten, inputs: Mapping[str, Any], answer: Answer, printed: Callable[[str], None]
     ) -> Any:
-        """Runs a program to its end; its value is that of its last line, if that is an expression.
+        """Run a program to its end. Return the value of its last line, if that is an expression.
 
         Raises:
-            Failure: if it does not come to its end; also as `answer` raises it, which nothing in the program catches.
+            Failure: if it does not reach its end. A `Failure` of `answer` cannot be caught by the program.
         """
         from pydantic_monty import ExternalModule, MontyCrashedError, MontyError, MontyRuntimeError, MontySyntaxError
 
@@ -220,10 +228,10 @@ class Sandbox:
                 raise Failure("error", 0, _first_line(str(error))) from None
 
     def stream(self, number: int) -> Any:
-        """What stands for a stream of messages in the sandbox."""
+        """Return the object in the sandbox that represents a stream of messages."""
         return self._streams[number]
 
-    # ── one step after the other ───────────────────────────────────────────────────────────────────────────────
+    # ── steps of a program ─────────────────────────────────────────────────────────────────────────────────────
 
     async def _drive(self, snapshot: AsyncSnapshot, program: Rewritten, answer: Answer) -> Any:
         from pydantic_monty import AsyncFunctionSnapshot, MontyComplete
@@ -247,7 +255,7 @@ class Sandbox:
                     line = program.line(source.count(b"\n", 0, snapshot.position.start) + 1)
                     self._last_call = line
                     value = await answer(name.removeprefix(f"{MODULE}."), snapshot.args, snapshot.kwargs, line)
-            except BridgeLost as error:  # nothing in the program catches it: its next call would start to move again
+            except BridgeLost as error:  # the program must not catch it: its next call would restart motion
                 raise Failure("error", self._last_call, f"BridgeLost: {error.message}") from error
             except RobotError as error:
                 snapshot = await self._turn(snapshot.resume({"exception": in_program(error)}))
@@ -256,19 +264,19 @@ class Sandbox:
         return snapshot.output
 
     async def _system(self, snapshot: Any, name: str) -> AsyncSnapshot:
-        """What the sandbox asks its host for: imports and waiting; all else it has not."""
+        """Answer a system call of the sandbox: only imports and sleeping are supported."""
         if name.startswith("import"):
             return await self._turn(snapshot.resume_auto())
         if name in _SLEEPS:
             seconds = snapshot.args[0] if snapshot.args else 0.0
-            with suppress(TypeError, ValueError, OverflowError):  # it says itself what is no time
+            with suppress(TypeError, ValueError, OverflowError):  # the sandbox reports an invalid time itself
                 await asyncio.sleep(max(_SHORTEST_SLEEP_S, min(float(seconds), LONGEST_S)))
             given = snapshot.args[1] if len(snapshot.args) > 1 else None
             return await self._turn(snapshot.resume({"return_value": given}))
         return await self._turn(snapshot.resume_not_handled())
 
     async def _turn(self, step: Awaitable[T]) -> T:
-        """The result of a step in which the sandbox computes, within the limits of its processor time."""
+        """Await a step in which the sandbox computes, within the limits of its processor time."""
         return await (self._limit.turn(step) if self._limit else step)
 
     def _computed_too_long(self, limit_s: float) -> Failure:
@@ -284,11 +292,11 @@ class Sandbox:
 
     @asynccontextmanager
     async def _session(self, turn_s: float, all_s: float, **options: Any) -> AsyncGenerator[AsyncMontySession, None]:
-        """A session with its limits of processor time (s). The limits of the sandbox go by the clock, also while the
-        machine does not run its process: they are not used.
+        """A session with limits of processor time, in s. The sandbox's own limits are not used: they go by the clock,
+        even while the machine does not run its process.
 
-        The process is killed first at the end, which else waits for an answer of it: one that is not run gives none.
-        The next session begins with a new one, after 4 ms.
+        At the end the process is killed first: otherwise closing would wait for an answer, which a stopped process
+        never gives. The next session begins with a new process, within 4 ms.
         """
         limits: ResourceLimits = {
             "max_memory": MEMORY_BYTES,
@@ -312,7 +320,7 @@ class Sandbox:
 
 
 def in_program(error: RobotError) -> Exception:
-    """The exception of Python that a program can catch, with the words of the error and its kind."""
+    """Return the Python exception that a program can catch, with the text of the error."""
     from ros2_mcp.model import errors
 
     kinds: Sequence[tuple[type[RobotError], type[Exception]]] = (
@@ -327,12 +335,12 @@ def in_program(error: RobotError) -> Exception:
 
 
 def _never(*_: Any, **__: Any) -> None:
-    """Stands for a function in the module; each call of one is answered by `_drive`, and never comes here."""
+    """Never called: it represents a function in the module, whose calls `_drive` answers."""
     raise AssertionError("a function of the sandbox was called in this process")
 
 
 def _dropped(_stream: str, _text: str) -> None:
-    """What a program prints that is only checked."""
+    """Drop the output of a program that is only checked."""
 
 
 def _pass_on(printed: Callable[[str], None], _stream: str, text: str) -> None:
@@ -348,7 +356,7 @@ def _crash(error: Exception) -> Failure:
 
 
 def _failure(error: Any, program: Rewritten) -> Failure:
-    """Why a program ended early, with its own line."""
+    """Return the failure of a program that ended early, with the line in its original text."""
     message = _first_line(error.display("type-msg"))
     frames = error.traceback()
     own = [frame for frame in frames if frame.filename != "<python-input-0>"]
@@ -358,6 +366,6 @@ def _failure(error: Any, program: Rewritten) -> Failure:
 
 
 def _findings(text: str) -> list[Finding]:
-    """The lines of the check; those of the program count from 1, without the one that was put before it."""
+    """Return the findings of the type check. Lines count from 1, without the line that was put before the program."""
     found = [_PLACE.match(line) for line in text.splitlines()]
     return [Finding(int(one[1]) - 1, one[3], one[4]) for one in found if one and one[2] == "error"]

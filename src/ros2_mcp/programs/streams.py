@@ -1,4 +1,6 @@
-"""The topics that a program follows, live or recorded: every message at its rate, kept until it is asked for."""
+"""The topics that a program follows, live or recorded: messages are kept at full rate until the program
+requests them.
+"""
 
 from __future__ import annotations
 
@@ -28,20 +30,24 @@ if TYPE_CHECKING:
     from ros2_mcp.values.render import RenderOptions
 
 MOST_WAITING = 1000
-"""Messages of one topic that wait for the program: ten seconds of 100 Hz. Live the oldest are dropped, and counted."""
+"""The most messages of one topic that wait for the program: ten seconds at 100 Hz. Of a live topic the oldest are
+dropped, and counted.
+"""
 MOST_WAITING_BYTES = 16_000_000
-"""The same in bytes: five raw camera pictures."""
+"""The same limit in bytes: five raw camera images."""
 MOST_BYTES = 2_000_000
-"""Of one message that is given whole: of what is larger, the large arrays stay here, and stand in it as references."""
+"""The largest message that is passed whole. Of a larger one, the large arrays stay in this process, and the program
+gets references.
+"""
 _LARGE_ARRAY = 10_000
-"""Elements of an array that stays here, of a message that is larger than that."""
+"""The least number of elements of an array that stays in this process, in a message larger than that."""
 MOST_STREAMS = 16
-"""Followed at the same time; `sandbox.STREAMS` objects stand for them."""
+"""The most streams at the same time; `sandbox.STREAMS` objects represent them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FollowRequest:
-    """What a program follows, and how: `fields` as in `ros2_topic_subscribe`, `count` messages at most, every n-th."""
+    """What to follow: `fields` as in `ros2_topic_subscribe`; at most `count` messages; every `every_n`-th message."""
 
     topics: Sequence[str]
     fields: Sequence[str] = ()
@@ -50,10 +56,10 @@ class FollowRequest:
 
 
 class Followed:
-    """One topic or several, followed until `close`.
+    """One or several topics, followed until `close`.
 
-    Live, messages wait in the order of their receipt, `keep` of each topic; of a recording they are read as the
-    program asks for them, of several topics in the order of their times.
+    Live messages wait in the order of receipt, at most `keep` of each topic. Those of a recording are read when the
+    program requests them, with the topics merged by time.
     """
 
     def __init__(
@@ -76,7 +82,7 @@ class Followed:
         self._tasks = [asyncio.create_task(self._follow(topic, limit)) for topic in self._topics]
 
     async def opened(self) -> None:
-        """Returns when every topic is followed; raises as `Source.follow` if one cannot be."""
+        """Wait until every topic is followed. Raises as `Source.follow` if one cannot be."""
         while not all(topic.stream or topic.is_over for topic in self._topics):
             await self._wait(math.inf)
         for topic in self._topics:
@@ -84,11 +90,11 @@ class Followed:
                 raise topic.error
 
     async def next(self, timeout_s: float = math.inf) -> dict[str, Any] | None:
-        """The next message, None where there are no more; waits for it as long as the source lasts.
+        """Return the next message, or None after the last one. Waits as long as the source lasts.
 
         Raises:
-            TimedOut: if none came in that time.
-            RobotError: what ended the following of a topic.
+            TimedOut: if no message came in that time.
+            RobotError: the error that ended a topic.
         """
         if self._wanted.count is not None and self._given >= self._wanted.count:
             return None
@@ -108,7 +114,7 @@ class Followed:
         return await self._told(topic, sample)
 
     async def newest(self, timeout_s: float) -> dict[str, Any]:
-        """The newest message that has come, which stays; raises as `next`."""
+        """Return the newest message, without removing it. Raises as `next`."""
         deadline = monotonic() + timeout_s
         topic = self._topics[0]
         while topic.last is None:
@@ -122,7 +128,7 @@ class Followed:
         return await self._told(topic, topic.last)
 
     async def close(self) -> None:
-        """Ends its subscriptions."""
+        """End the subscriptions."""
         for task in self._tasks:
             task.cancel()
         if self._tasks:
@@ -149,7 +155,7 @@ class Followed:
             self._changed.set()
 
     def _ready(self) -> _Topic | None:
-        """The topic whose message is the next one; None as long as that is not known."""
+        """Return the topic with the next message; None while that is unknown."""
         if not self._source.is_live and any(not each.waiting and not each.is_over for each in self._topics):
             return None
         waiting = [each for each in self._topics if each.waiting]
@@ -161,7 +167,9 @@ class Followed:
             await asyncio.wait_for(self._changed.wait(), None if timeout_s == math.inf else timeout_s)
 
     async def _told(self, topic: _Topic, sample: Sample) -> dict[str, Any]:
-        """A message as the program gets it: its fields, or those that it asked for, and what is to be known of it."""
+        """Return a message as the program gets it: its fields, or the requested ones, and `_topic`, `_time` and the
+        like.
+        """
         stream = topic.stream
         assert stream
         value = await aside(len(sample.data), _values, stream, sample, tuple(self._wanted.fields), self._held)
@@ -176,7 +184,7 @@ class Followed:
 
 
 class FollowedGoal:
-    """The feedback of one goal that was sent, until it has ended; none of a goal that nobody took."""
+    """The feedback of one goal until the goal has ended; empty if no server accepted the goal."""
 
     def __init__(self, robot: Robot, goal: Goal | None) -> None:
         self._waiting: deque[dict[str, Any]] = deque(maxlen=MOST_WAITING)
@@ -190,7 +198,9 @@ class FollowedGoal:
         self._changed.set()
 
     async def next(self) -> dict[str, Any] | None:
-        """The next feedback, None when the goal has ended; raises `NotFound` if its server left."""
+        """Return the next feedback, or None when the goal has ended. Raises `NotFound` if the action server
+        has left.
+        """
         while not self._waiting:
             if not self._task:
                 return None
@@ -202,16 +212,16 @@ class FollowedGoal:
         return self._waiting.popleft()
 
     async def close(self) -> None:
-        """Follows it no more; the goal goes on."""
+        """Stop following; the goal itself continues."""
         if self._task:
             self._task.cancel()
             await asyncio.wait({self._task})
             if not self._task.cancelled():
-                self._task.exception()  # which nobody asks for any more
+                self._task.exception()  # retrieved, so that asyncio does not log it
 
 
 class _Topic:
-    """One followed topic: the samples that wait, the last one, and what became of others."""
+    """One followed topic: its waiting samples, the last one, and the number of dropped ones."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -224,19 +234,19 @@ class _Topic:
         self._bytes = 0
 
     def check(self, fields: Sequence[str]) -> None:
-        """Raises `BadValue` if its type has no such field."""
+        """Raise `BadValue` if the type of the topic lacks a field."""
         if fields and self.stream:
             from ros2_mcp.values.select import parse_fields
 
             parse_fields(self.stream.codec.definitions, self.stream.type, fields)
 
     def is_full(self, keep: int) -> bool:
-        """Whether another one would displace one that waits."""
+        """Return whether another sample would displace a waiting one."""
         return len(self.waiting) >= keep or (bool(self.waiting) and self._bytes > MOST_WAITING_BYTES)
 
     def put(self, sample: Sample, keep: int) -> None:
         self.last = sample
-        if keep <= 1:  # only the last one is asked for
+        if keep <= 1:  # only the last one is needed
             return
         while self.is_full(keep):
             self._bytes -= len(self.waiting.popleft().data)
@@ -251,7 +261,7 @@ class _Topic:
 
 
 class Streams:
-    """All that one program follows, and the large arrays of its messages; closed with it."""
+    """All topics that one program follows, and the large arrays of its messages; closed together with the program."""
 
     def __init__(self) -> None:
         self.held = Held()
@@ -260,10 +270,10 @@ class Streams:
         self._count = 0
 
     async def follow(self, source: Source, wanted: FollowRequest) -> int:
-        """Follows topics from now on; the number by which `next` asks for them.
+        """Begin to follow topics. Return the number with which `next` gets their messages.
 
         Raises:
-            Refused: if it follows too many already.
+            Refused: if the program follows too many topics already.
             RobotError: as `Source.follow`.
         """
         number = self._free()
@@ -274,7 +284,7 @@ class Streams:
         return number
 
     def follow_goal(self, robot: Robot, goal: Goal | None) -> int:
-        """Follows the feedback of a goal; the number by which `next` asks for it. Raises `Refused` as `follow`."""
+        """Begin to follow the feedback of a goal. Return the number for `next`. Raises `Refused` as `follow`."""
         number = self._free()
         self._followed[number] = FollowedGoal(robot, goal)
         return number
@@ -287,7 +297,7 @@ class Streams:
         return next(number for number in range(MOST_STREAMS) if number not in self._followed)
 
     async def next(self, number: int) -> dict[str, Any] | None:
-        """The next message of one, None at its end, with which it is closed; raises as `Followed.next`."""
+        """Return the next message of a stream, or None at its end, which closes it. Raises as `Followed.next`."""
         if (followed := self._followed.get(number)) is None:
             return None
         message = await followed.next()
@@ -297,7 +307,9 @@ class Streams:
         return message
 
     async def latest(self, source: Source, topic: str, fields: Sequence[str], timeout_s: float) -> dict[str, Any]:
-        """The newest message of a topic; it is followed from the first time on. Raises as `Followed.newest`."""
+        """Return the newest message of a topic, which is followed from the first call on. Raises as
+        `Followed.newest`.
+        """
         key = _name_in(source, topic), tuple(fields)
         followed = self._latest.get(key)
         if followed is None:
@@ -313,19 +325,21 @@ class Streams:
             raise
 
     async def close(self) -> None:
-        """Ends all."""
+        """Close all streams."""
         followed = [*self._followed.values(), *self._latest.values()]
         self._followed, self._latest = {}, {}
         await asyncio.gather(*(each.close() for each in followed), return_exceptions=True)
 
 
 def _name_in(source: Source, topic: str) -> str:
-    """The name of a topic, which a recording has as it stands there; raises `BadName` where ROS allows none such."""
+    """Return the absolute name of a live topic; that of a recorded topic as it is. Raises `BadName` for an invalid
+    name.
+    """
     return names.absolute(topic) if source.is_live else topic.strip()
 
 
 def _values(stream: Stream, sample: Sample, fields: tuple[str, ...], held: Held) -> dict[str, Any]:
-    """A message as a program gets it; raises `Refused` for one that is too large even without its large arrays."""
+    """Return a message as a program gets it. Raises `Refused` if it is too large even without its large arrays."""
     from ros2_mcp.values.render import RenderOptions, render
 
     size = len(sample.data)

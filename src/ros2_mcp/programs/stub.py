@@ -1,4 +1,4 @@
-"""The module `robot` in words: a typed stub for the check of types, and a short form for who writes programs."""
+"""The module `robot` as text: a typed stub for the type check, and a short form for the authors of programs."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Messages:
 
 
 _OF_RECORDINGS = ("bag", "start", "end")
-"""Arguments of whatever can read a recording: the first one stands for all in the short form."""
+"""Arguments of functions that can read recordings: in the short form the first one represents all."""
 _SAID_ELSEWHERE = frozenset(
     {
         "topic_name",
@@ -51,15 +51,15 @@ _SAID_ELSEWHERE = frozenset(
 _TOOLS = "The tools, with all their arguments (here what must be given):"
 _NUMBER = " → float"
 _MOST_FIELDS = 3
-"""Of a result in the short form; the check of types knows all, and names the nearest."""
+"""The most fields of a result in the short form. The type check knows all, and suggests the most similar name."""
 
 
 class Stream:
-    """What `messages` gives: the program iterates over it."""
+    """The type of the result of `messages`, over which the program iterates."""
 
 
 def stub(functions: Sequence[Function]) -> str:
-    """The whole stub, as the check of types reads it: results are typed to their last field."""
+    """Return the complete stub for the type check; results are typed to their last field."""
     classes: dict[str, str] = {}
     lines = [
         f"def {each.name}({_arguments(each.signature, classes)}) -> {_result(each, classes)}: ..." for each in functions
@@ -68,9 +68,11 @@ def stub(functions: Sequence[Function]) -> str:
 
 
 def short(functions: Sequence[Function]) -> str:
-    """The functions as a model reads them: those that only programs have a line each, with arguments and the fields of
-    the result, but numbers of values in one line; of those that are tools, what must be given. The whole is a part of
-    a description, of which some clients show no more than 2,048 characters.
+    """Return the functions in the short form that models read.
+
+    Functions that only programs have get a line each, with arguments and the fields of the result; those that return
+    one number share a line; of tools, the required arguments are listed. All of it is part of a description, of which
+    some clients show only 2,048 characters.
     """
     own: list[str] = []
     numbers: list[str] = []
@@ -89,9 +91,9 @@ def _arguments(signature: inspect.Signature, classes: dict[str, str]) -> str:
     shown: list[str] = []
     for name, each in signature.parameters.items():
         star = "*" if each.kind is inspect.Parameter.VAR_POSITIONAL else ""
-        # A result, which is a TypedDict, is no dict[str, Any] to the check of types.
+        # To the type checker a result, which is a TypedDict, is not a dict[str, Any].
         kind, default = _type(each.annotation, classes).replace("dict[str, Any]", "Mapping[str, Any]"), ""
-        if each.default is not inspect.Parameter.empty:  # None means there that it is not given
+        if each.default is not inspect.Parameter.empty:  # None means "not given" there
             kind, default = kind if kind in ("Any", "None") or kind.endswith("| None") else f"{kind} | None", " = ..."
         shown.append(f"{star}{name}: {kind}{default}")
     return ", ".join(shown)
@@ -105,7 +107,7 @@ def _result(function: Function, classes: dict[str, str]) -> str:
 
 
 def _type(kind: Any, classes: dict[str, str]) -> str:
-    """A type of ours as one of the stub; what is a class of data becomes a typed dictionary."""
+    """Return a Python type as a type of the stub. A dataclass becomes a TypedDict."""
     if kind in _PLAIN:
         return _PLAIN[kind]
     origin, arguments = get_origin(kind), get_args(kind)
@@ -128,7 +130,7 @@ def _type(kind: Any, classes: dict[str, str]) -> str:
 
 def _typed_dictionary(kind: type[Any], classes: dict[str, str]) -> str:
     if kind.__name__ not in classes:
-        classes[kind.__name__] = ""  # it may be in itself
+        classes[kind.__name__] = ""  # it may contain itself
         hints = get_type_hints(kind)
         rows = [
             f"    {each.name}: {_of_result(hints[each.name], classes)}"
@@ -136,13 +138,15 @@ def _typed_dictionary(kind: type[Any], classes: dict[str, str]) -> str:
             if not each.metadata.get("hidden")
         ]
         text = "\n".join([f"class {kind.__name__}(TypedDict):", *(rows or ["    pass"])])
-        del classes[kind.__name__]  # behind those that it refers to
+        del classes[kind.__name__]  # after those that it refers to
         classes[kind.__name__] = text
     return kind.__name__
 
 
 def _of_result(kind: Any, classes: dict[str, str]) -> str:
-    """A field of a result: what may be null there is taken as it is, so that nobody has to ask before each use."""
+    """Return the type of a result's field. A field that may be null is Any, so that programs need no check before each
+    use.
+    """
     present = [each for each in get_args(kind) if each is not type(None)]
     if get_origin(kind) in (Union, types.UnionType) and len(present) < len(get_args(kind)):
         return "Any"
@@ -150,7 +154,7 @@ def _of_result(kind: Any, classes: dict[str, str]) -> str:
 
 
 def short_arguments(signature: inspect.Signature) -> str:
-    """The names of the arguments; those that may be left out with a question mark."""
+    """Return the names of the arguments, optional ones with a question mark."""
     shown: list[str] = []
     for name, each in signature.parameters.items():
         if name in _OF_RECORDINGS:
@@ -163,7 +167,7 @@ def short_arguments(signature: inspect.Signature) -> str:
 
 
 def _needed_arguments(signature: inspect.Signature) -> str:
-    """What must be given; of a function to which nothing must be given, what it is about."""
+    """Return the required arguments; if there are none, the first one with a question mark."""
     given = [each.name for each in signature.parameters.values() if each.default is inspect.Parameter.empty]
     return ", ".join(given or [f"{name}?" for name in signature.parameters][:1])
 
@@ -190,6 +194,6 @@ def _short_result(function: Function) -> str:
 
 
 def _names(kind: Any, left_out: frozenset[str] = _SAID_ELSEWHERE) -> str:
-    """The fields that a program asks for: what it gave itself, and words about it, are none."""
+    """Return the most useful fields of a result: those that repeat arguments or contain notes are omitted."""
     names = [each.name for each in fields(kind) if not each.metadata.get("hidden") and each.name not in left_out]
     return f"{{{', '.join(names[:_MOST_FIELDS])}{', …' if len(names) > _MOST_FIELDS else ''}}}"

@@ -1,1 +1,1 @@
-"""Ready prompts and the user's own."""
+"""The base prompts, and the user's own."""

@@ -1,4 +1,4 @@
-"""The `base.*` prompts: each leads to tools that measure inside the server, so that no number is imagined."""
+"""The `base.*` prompts. Each calls tools that measure in the server, so that the model does not invent numbers."""
 
 from __future__ import annotations
 
@@ -14,18 +14,20 @@ from ros2_mcp_common.wire.limits import MAX_RATE_HZ, MIN_RATE_HZ
 
 _MEASURE_S = 600.0
 _LISTEN_S = 60.0
-"""The most that the tools take: to measure or compare topics, and to listen to a whole robot."""
+"""The longest durations that the tools accept, in s: to measure or compare topics, and to check a whole robot."""
 _PATIENCE_S = 45.0
-"""Some clients wait 60 s for a call, whatever is reported meanwhile; discovery and the answer take some of it."""
+"""Some clients end a call after 60 s, whatever progress is reported; discovery and the answer take some of that."""
 _MOST_TOPICS = 20
-"""Named and measured where none was chosen; a prompt with all topics of a large robot would be unreadable."""
+"""The most topics that are named and measured if none was chosen; with all topics of a large robot, a prompt would be
+unreadable.
+"""
 _DISCOVERY_S = 4.0
-"""For the first look at the graph: a bridge starts in about two seconds, and discovery takes another."""
+"""For the first discovery: a bridge starts in about 2 s, and discovery takes 1 s more."""
 _TRUTH = "Report only what the results say; where a value is missing, say so."
 
 
 def base_prompts(robot: Robot) -> list[Prompt]:
-    """The four prompts that are always there."""
+    """Return the four prompts that every server has."""
     return [_echo_and_analyze(robot), _RELAY, _HEALTH, _COMPARE]
 
 
@@ -34,7 +36,7 @@ def _window(name: str, default: float, what: str, minimum: float = 0.1, maximum:
 
 
 def _patience(duration_s: float) -> Sequence[str]:
-    """A line for a call that may take longer than a client waits."""
+    """Return a line about a call that may take longer than a client waits; none if it does not."""
     long = (
         f"Each call takes {shown(duration_s)} s; if the client times out earlier, use at most {shown(_PATIENCE_S)} s."
     )
@@ -130,7 +132,7 @@ _RELAYED = {
     "filter": "only messages that differ from the one before",
 }
 _CHECK_S = 3.0
-"""Seconds to measure a relay: enough to tell rates of 1 Hz and more from nothing."""
+"""The time to measure a relay, in s: enough to distinguish rates of 1 Hz and more from none."""
 
 
 async def _write_relay(values: Mapping[str, Any]) -> Sequence[Message]:

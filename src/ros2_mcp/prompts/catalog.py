@@ -1,7 +1,7 @@
-"""Every prompt of one server: the base prompts, the ones in the user's folder, kept programs, and the user's code.
+"""All prompts of one server: the base prompts, those in the user's folder, kept programs, and those of the user's code.
 
-Where a prompt names a tool that the server does not offer, it says so. A base prompt is then nothing but that, without
-the tool's name: models call what they read of.
+A prompt that names a tool that is not offered says so. A base prompt then says only that, without the name of the tool,
+because models call the tools that they read of.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ WhyMissing = Callable[[Collection[str]], str]
 
 
 class Catalog:
-    """The prompts as they are now, by name.
+    """The current prompts, by name.
 
     Args:
-        robot: for prompts that name what is there.
-        folder: where the user's Markdown files are.
-        programs: where kept programs are, which are prompts where this server runs programs.
-        load_code: finds the prompts of the user's code; called once, when the prompts are first asked for.
+        robot: for prompts that name its topics.
+        folder: the folder of the user's Markdown files.
+        programs: the folder of kept programs, which are prompts if this server runs programs.
+        load_code: loads the prompts of the user's code; called once, when prompts are first requested.
         missing: the tools that this server does not offer, each with the reason.
-        why_missing: the reason in words why it does not offer these.
-        tools: every tool there is.
-        tell: is called with each mistake of a user.
+        why_missing: returns, in words, why some tools are not offered.
+        tools: the names of all tools.
+        tell: called with each mistake in the user's prompts.
     """
 
     def __init__(
@@ -63,7 +63,7 @@ class Catalog:
         self._tell = tell
 
     async def prompts(self) -> Mapping[str, Prompt]:
-        """Every prompt by name, in the order of `prompts/list`."""
+        """Return all prompts by name, in the order of `prompts/list`."""
         prompts = {prompt.name: prompt for prompt in self._base}
         for prompt in self._folder.prompts() if self._folder else ():
             prompts[prompt.name] = prompt
@@ -74,10 +74,10 @@ class Catalog:
         return prompts
 
     async def prompt(self, name: str) -> Prompt:
-        """The prompt of that name.
+        """Return the prompt of that name.
 
         Raises:
-            NotFound: with the nearest name that there is.
+            NotFound: with the most similar name.
         """
         prompts = await self.prompts()
         if name not in prompts:
@@ -86,20 +86,20 @@ class Catalog:
         return prompts[name]
 
     async def messages(self, name: str, given: Mapping[str, str]) -> Sequence[Message]:
-        """The messages of a prompt; where a tool that they name is not offered, they say so, and why.
+        """Return the messages of a prompt. If they name a tool that is not offered, a note says so, and why.
 
         Raises:
             NotFound: if there is no such prompt.
-            BadInput: naming the argument, what was given and what is allowed.
+            BadInput: naming the argument, its value and what is allowed.
         """
         return await self.messages_of(await self.prompt(name), given)
 
     def base(self, name: str) -> Prompt | None:
-        """The base prompt of that name, if it is one."""
+        """Return the base prompt of that name; None for other names."""
         return next((prompt for prompt in self._base if prompt.name == name), None)
 
     async def messages_of(self, prompt: Prompt, given: Mapping[str, str]) -> Sequence[Message]:
-        """The messages of one of its prompts, as `messages`."""
+        """Return the messages of a prompt of this catalog; see `messages`."""
         messages = await prompt.messages(given)
         named = {tool for message in messages for tool in _TOOL.findall(message.text)} & self._missing.keys()
         if not named:
@@ -113,12 +113,12 @@ class Catalog:
         return [*messages, Message(note)]
 
     def has_news(self) -> bool:
-        """Whether a folder has changed since the prompts were asked for; each change is news once."""
+        """Return whether a folder has changed since the prompts were read. Each change is reported once."""
         news = [folder.has_news() for folder in (self._folder, self._programs) if folder]
         return any(news)
 
     async def _code(self) -> Sequence[Prompt]:
-        """The prompts of the user's code, each name once; whatever takes another's name is reported and left out."""
+        """Return the prompts of the user's code. Those with a name that is taken are reported and dropped."""
         async with self._loading:
             if self._of_code is None and self._load_code:
                 found: dict[str, Prompt] = {}

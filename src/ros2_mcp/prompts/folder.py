@@ -1,4 +1,4 @@
-"""A folder of Markdown files, each a prompt; read again when something in it changes."""
+"""A folder of Markdown files, each a prompt; read again when a file changes."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ _NOT_READ_YET = (("", -1, -1),)
 
 
 class PromptFolder:
-    """The prompts of one folder. `README.md` is not one of them; names in `taken` are not given away.
+    """The prompts of one folder. `README.md` is ignored, and prompts with names in `taken` are refused.
 
-    `parse` makes a prompt of a file's path, name and text; without it, files are prompts that may call `tools`. That
-    there is no such folder is a mistake unless it `may_lack`.
+    `parse` makes a prompt from a file's path, name and text; by default, files are prompts that may call `tools`. A
+    missing folder is a mistake unless it `may_lack`.
     """
 
     def __init__(
@@ -44,13 +44,15 @@ class PromptFolder:
         self._prompts: Sequence[Prompt] = ()
 
     def prompts(self) -> Sequence[Prompt]:
-        """The prompts as the files are now."""
+        """Return the prompts of the current files."""
         if self._state() != self._seen:
             self._read()
         return self._prompts
 
     def has_news(self) -> bool:
-        """Whether a file came, went or changed since the prompts were read; each change is news once."""
+        """Return whether a file was added, removed or changed since the prompts were read. Each change is reported
+        once.
+        """
         state = self._state()
         is_news = self._seen is not _NOT_READ_YET and state not in (self._seen, self._announced)
         self._announced = state
@@ -60,10 +62,10 @@ class PromptFolder:
         return sorted(path for path in self.path.glob("*.md") if path.name.lower() != "readme.md")
 
     def _state(self) -> Sequence[tuple[str, int, int]]:
-        """Differs whenever a file came, went or changed."""
+        """Return a value that differs whenever a file was added, removed or changed."""
         found: list[tuple[str, int, int]] = []
         for path in self._files():
-            with suppress(OSError):  # it may have gone since it was listed
+            with suppress(OSError):  # it may have been removed since it was listed
                 status = path.stat()
                 found.append((path.name, status.st_mtime_ns, status.st_size))
         return tuple(found)

@@ -1,4 +1,4 @@
-"""Kept programs as prompts: a user picks one from the client's menu, with its inputs as arguments."""
+"""Kept programs as prompts: a user chooses one in the client's menu, with its inputs as arguments."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from ros2_mcp.prompts.mistakes import Mistake
 from ros2_mcp.prompts.prompt import Message, Prompt, step
 
 RUNS = "ros2_program_run"
-"""The tool that these prompts need."""
+"""The tool that these prompts call."""
 
 
 def parse(where: str, name: str, text: str) -> Parsed:
-    """The prompt of a kept program's file."""
+    """Parse the file of a kept program as a prompt."""
     found = kept.parse(Path(where), name, text)
     if isinstance(found, KeptProgram):
         return Parsed(prompt_of(found), 1, ())
@@ -25,7 +25,7 @@ def parse(where: str, name: str, text: str) -> Parsed:
 
 
 def prompt_of(program: KeptProgram) -> Prompt:
-    """The prompt that runs a program."""
+    """Return the prompt that runs a kept program."""
 
     async def write(values: Mapping[str, Any]) -> Sequence[Message]:
         inputs = {name: value for name, value in values.items() if value is not None}

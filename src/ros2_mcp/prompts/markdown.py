@@ -1,4 +1,4 @@
-"""Prompts out of Markdown files: the front matter says name, description and arguments, the text is the message."""
+"""Prompts from Markdown files: the front matter holds name, description and arguments, the text is the message."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ros2_mcp.prompts.mistakes import Mistake
 from ros2_mcp.prompts.prompt import Message, Prompt
 
 MAX_CHARACTERS = 100_000
-"""The longest file that is read; a longer one is no prompt, and would fill a model's context."""
+"""The longest file that is read; a longer one would fill the context of a model."""
 _PROMPT_KEYS = ("name", "title", "description", "arguments")
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 _CALL = re.compile(r"\bCall `?(ros2_\w+)")
@@ -23,7 +23,9 @@ _CALL = re.compile(r"\bCall `?(ros2_\w+)")
 
 @dataclass(frozen=True, slots=True)
 class Parsed:
-    """What a file gave: a prompt unless it cannot be used, its name's line, and what is wrong with it."""
+    """The result of parsing a file: the prompt, or None if it cannot be used; the line of its name; and the
+    mistakes.
+    """
 
     prompt: Prompt | None
     line: int
@@ -31,13 +33,13 @@ class Parsed:
 
 
 def parse(where: str, name: str, text: str, known_tools: Set[str] = frozenset()) -> Parsed:
-    """The prompt in the text of a file.
+    """Parse the text of a file as a prompt.
 
     Args:
-        where: the file, as mistakes shall name it.
+        where: the file, as it is named in mistakes.
         name: the prompt's name if the front matter has none.
         text: the whole file.
-        known_tools: every tool there is; calls of others are mistakes. Empty: not checked.
+        known_tools: all tools; calls of other tools are mistakes. Empty: not checked.
     """
     try:
         front, body, first_line = split(text)

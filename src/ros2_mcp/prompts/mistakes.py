@@ -1,4 +1,4 @@
-"""Mistakes in what users wrote: by file and line, or by the name of what failed."""
+"""Mistakes in users' prompts and programs, by file and line, or by the name of what failed."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ros2_mcp.model.text import visible
 
 @dataclass(frozen=True, slots=True)
 class Mistake:
-    """One mistake; `line` counts from 1, and is 0 where it belongs to the whole of `where`."""
+    """One mistake. `line` counts from 1; 0 means the whole of `where`."""
 
     where: str
     line: int
@@ -26,6 +26,6 @@ Tell = Callable[[Mistake], None]
 
 
 def tell_on_stderr(mistake: Mistake) -> None:
-    """One line for the person who reads the server's log."""
+    """Write one line to the server's log on stderr."""
     sys.stderr.write(f"ros2-mcp: {visible(str(mistake))}\n")
     sys.stderr.flush()

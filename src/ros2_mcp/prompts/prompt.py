@@ -1,4 +1,4 @@
-"""What a prompt is: a name, arguments, and the messages that they make."""
+"""The definition of a prompt: a name, arguments, and a function that makes messages from them."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ class Message:
 
 
 Write = Callable[[Mapping[str, Any]], Awaitable[Sequence[Message]]]
-"""Makes the messages out of a checked value for every argument."""
+"""Makes the messages from the checked values of all arguments."""
 
 
 @dataclass(frozen=True, slots=True)
 class Prompt:
-    """One prompt."""
+    """One prompt; `write` makes its messages."""
 
     name: str
     title: str
@@ -35,19 +35,21 @@ class Prompt:
     write: Write
 
     async def messages(self, given: Mapping[str, str]) -> Sequence[Message]:
-        """The messages for the arguments of a client.
+        """Return the messages for a client's arguments.
 
         Raises:
-            BadInput: naming the argument, what was given and what is allowed.
+            BadInput: naming the argument, its value and what is allowed.
         """
         return await self.write(values_of(self.arguments, given))
 
     def argument(self, name: str) -> Argument | None:
-        """The argument of that name."""
+        """Return the argument of that name; None if there is none."""
         return next((argument for argument in self.arguments if argument.name == name), None)
 
 
 def step(number: int, tool: str, **arguments: Any) -> str:
-    """One step of a prompt: a call of a tool with exact arguments; those that are None or empty are left out."""
+    """Return one step of a prompt: a call of a tool with exact arguments. Arguments that are None or empty
+    are omitted.
+    """
     given = {name: value for name, value in arguments.items() if value not in (None, "", [], ())}
     return f"{number}. Call {tool} with {json.dumps(given, ensure_ascii=False)}"

@@ -1,4 +1,4 @@
-"""Prompts over MCP: `prompts/list` and `prompts/get`, and word to the client when the user's folder changes."""
+"""Prompts over MCP: `prompts/list`, `prompts/get`, and notifications when the user's folder changes."""
 
 from __future__ import annotations
 
@@ -27,21 +27,23 @@ from ros2_mcp.prompts.prompt import Prompt
 
 
 class Prompts:
-    """Answers `prompts/list` and `prompts/get` from the catalog; as a middleware, tells clients when it changes."""
+    """Answers `prompts/list` and `prompts/get` from the catalog. `tell_news` is a middleware that notifies clients of
+    changes.
+    """
 
     def __init__(self, catalog: Catalog, events: SubscriptionBus) -> None:
         self._catalog = catalog
         self._events = events
 
     async def list(self, _: Any, __: PaginatedRequestParams | None) -> ListPromptsResult:
-        """Every prompt there is now."""
+        """List the current prompts."""
         return ListPromptsResult(prompts=[_listed(prompt) for prompt in (await self._catalog.prompts()).values()])
 
     async def get(self, _: Any, params: GetPromptRequestParams) -> GetPromptResult:
-        """The messages of one prompt.
+        """Return the messages of one prompt.
 
         Raises:
-            MCPError: if there is none of that name, or its arguments are wrong.
+            MCPError: for an unknown name or wrong arguments.
         """
         try:
             messages = await self._catalog.messages(params.name, params.arguments or {})
@@ -57,7 +59,7 @@ class Prompts:
         )
 
     async def tell_news(self, ctx: ServerRequestContext[Any], call_next: CallNext) -> Any:
-        """A change is noticed with the next request of a client, whatever that asks for: no file is watched."""
+        """Notify clients of changed prompts, with the next request of any client: files are not watched."""
         if ctx.request_id is not None and ctx.method != "prompts/list" and self._catalog.has_news():
             await self._events.publish(PromptsListChanged())
             await ctx.session.send_prompt_list_changed()

@@ -1,4 +1,4 @@
-"""The prompts of a server with several robots: each has an argument more, which robot it is about."""
+"""The prompts of a server with several robots: each has a further argument, which names the robot."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from ros2_mcp.prompts.prompt import Message, Prompt
 
 ROBOT = "robot"
 _STEP = re.compile(r"(Call ros2_\w+ with \{)(?=(\}?))")
-"""A step of ours (`prompts/prompt.py`): a tool, and its arguments as JSON."""
+"""A step of a prompt (`prompts/prompt.py`): a tool, and its arguments as JSON."""
 _MOST_NAMED = 15
-"""Robots in one error text."""
+"""The most robots in one error text."""
 
 
 class CatalogOfSeveral(Catalog):
-    """A catalog whose prompts say which robot they are about, and to give its name to each tool.
+    """A catalog whose prompts name a robot, and instruct the model to pass that name to each tool.
 
-    `whole` has all prompts, `own` for each robot its base prompts, and what tools it lacks.
+    `whole` has all prompts. `own` has, for each robot, its base prompts and the tools that are not offered for it.
     """
 
     def __init__(self, whole: Catalog, own: Mapping[str, Catalog]) -> None:
@@ -31,12 +31,15 @@ class CatalogOfSeveral(Catalog):
         self._argument = Argument(ROBOT, "Which robot", required=True, choices=list(own))
 
     async def prompts(self) -> Mapping[str, Prompt]:
-        """Every prompt by name, in the order of `prompts/list`; one with an argument of that name keeps its own."""
+        """Return all prompts by name, in the order of `prompts/list`.
+
+        If a prompt has an argument `robot` already, it is declared as this one, and also receives the value.
+        """
         found = await self._whole.prompts()
         return {name: replace(one, arguments=self._with_robot(one)) for name, one in found.items()}
 
     async def messages(self, name: str, given: Mapping[str, str]) -> Sequence[Message]:
-        """The messages of a prompt about one robot; raises as `Catalog.messages`."""
+        """Return the messages of a prompt for one robot. Raises as `Catalog.messages`."""
         prompt = await self._whole.prompt(name)
         if ROBOT not in given:
             raise BadInput(f"The prompt {name} needs the argument {ROBOT}: {listed(list(self._own), _MOST_NAMED)}.")
@@ -48,7 +51,7 @@ class CatalogOfSeveral(Catalog):
         return [replace(one, text=_about(robot, one.text)) for one in (replace(first, text=lead + first.text), *others)]
 
     def has_news(self) -> bool:
-        """Whether the user's folder has changed since the prompts were asked for."""
+        """Return whether the user's folder has changed since the prompts were read."""
         return self._whole.has_news()
 
     def _with_robot(self, prompt: Prompt) -> Sequence[Argument]:
@@ -57,5 +60,5 @@ class CatalogOfSeveral(Catalog):
 
 
 def _about(robot: str, text: str) -> str:
-    """The text with the robot among the arguments of each step."""
+    """Return the text with the robot added to the arguments of each step."""
     return _STEP.sub(lambda step: f'{step[1]}"{ROBOT}": "{robot}"{"" if step[2] else ", "}', text)

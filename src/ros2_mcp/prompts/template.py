@@ -1,8 +1,8 @@
 """Texts with placeholders.
 
-`{{name}}` becomes the argument's value and `{{name|json}}` its value as JSON; lines between `{{#if name}}` (or
-`{{#if not name}}`) and `{{/if}}`, each alone on its line, stay only if the value says so. Every other brace stays as
-it is.
+`{{name}}` is replaced by the argument's value, `{{name|json}}` by its value as JSON. Lines between `{{#if name}}` (or
+`{{#if not name}}`) and `{{/if}}`, each on a line of its own, are kept only if the value is true (or false). All other
+braces are kept.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _END = re.compile(r"^\s*\{\{/if\s*\}\}\s*$")
 
 
 def fill(text: str, values: Mapping[str, Any]) -> str:
-    """The text with its placeholders replaced, once: placeholders inside a value stay as they are."""
+    """Return the text with its placeholders replaced once: placeholders within a value are kept."""
 
     def value_of(found: re.Match[str]) -> str:
         if found["name"] not in values:
@@ -42,7 +42,7 @@ def fill(text: str, values: Mapping[str, Any]) -> str:
 
 
 def mistakes_of(text: str, arguments: Set[str]) -> Iterator[tuple[int, str]]:
-    """What is wrong in a text, each with its line, counted from 0."""
+    """Yield the mistakes in a text, each with its line, counted from 0."""
     open_since: list[int] = []
     for number, line in enumerate(text.split("\n")):
         used = [found["name"] for found in _PLACEHOLDER.finditer(line)]

@@ -1,4 +1,4 @@
-"""Resources: what a client can read by URI, and be notified of when it changes."""
+"""Resources: data that a client can read by URI, and whose changes it can be notified of."""
 
 from ros2_mcp.resources.catalogue import RESOURCES, Declared
 from ros2_mcp.resources.offering import Resources

@@ -1,4 +1,4 @@
-"""Which robot a URI is about: where a server has several, each URI says it, as in `ros2://log?level=warn&robot=lab`."""
+"""Robots in URIs: if a server has several, each URI names one, as in `ros2://log?level=warn&robot=lab`."""
 
 from __future__ import annotations
 
@@ -15,23 +15,24 @@ from ros2_mcp.robot import Robot
 
 ROBOT = "robot"
 _QUERY = re.compile(r"\{\?([\w,]+)\}$")
-"""Of a template: the variables of its query."""
+"""The query of a URI template; the group holds its variables."""
 _MOST_NAMED = 15
-"""Robots in one error text."""
+"""The most robots in one error text."""
 
 
 class ByRobot:
-    """The robots of a server by their names, each with what is watched of it."""
+    """The robots of a server by name, each with its watcher."""
 
     def __init__(self, robots: Mapping[str, Robot]) -> None:
         self._robots = {name: (robot, Watcher(robot)) for name, robot in robots.items()}
         self.names: Sequence[str] = list(robots) if len(robots) > 1 else ()
 
     def found(self, uri: str) -> tuple[Robot, Watcher, str, Mapping[str, str]]:
-        """The robot that a URI is about, with its watcher, the URI without it, and what its content begins with.
+        """Return the robot that a URI names, its watcher, the URI without the robot, and the first fields of the
+        content.
 
         Raises:
-            BadInput: naming the robots that there are, where the URI names none of them.
+            BadInput: if the URI names no known robot. It lists the names.
         """
         if not self.names:
             robot, watcher = next(iter(self._robots.values()))
@@ -49,19 +50,19 @@ class ByRobot:
         return robot, watcher, f"{path}?{others}" if others else path, {ROBOT: named[0]}
 
     def watched(self, uri: str) -> tuple[Watcher, Subject]:
-        """What is watched for a subscriber to this URI; raises as `found` and `subject_of`."""
+        """Return the watcher and the subject for a subscription to this URI. Raises as `found` and `subject_of`."""
         _, watcher, plain, _ = self.found(uri)
         return watcher, subject_of(plain)
 
     def listed(self, row: Declared) -> Iterator[tuple[str, str, str]]:
-        """URI, name and title of a resource without variables, of each robot."""
+        """Yield URI, name and title of a resource without variables, for each robot."""
         if not self.names:
             yield row.uri, row.name, row.title
         for name in self.names:
             yield f"{row.uri}?{ROBOT}={name}", f"{row.name}-{name}", f"{row.title} ({name})"
 
     def template(self, uri: str) -> str:
-        """A template with the robot as a further variable, where there are several."""
+        """Return a URI template, with the robot as a further variable if there are several."""
         if not self.names:
             return uri
         query = _QUERY.search(uri)

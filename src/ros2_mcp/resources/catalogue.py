@@ -1,6 +1,6 @@
-"""Every resource: its URI, what it says, and what is watched for those who subscribe to it.
+"""All resources: for each its URI, its content, and what is watched for its subscribers.
 
-A resource is one function here: its docstring is what clients read, its result the content.
+A resource is one function here. Its docstring is the description that clients read, its result the content.
 """
 
 from __future__ import annotations
@@ -44,13 +44,13 @@ from ros2_mcp.ops.watch.watchers import Subject, Watcher
 from ros2_mcp.resources.fitting import Content
 from ros2_mcp.robot import Robot
 
-# Names that are asked for; what of them does not fit is cut with the rest of the content.
+# The most names that are requested; fitting the content may cut them further.
 MAX_LISTED = 1000
-# Nodes of the graph whose endpoints are shown: each takes a request to the bridge.
+# The most nodes whose endpoints are in the graph: each needs a request to the bridge.
 MAX_NODES = 200
-# Of the log: more than fit; those that have no room are left out, and counted.
+# The most lines of the log: more than fit; those that do not fit are dropped, and counted.
 MAX_LINES = 200
-# How long a topic's next message is waited for, while a client waits for the content.
+# How long to wait for the next message of a topic, while a client waits for the content.
 SAMPLE_S = 2.0
 
 Read = Callable[..., Awaitable[Content]]
@@ -58,11 +58,11 @@ Read = Callable[..., Awaitable[Content]]
 
 @dataclass(frozen=True, kw_only=True)
 class Declared:
-    """One resource, or a template of resources where its URI has variables.
+    """One resource, or a template of resources if its URI has variables.
 
-    A name with slashes stands in the URI as it is or percent-encoded, with or without its first slash.
-    `read` and `subject` take the variables by name, `read` after the robot and its watcher. `completes` maps a variable
-    to the kind of live names that complete it.
+    A name with slashes may be percent-encoded in the URI, and may lack its first slash. `read` takes the robot, its
+    watcher, and the variables by name; `subject` takes the variables by name. `completes` maps a variable to the kind
+    of live names that complete it.
     """
 
     uri: str
@@ -79,12 +79,11 @@ class Declared:
         return UriTemplate.parse(self.uri)
 
 
-# Every resource, in the order of declaration.
 RESOURCES: list[Declared] = []
 
 
 def resource(uri: str, title: str, subject: Callable[..., Subject], **completes: str) -> Callable[[Read], Read]:
-    """Declares a function as the content of a resource."""
+    """Declare a function as the content of a resource."""
 
     def declare(read: Read) -> Read:
         RESOURCES.append(
@@ -104,7 +103,7 @@ def resource(uri: str, title: str, subject: Callable[..., Subject], **completes:
 
 
 def matching(uri: str) -> tuple[Declared, Mapping[str, Any]]:
-    """The resource that a URI means, with the values of its variables; raises `NotFound` if it is none of ours."""
+    """Return the resource of a URI, and the values of its variables. Raises `NotFound` for an unknown URI."""
     for declared in RESOURCES:
         variables = declared.template.match(uri)
         if variables is not None:
@@ -113,11 +112,11 @@ def matching(uri: str) -> tuple[Declared, Mapping[str, Any]]:
 
 
 def subject_of(uri: str) -> Subject:
-    """What is watched for a subscriber to this URI.
+    """Return what to watch for a subscription to this URI.
 
     Raises:
-        NotFound: if it is none of ours.
-        BadInput: if it has a name that ROS does not allow, or a level that is none.
+        NotFound: for an unknown URI.
+        BadInput: for a name that ROS does not allow, or an unknown log level.
     """
     declared, variables = matching(uri)
     return declared.subject(**variables)
@@ -189,7 +188,7 @@ async def actions(robot: Robot, _: Watcher) -> Content:
     }
 
 
-# ── what is reported ─────────────────────────────────────────────────────────────────────────────────────────────────
+# ── diagnostics and log ──────────────────────────────────────────────────────────────────────────────────────────────
 
 
 @resource("ros2://diagnostics", "Diagnostics", WorseDiagnostics)
@@ -209,7 +208,7 @@ async def log(robot: Robot, watcher: Watcher) -> Content:
 
 
 def _lines_of(level: str = "", node: str = "") -> Subject:
-    ops_log.level_number(level)  # raises where there is no such level
+    ops_log.level_number(level)  # raises for an unknown level
     return LogLines(level.lower(), node)
 
 
@@ -220,7 +219,7 @@ async def log_lines(robot: Robot, _: Watcher, level: str = "", node: str = "") -
     return {**as_json(found), "lines": as_json(found.lines[::-1])}
 
 
-# ── one thing ────────────────────────────────────────────────────────────────────────────────────────────────────────
+# ── one topic, type or node ──────────────────────────────────────────────────────────────────────────────────────────
 
 
 def _samples_of(name: str) -> Subject:
@@ -245,7 +244,7 @@ async def topic(robot: Robot, watcher: Watcher, name: str) -> Content:
 
 
 async def _shown(robot: Robot, seen: Seen | None) -> Content | None:
-    """A sample as JSON in half of the result's size: the other half is for the endpoints."""
+    """Render a sample in at most half of the result's size; the other half is for the endpoints."""
     if seen is None:
         return None
     from ros2_mcp.values.render import RenderOptions  # NumPy and rosbags: listing resources must not wait for them

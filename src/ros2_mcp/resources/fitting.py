@@ -1,4 +1,4 @@
-"""A resource's content as text that fits into an answer."""
+"""Cuts a resource's content to the size of an answer."""
 
 from __future__ import annotations
 
@@ -9,16 +9,17 @@ from typing import Any, cast
 from ros2_mcp.model.text import visible_json
 
 Content = Mapping[str, Any]
-"""What a resource says: a JSON object."""
+"""The content of a resource: a JSON object."""
 
-# Of a list or text that is worth shortening; a shorter one is kept, and something else is left out.
+# Lists and texts up to this size stay whole while larger ones can be shortened.
 _LEAST_BYTES = 200
 
 
 def fitting(content: Content, max_bytes: int) -> str:
-    """The content as JSON text of at most that size; what is left out is said under `left_out`.
+    """Return the content as JSON text of at most that size. `left_out` in it describes what was cut.
 
-    The longest list or text is halved until all fits; other parts are left out as a whole. Nothing in it is hidden.
+    The longest list or text is halved until all fits; other parts are dropped as a whole. Hidden characters are
+    escaped.
     """
     content, text = visible_json(content)
     shown, left_out = dict(content), dict[str, str]()

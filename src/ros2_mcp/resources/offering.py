@@ -1,4 +1,4 @@
-"""The resources as clients meet them: lists, reading, and the methods to subscribe to them."""
+"""The resources as clients see them: lists, contents, and subscriptions."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ _logger = logging.getLogger(__name__)
 
 
 class Resources:
-    """Answers what clients ask of resources; `push` answers their subscriptions."""
+    """Answers requests about resources; `push` answers their subscriptions."""
 
     def __init__(self, robots: Mapping[str, Robot], bus: SubscriptionBus) -> None:
         self._by_robot = ByRobot(robots)
         self.push = Push(self._by_robot.watched, bus)
 
     async def list(self, _: Any, __: PaginatedRequestParams | None) -> ListResourcesResult:
-        """The resources without variables."""
+        """List the resources without variables."""
         return ListResourcesResult(
             resources=[
                 Resource(uri=uri, name=name, title=title, description=row.description, mime_type=_MIME_TYPE)
@@ -53,7 +53,7 @@ class Resources:
         )
 
     async def list_templates(self, _: Any, __: PaginatedRequestParams | None) -> ListResourceTemplatesResult:
-        """The resources with variables."""
+        """List the templates: resources with variables."""
         return ListResourceTemplatesResult(
             resource_templates=[
                 ResourceTemplate(
@@ -69,10 +69,10 @@ class Resources:
         )
 
     async def read(self, _: Any, params: ReadResourceRequestParams) -> ReadResourceResult:
-        """The content of one resource as JSON.
+        """Return the content of one resource as JSON.
 
         Raises:
-            MCPError: as `subject_of` and the resource's own reading; the data names the URI.
+            MCPError: for an unknown URI or robot, a bad variable, or a failed read. Its data contains the URI.
         """
         uri = str(params.uri)
         try:
@@ -86,13 +86,15 @@ class Resources:
             raise MCPError(
                 INTERNAL_ERROR, visible(f"{type(error).__name__}: {error}"), {"uri": visible(uri)}
             ) from error
-        except Exception as error:  # a fault of ours: its traceback is for the log, not for the client
+        except Exception as error:  # a fault of ours: the traceback is logged, not sent to the client
             _logger.exception("reading %s failed", uri)
             raise MCPError(INTERNAL_ERROR, visible(f"Error reading resource {uri}"), {"uri": visible(uri)}) from error
         return ReadResourceResult(contents=[TextResourceContents(uri=uri, text=text, mime_type=_MIME_TYPE)])
 
     def completed_by(self, template: str, variable: str) -> tuple[Sequence[str], str]:
-        """What a variable of a template can be: choices, or else a kind of live names; neither where nobody knows."""
+        """Return the values that complete a variable of a template: fixed choices, or a kind of live names,
+        or neither.
+        """
         if variable == ROBOT:
             return self._by_robot.names, ""
         kinds = [

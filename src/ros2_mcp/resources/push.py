@@ -1,6 +1,6 @@
-"""Notifying subscribers: `resources/subscribe` of the handshake era and `subscriptions/listen` of the modern one.
+"""Notifications of subscribers: `resources/subscribe` of the handshake era, `subscriptions/listen` of the modern era.
 
-A client that does not read is notified once, later: each has a mailbox in which an event stands at most once.
+A client that reads slowly is notified once, later: its mailbox holds each event at most once.
 """
 
 from __future__ import annotations
@@ -33,28 +33,30 @@ from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.text import visible
 from ros2_mcp.ops.watch.watchers import Subject, Watcher
 
-# Watched by one client: several times what any was seen to watch; each may be a subscription on the robot.
+# The most URIs watched by one client: several times what any client was seen to watch. Each may be a subscription on
+# the robot.
 MAX_URIS = 200
-# Open `subscriptions/listen` requests: each costs a task and a mailbox, and what is never ended must not add up.
+# The most open `subscriptions/listen` requests: each costs a task and a mailbox, and requests that are never ended must
+# not accumulate.
 MAX_LISTENING = 256
 
 Request = ServerRequestContext[Any, Any]
 
 
 class Mailbox:
-    """Events for one client, each at most once, in the order in which they came first."""
+    """Events for one client, each at most once, in the order of their first arrival."""
 
     def __init__(self) -> None:
         self._events: dict[ServerEvent, None] = {}
         self._arrived = asyncio.Event()
 
     def put(self, event: ServerEvent) -> None:
-        """Takes an event in, never waits."""
+        """Add an event. Never waits."""
         self._events[event] = None
         self._arrived.set()
 
     async def take(self) -> ServerEvent:
-        """The oldest event, as soon as there is one."""
+        """Wait for an event, and remove and return the oldest."""
         while not self._events:
             self._arrived.clear()
             await self._arrived.wait()
@@ -71,14 +73,14 @@ class Subscriber:
         self.mailbox = Mailbox()
 
     async def notify(self, session: ServerSession) -> None:
-        """Sends the client what arrives, until cancelled."""
+        """Send the client its notifications, until cancelled."""
         while True:
             event = await self.mailbox.take()
             if isinstance(event, ResourceUpdated) and event.uri in self.watched:
                 await session.send_resource_updated(event.uri)
 
     def leave(self) -> None:
-        """Watches nothing any more."""
+        """Stop watching everything."""
         for leave in self.watched.values():
             leave()
         self.watched.clear()
@@ -88,18 +90,18 @@ class Push:
     """Answers the subscription methods of both eras."""
 
     def __init__(self, watched: Callable[[str], tuple[Watcher, Subject]], bus: SubscriptionBus) -> None:
-        """`watched` tells what is watched for a URI, and by whom; it raises a `RobotError` where it is none of ours."""
+        """`watched` returns the watcher and subject of a URI, and raises a `RobotError` for an unknown one."""
         self._watched = watched
         self._bus = bus
         self._subscribers: dict[int, Subscriber] = {}
         self._listening = 0
 
     async def initialized(self, request: Request, _: NotificationParams) -> None:
-        """Handshake era; as the answer to `notifications/initialized` it lasts as long as the client is connected.
+        """Handle `notifications/initialized` of the handshake era; it lasts as long as the client is connected.
 
-        The SDK runs the handlers of a connection in one task group, and cancels them with it: nothing else public
-        says that a client has gone. A client is recognised by the parameters of its `initialize`: they are one object
-        for all requests of one connection, and of no other. What it keeps moving ends by `mcp/leases.py`.
+        The SDK runs the handlers of a connection in one task group, and cancels them when it ends: no other public
+        interface shows that a client has gone. A client is identified by the parameters of its `initialize`, which are
+        the same object for all requests of its connection. `mcp/leases.py` ends the motion of a client that has gone.
         """
         client = request.session.client_params
         if id(client) in self._subscribers:
@@ -112,10 +114,11 @@ class Push:
             del self._subscribers[id(client)]
 
     async def subscribe(self, request: Request, params: SubscribeRequestParams) -> EmptyResult:
-        """Handshake era; answers when nothing that happens from now on is missed.
+        """Subscribe a client of the handshake era. The answer is sent when no later change can be missed.
 
         Raises:
-            MCPError: for a URI that is none of ours, or a client that has not said that it is initialized.
+            MCPError: for an unknown URI, too many subscriptions, or a client that has not sent
+                `notifications/initialized`.
         """
         uri, subscriber = str(params.uri), self._subscriber(request)
         try:
@@ -130,14 +133,16 @@ class Push:
         return EmptyResult()
 
     async def unsubscribe(self, request: Request, params: UnsubscribeRequestParams) -> EmptyResult:
-        """Handshake era; without effect where there is no such subscription."""
+        """Unsubscribe a client of the handshake era. No effect if there is no such subscription."""
         leave = self._subscriber(request).watched.pop(str(params.uri), None)
         if leave:
             leave()
         return EmptyResult()
 
     async def listen(self, request: Request, params: SubscriptionsListenRequestParams) -> SubscriptionsListenResult:
-        """Modern era: acknowledges what can happen here, then sends events until the request is cancelled."""
+        """Acknowledge a subscription of the modern era with the parts of it that are supported, then send events until
+        the request is cancelled.
+        """
         if self._listening >= MAX_LISTENING:
             raise MCPError(INVALID_PARAMS, f"{MAX_LISTENING} subscriptions are open: end some first.")
         asked = params.notifications
@@ -163,7 +168,7 @@ class Push:
                 until_the_end.callback(self._bus.subscribe(deliver))
                 for uri, (watcher, subject) in subjects.items():
                     until_the_end.callback(_watch(uri, watcher, subject, mailbox))
-                # One robot that is away holds up this answer for as long as one, whatever else is listened to.
+                # Waited for together: several robots that are away delay the answer no longer than one.
                 await asyncio.gather(*(watcher.begun(subject) for watcher, subject in subjects.values()))
                 await _notify_listener(request, honored, mailbox)
         finally:

@@ -1,4 +1,4 @@
-"""What is asked of all robots of a server together: which there are, and to stop."""
+"""Tools for all robots of a server together: list them, and stop them."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ _CONNECT_S = 2.5
 """How long `ros2_robots` waits: a bridge over ssh says hello within 2 s at a round trip of 0.1 s (measured)."""
 _NEVER_REACHED = "This server has never reached it, and moves nothing there."
 _SILENT_S = 1.0
-"""Longer than between two pings: who was not heard of for so long is silent, and may be so for long. Chosen."""
+"""Longer than the time between two pings: a robot that was silent for so long may stay silent."""
 _LOOK_S = 0.05
-"""Between two looks at who is silent."""
+"""Time between two checks for silent robots."""
 _going_on: set[asyncio.Task[StoppedRobot]] = set()
-"""Stops that go on behind their answer; a task that nobody holds may vanish."""
+"""Stops that continue after their answer. asyncio keeps only weak references to tasks, so they are kept here."""
 _logger = logging.getLogger(__name__)
 
 
@@ -55,7 +55,7 @@ class RobotState:
     note: str = field(metadata=IF_ANY)
 
     def line(self) -> str:
-        """One line."""
+        """Return the state in one line."""
         ros = f", ROS 2 {self.distro} with {self.rmw}, domain {self.domain_id}" if self.distro else ""
         told = [*(["read-only"] if self.read_only else []), *(["latched"] if self.latched else [])]
         return " ".join(filter(None, (f"{', '.join((f'{self.robot}: {self.state}{ros}', *told))}.", self.note)))
@@ -68,7 +68,7 @@ class RobotStates:
     robots: Sequence[RobotState]
 
     def summary(self) -> list[str]:
-        """A line for each."""
+        """Return one line for each robot."""
         return [robot.line() for robot in self.robots]
 
 
@@ -89,12 +89,12 @@ class StoppedRobots:
     note: str = field(metadata=IF_ANY)
 
     def summary(self) -> list[str]:
-        """A line for each robot."""
+        """Return one line for each robot."""
         return [*([self.note] if self.note else []), *(f"{one.robot}: {one.stopped.summary()}" for one in self.robots)]
 
 
 async def states(members: Sequence[Member]) -> RobotStates:
-    """How all robots stand, after a moment for those that are not connected yet. One that is away holds up no other."""
+    """Return the state of all robots, after a short wait for those that are not connected yet. None delays another."""
     return RobotStates(await asyncio.gather(*map(_state, members)))
 
 
@@ -126,11 +126,11 @@ async def _state(member: Member) -> RobotState:
 
 
 async def stop(members: Sequence[Member], client: str, note: str = "") -> StoppedRobots:
-    """Stops these robots at the same time: none waits for another. Never raises a `RobotError`.
-    `client` is the name of who asks.
+    """Stop these robots at the same time: none waits for another. Never raises a `RobotError`. `client` is the name of
+    the principal.
 
-    The answer waits for no robot that is silent, once there is one to be told of, nor for any that stands by itself, as
-    its link lease has lapsed; the stop of such a one goes on.
+    The answer does not wait for a silent robot if another one has answered, nor for robots that have stopped by
+    themselves because their link lease has lapsed. Stops that were not awaited continue.
     """
     tasks = [asyncio.ensure_future(_stop(member, client)) for member in members]
     latched_at = monotonic() + stopping.LATCHED_S
@@ -156,9 +156,9 @@ async def stop(members: Sequence[Member], client: str, note: str = "") -> Stoppe
 async def _stop(member: Member, client: str) -> StoppedRobot:
     robot = member.robot
     try:
-        if not robot.graph.was_reached:  # what waits for it was accepted before, and is not sent any more
+        if not robot.graph.was_reached:  # requests that wait for it were accepted before, and are dropped
             return StoppedRobot(member.name, await stopping.stop_unreached(robot, _NEVER_REACHED))
         return StoppedRobot(member.name, await stopping.stop(robot, client=client))
-    except Exception as error:  # a fault of ours with one robot must not keep the others from being told of
+    except Exception as error:  # a fault with one robot must not hide the results of the others
         _logger.exception("stopping %s failed", member.name)
         return StoppedRobot(member.name, stopping.not_stopped(f"A fault in this server: {quoted(repr(error))}"))

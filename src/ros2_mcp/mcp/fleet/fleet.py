@@ -1,7 +1,7 @@
 """The robots of one server and their tools (decision 36).
 
-With one robot everything is as if there were no fleet. With several each tool needs `robot`, the name of one: there is
-no default and no current robot, for a wrong one would move the wrong machine.
+With one robot, the tools are those of a single server. With several, each tool needs the argument `robot`. There is no
+default and no current robot, because a wrong one would move the wrong machine.
 """
 
 from __future__ import annotations
@@ -24,13 +24,14 @@ from ros2_mcp.model.text import listed, quoted
 from ros2_mcp.tools import PAGE_TOOLS, TOOLS
 
 _MOST_NAMED = 15
-"""Robots in one error text."""
+"""The most robots that one error text names."""
 
 
 class Fleet:
     """The robots of one server, in the order in which they were named; at least one.
 
-    `listed` are the tools for all clients, `listed_with_pages` those for clients that show pages beside the chat.
+    `listed` are the tools for all clients. `listed_with_pages` are the tools for clients that show pages beside the
+    chat.
     """
 
     def __init__(self, members: Sequence[Member]) -> None:
@@ -47,25 +48,26 @@ class Fleet:
         self._schemas = {tool.name: tool.input_schema for tool in self.listed_with_pages}
 
     def input_schema(self, tool: str) -> dict[str, Any] | None:
-        """What a tool takes; None where it is not offered."""
+        """Return the schema of a tool's arguments; None if it is not offered."""
         return self._schemas.get(tool)
 
     def acts(self, tool: str) -> bool:
-        """Whether it is offered, and can change or move something, or stop it."""
+        """Return whether a tool is offered and can change, move or stop something."""
         found = (member.toolset.offered(tool) for member in self.members.values())
         return any(bound.acts for bound in found if bound)
 
     def named_in(self, arguments: Mapping[str, Any]) -> str:
-        """The robot that a call names; empty where there is one only, or it names none that there is."""
+        """Return the name of the robot that a call names; "" if there is only one robot, or no robot of that name."""
         named = arguments.get(ROBOT) if self.has_several else None
         return named if isinstance(named, str) and named in self.members else ""
 
     # ── calls ──────────────────────────────────────────────────────────────────────────────────────────────────
 
     async def call_all(self, tool: str, arguments: Mapping[str, Any], client: str) -> CallToolResult | None:
-        """The answer of a tool that is about all robots, to the client of that name; None for any other.
+        """Return the answer of a tool for all robots, or None for any other tool. `client` is the name of the
+        principal.
 
-        A stop of a robot that there is not stops all: whoever calls it wants something to stand.
+        A stop that names an unknown robot stops all of them: its caller wants something to stop.
         """
         if not self.has_several or tool not in (ROBOTS, STOP):
             return None
@@ -87,15 +89,15 @@ class Fleet:
         return answer(stopped)
 
     def choose(self, tool: str, arguments: Mapping[str, Any]) -> tuple[Member, Mapping[str, Any]]:
-        """The robot that a call is about, and the arguments for it.
+        """Return the robot that a call names, and the arguments without `robot`.
 
         Raises:
-            CallFailed: naming the robots that there are, if none of them is named.
+            CallFailed: if no known robot is named. It lists the names of the robots.
         """
         if not self.has_several:
             return self.first, arguments
         if not any(tool in (declared.name, declared.also_named) for declared in (*TOOLS, *PAGE_TOOLS)):
-            return self.first, arguments  # its toolset says so
+            return self.first, arguments  # its toolset raises the error
         rest = dict(arguments)
         named = rest.pop(ROBOT, None)
         if named is None:
@@ -103,10 +105,10 @@ class Fleet:
         return self.find(named), rest
 
     def find(self, named: object) -> Member:
-        """The robot of that name; raises `CallFailed` with the names that there are."""
+        """Return the robot of that name. Raises `CallFailed` with the known names."""
         if isinstance(named, str) and named in self.members:
             member = self.members[named]
-            member.robot.log.start()  # from its first use on: what comes before is not kept
+            member.robot.log.start()  # /rosout is subscribed to from the first use on; earlier lines are not kept
             return member
         near = did_you_mean(str(named), list(self.members), "")
         told = (f"There is no robot {quoted(str(named))}.", near, f"There are: {self._names}.")
@@ -117,7 +119,7 @@ class Fleet:
         return listed(list(self.members), _MOST_NAMED)
 
     def told_of(self, member: Member, result: CallToolResult) -> CallToolResult:
-        """A result that says which robot it is about, where there are several."""
+        """Return the result with the name of its robot, if there are several robots."""
         if not self.has_several:
             return result
         said = f"Robot {member.name}: "
@@ -131,12 +133,12 @@ class Fleet:
                 break
         return CallToolResult(content=content, structured_content=structured, is_error=result.is_error)
 
-    # ── its life ───────────────────────────────────────────────────────────────────────────────────────────────
+    # ── start and end ──────────────────────────────────────────────────────────────────────────────────────────
 
     @asynccontextmanager
     async def running(self) -> AsyncGenerator[None, None]:
-        """While it is entered the bridges are there: that of the only robot from now on, others when they are first
-        used. At the end all work on all robots is ended at the same time.
+        """Within this context, the bridges run: that of the only robot from the beginning, those of several from their
+        first use. On exit, end all work on all robots at the same time.
         """
         if not self.has_several and not self.first.store.subject:
             await self.first.robot.attach()
@@ -144,7 +146,7 @@ class Fleet:
             yield
         finally:
             ended: Sequence[BaseException | None] = ()
-            with anyio.CancelScope(shield=True):  # who is cancelled leaves the robots stopped all the same
+            with anyio.CancelScope(shield=True):  # even if cancelled, the robots have to be stopped
                 leaving = [self._leave(member) for member in self.members.values()]
                 ended = await asyncio.gather(*leaving, return_exceptions=True)
             for error in filter(None, ended):

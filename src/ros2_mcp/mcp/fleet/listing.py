@@ -1,4 +1,4 @@
-"""The tools of several robots as one list: each once, with the argument `robot`."""
+"""The tools of several robots as one list: each tool once, with the argument `robot`."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from ros2_mcp.tools import PAGE_TOOLS, TOOLS, ToolDeclaration
 
 ROBOT = "robot"
 _MOST_IN_ENUM = 15
-"""Each name costs the model a token or two in every tool; beyond this ros2_robots lists them."""
+"""Each name costs the model one or two tokens in every tool. Of more robots, only ros2_robots lists the names."""
 _STOP_ALL = "Without robot it stops all robots of this server at the same time."
 
 
 def listed_tools(members: Sequence[Member]) -> list[Tool]:
-    """Every tool that at least one robot offers, in the order of `tools/list`; `ros2_robots` stands first.
+    """Return every tool that at least one robot offers, in the order of `tools/list`; `ros2_robots` is first.
 
-    A tool's `robot` allows those robots that offer it: where one is read-only, tools that write are not offered for it.
+    A tool's `robot` allows the robots that offer it: for a read-only robot, tools that write are not offered.
     """
     return [_robots_tool(), *_merged(TOOLS, {member.name: member.toolset.by_name for member in members})]
 
 
 def listed_with_pages(members: Sequence[Member]) -> list[Tool]:
-    """What else clients are offered that show pages, in the same form."""
+    """Return the further tools for clients that show pages, in the same form."""
     return _merged((*TOOLS, *PAGE_TOOLS), {member.name: member.toolset.with_pages for member in members})
 
 
@@ -37,7 +37,7 @@ def _merged(declarations: Sequence[ToolDeclaration], offered: Mapping[str, Mappi
         offering = {name: tools[declared.name] for name, tools in offered.items() if declared.name in tools}
         if not offering:
             continue
-        # Descriptions leave out sentences about tools that are not offered: the longest one has them all.
+        # Descriptions omit sentences about tools that are not offered: the longest description has them all.
         tools = [bound.listed for bound in offering.values()]
         tool = max(tools, key=lambda tool: len(tool.description or ""))
         found.append(_with_robot(tool, [*offering], is_stop=declared.name == STOP))
@@ -48,7 +48,7 @@ def _with_robot(tool: Tool, names: Sequence[str], *, is_stop: bool) -> Tool:
     taken: Mapping[str, Any] = tool.input_schema
     told = [] if len(names) <= _MOST_IN_ENUM else [f"Name of a robot, from {ROBOTS}."]
     told += ["Default: all."] if is_stop else []
-    # No more than this: it stands in every tool, and the instructions say the rest once.
+    # Kept short, because it is in every tool; the instructions explain it once.
     argument: dict[str, Any] = {"type": "string"}
     argument |= {"enum": list(names)} if len(names) <= _MOST_IN_ENUM else {}
     argument |= {"description": " ".join(told)} if told else {}

@@ -1,4 +1,4 @@
-"""One robot of a server, with all that is its own."""
+"""One robot of a server, with everything that belongs to it alone."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from ros2_mcp.settings import Settings
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Member:
-    """One robot: its bridge, guard, jobs and fail-safes (`robot`), its bags (`store`), and the tools that it allows.
+    """One robot: its bridge, guard, jobs and fail-safes (`robot`), its bags (`store`), and its tools (`toolset`).
 
-    `name` is what the model calls it; empty for the only robot of a server.
+    `name` is the name that the model uses; empty for the only robot of a server.
     """
 
     name: str

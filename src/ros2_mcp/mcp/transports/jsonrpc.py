@@ -1,4 +1,6 @@
-"""What a client sends: a message, or the refusals of what is none, so that nobody waits for ever for an answer."""
+"""Parsing of client messages. A message that cannot be read gives refusals, so that no client waits for ever for an
+answer.
+"""
 
 from __future__ import annotations
 
@@ -18,17 +20,17 @@ from ros2_mcp.model.text import is_unicode, visible
 RequestId = str | int | float | None
 
 _SCANNED = re.compile(r'"(?:[^"\\]|\\.)*"?|[{}\[\]:]|-?\d[\d.eE+-]*|[^\s,]', re.DOTALL)
-"""As much of JSON's grammar as finds the members of the outermost object in damaged text. It never goes back."""
+"""As much of JSON's grammar as finds the members of the outermost object in damaged text. It never backtracks."""
 _ESCAPES = re.compile(rb"\\(?:u[dD][89abAB]..\\u[dD][c-fC-F]|(u[dD][89a-fA-F])|.)", re.DOTALL)
-"""The escapes of JSON from left to right; the group is half a surrogate pair, which is no character."""
+"""The escapes of JSON from left to right. The group matches an unpaired surrogate, which is not a character."""
 _VALUE_ENDS = re.compile(r"\s*[,}]")
-"""What follows a value of which no part is missing."""
+"""What may follow a value that is complete."""
 _RESPONSE = ("result", "error")
 
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """The answer to a request that cannot be read: its id where that can be, and else null, as JSON-RPC wants it."""
+    """The answer to a request that cannot be read: with its id if that can be read, else with null, as in JSON-RPC."""
 
     id: RequestId
     code: int
@@ -36,48 +38,48 @@ class Refusal:
 
     @property
     def answer(self) -> dict[str, Any]:
-        """As JSON-RPC."""
+        """The refusal as JSON-RPC."""
         return {"jsonrpc": "2.0", "id": self.id, "error": {"code": self.code, "message": visible(self.message)}}
 
 
 def read_message(data: bytes) -> JSONRPCMessage | list[Refusal]:
-    """The message that was sent, or the answers to it if it cannot be read: none if it asked for none."""
+    """Return the message, or the refusals to send if it cannot be read: an empty list if it needs no answer."""
     if len(data) > LARGE and any(escape[1] for escape in _ESCAPES.finditer(data)):
-        return _refusals(data, "Invalid JSON: half a surrogate pair is no character")  # Python's parser would take it
+        return _refusals(data, "Invalid JSON: half a surrogate pair is no character")  # Python's parser would accept it
     try:
         message = _parsed(data)
     except ValidationError as error:
         first = error.errors(include_url=False, include_context=False)[0]
         return _refusals(data, first["msg"] if first["type"] == "json_invalid" else "")
-    # The SDK would take a request whose id it does not know for a notification, and not answer it.
+    # The SDK would take a request with an invalid id for a notification, and never answer it.
     if isinstance(message, JSONRPCNotification) and "id" in (members := _loads(data)):
         return [_refusal(members)]
     return message
 
 
 def _parsed(data: bytes) -> JSONRPCMessage:
-    """The message in JSON; raises `ValidationError`.
+    """Parse a message. Raises `ValidationError`.
 
-    pydantic keeps the interpreter from all other threads until it is done, 0.1 s for a megabyte. What is large is
-    parsed by Python's own parser, which lets them run whenever it calls something of Python: after each object.
+    pydantic blocks all other threads until it is done, 0.1 s for a megabyte. Large messages are parsed by Python's own
+    parser instead, which lets other threads run whenever it calls Python code, which is after each object.
     """
     if len(data) > LARGE:
         try:
             value = _loads(data)
         except (ValueError, RecursionError):
-            pass  # pydantic says what is wrong with it
+            pass  # pydantic gives the error
         else:
             return jsonrpc_message_adapter.validate_python(value, by_name=False)
     return jsonrpc_message_adapter.validate_json(data, by_name=False)
 
 
 def _loads(data: bytes) -> Any:
-    """The value in JSON, which is UTF-8 and nothing else; raises `ValueError` or `RecursionError`."""
+    """Parse JSON in UTF-8, the only encoding allowed. Raises `ValueError` or `RecursionError`."""
     return json.loads(data.decode(), object_hook=lambda members: members)
 
 
 def _refusals(data: bytes, why: str) -> list[Refusal]:
-    """The answers to what is no message; `why` it cannot be read, where its parser said."""
+    """Return the refusals of something that is not a message. `why` is the parser's reason, if it gave one."""
     try:
         whole = _loads(data)
     except (ValueError, RecursionError):
@@ -96,7 +98,7 @@ def _refusals(data: bytes, why: str) -> list[Refusal]:
 
 
 def _asks_nothing(message: Any) -> bool:
-    """Whether it is a response or a notification, however damaged: JSON-RPC answers neither."""
+    """Return whether a message needs no answer: a response or a notification, even if damaged."""
     if not isinstance(message, dict):
         return False
     return _is_response(message) or ("id" not in message and isinstance(message.get("method"), str))  # pyright: ignore
@@ -107,7 +109,7 @@ def _is_response(members: dict[str, Any]) -> bool:
 
 
 def _refusal(message: Any, why: str = "") -> Refusal:
-    """What is wrong with JSON that is no message; `why` it cannot be read, where its parser said."""
+    """Return the refusal of JSON that is not a message. `why` is the parser's reason, if it gave one."""
     if not isinstance(message, dict):
         return Refusal(None, INVALID_REQUEST, "A message must be an object")
     members = cast("dict[str, Any]", message)
@@ -124,17 +126,17 @@ def _refusal(message: Any, why: str = "") -> Refusal:
 
 
 def _id_of(message: Any) -> RequestId:
-    """The id with which to answer; None where there is none that an answer can have."""
+    """Return the id to answer with; None if there is none that JSON-RPC allows."""
     own_id = cast("dict[str, Any]", message).get("id") if isinstance(message, dict) else None
     if isinstance(own_id, str):
-        return own_id if is_unicode(own_id) else None  # half a surrogate pair no client could read
+        return own_id if is_unicode(own_id) else None  # clients could not read an unpaired surrogate
     if isinstance(own_id, bool) or not isinstance(own_id, (int, float)):
         return None
     return own_id if math.isfinite(own_id) else None
 
 
 def _members(text: str) -> dict[str, Any]:
-    """The members of the outermost object of text that is no JSON: those that are text or a number as such."""
+    """Return the members of the outermost object in damaged JSON: the values of texts and numbers, None for others."""
     depth, name, last = 0, "", ""
     members: dict[str, Any] = {}
     for match in _SCANNED.finditer(text):

@@ -1,7 +1,8 @@
-"""MCP at a Unix socket: each connection is a client, which speaks as over stdio; `ros2-mcp connect` is its end.
+"""MCP at a Unix socket: each connection is one client, with the protocol of stdio. `ros2-mcp connect` is the client's
+end.
 
-Who may connect is decided by the socket's permissions, so that no token is needed. The end of a connection is the end
-of its client: what it keeps moving stops with it, as over HTTP.
+The permissions of the socket decide who may connect, so no token is needed. The end of a connection is the end of its
+client: motion that the client commanded is stopped, as over HTTP.
 """
 
 from __future__ import annotations
@@ -38,11 +39,11 @@ if sys.platform != "win32":
     import fcntl
 
 _MODE = 0o660
-"""Its user and its group: an agent's user is put into the group."""
+"""For the user and the group of the socket: the agent's user has to be in that group."""
 _MOST_LINE_BYTES = 8_000_000
-"""Of one message: a picture as an argument, several times. It is held in memory until its end has come."""
+"""The longest message: a picture as an argument, several times over. It is held in memory until it is complete."""
 _LISTENED_S = 2.0
-"""For another server at that socket to accept us: it does so within milliseconds, or hangs."""
+"""How long another server at that socket may take to accept a connection: it does so within milliseconds, or hangs."""
 NO_SOCKETS = BadInput(
     "Python knows no Unix sockets on Windows, so that a server cannot be reached at one.",
     "Serve over HTTP: --transport streamable-http.",
@@ -51,10 +52,10 @@ _logger = logging.getLogger(__name__)
 
 
 async def serve_socket(server: Server[Any], leases: Leases, path: Path, announce: Callable[[], None]) -> None:
-    """Serves every client that connects to the socket, until cancelled.
+    """Serve every client that connects to the socket, until cancelled.
 
     Raises:
-        BadInput: if it cannot be made there, or another server listens there.
+        BadInput: if the socket cannot be made there, or another server listens there.
     """
     if sys.platform == "win32":
         raise NO_SOCKETS
@@ -81,7 +82,7 @@ async def serve_socket(server: Server[Any], leases: Leases, path: Path, announce
 
 
 class SocketPeer:
-    """The client at one connection: to the leases it is a response that stays open as long as the connection."""
+    """The client at one connection. To the leases it is a response that is open as long as the connection is."""
 
     listens = True
     was_closed = False
@@ -92,14 +93,14 @@ class SocketPeer:
         self.is_open = True
 
     def heard_at(self) -> float:
-        """Now, as long as it is open: the kernel closes it with its process."""
+        """Return the current time while the connection is open: the kernel closes it when the client process ends."""
         return monotonic() if self.is_open else 0.0
 
     async def show_alive(self) -> None:
-        """Nothing has to be shown: there is no network that could go."""
+        """Do nothing: a local socket has no network that could fail."""
 
     def leave(self, leases: Leases) -> None:
-        """The connection has ended."""
+        """Record the end of the connection."""
         self.is_open, self.was_closed = False, True
         leases.closed(self)
 
@@ -108,10 +109,10 @@ def _lines(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, at_end: C
     async def incoming() -> AsyncIterator[bytes]:
         while line := await _line(reader):
             yield line
-        at_end()  # at once: calls that are under way end with it
+        at_end()  # at once: running calls end with it
 
     async def write(line: str) -> None:
-        with suppress(ConnectionError):  # who has gone is noticed where it is read
+        with suppress(ConnectionError):  # the reader notices that the client has gone
             writer.write(line.encode() + b"\n")
             await writer.drain()
 
@@ -119,7 +120,7 @@ def _lines(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, at_end: C
 
 
 async def _line(reader: asyncio.StreamReader) -> bytes:
-    """The next one; empty at the end, which a line that is too long is as well."""
+    """Return the next line; an empty one at the end, or after a line that is too long."""
     try:
         return await reader.readline()
     except ConnectionError:
@@ -130,9 +131,9 @@ async def _line(reader: asyncio.StreamReader) -> bytes:
 
 
 def _bound(path: Path) -> socket.socket:
-    """A socket that listens there, to which its user and group alone can connect from its first moment on."""
+    """Return a socket that listens at the path. From the beginning, only its user and group can connect."""
     try:
-        with _alone_in(path.parent):  # another server would take what does not listen yet for one that has ended
+        with _alone_in(path.parent):  # another server would take a socket that does not listen yet for a dead one
             _clear(path)
             return _listening(path)
     except OSError as error:
@@ -156,7 +157,7 @@ def _listening(path: Path) -> socket.socket:
 
 @contextmanager
 def _alone_in(folder: Path) -> Generator[None]:
-    """No other server makes a socket in that folder meanwhile."""
+    """Keep other servers from making a socket in that folder while the block runs."""
     assert sys.platform != "win32"
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
@@ -167,7 +168,9 @@ def _alone_in(folder: Path) -> Generator[None]:
 
 
 def _clear(path: Path) -> None:
-    """Removes the socket of a server that has ended; another one's, or what is no socket, stays."""
+    """Remove the socket of a server that has ended. Raises `BadInput` if a server listens there, or if it is not a
+    socket.
+    """
     if not os.path.lexists(path):
         return
     if not stat.S_ISSOCK(path.lstat().st_mode):

@@ -1,4 +1,4 @@
-"""MCP over stdio: one message on a line, and an answer to each request, also to one that cannot be read."""
+"""MCP over stdio: one message per line, and an answer to each request, even to one that cannot be read."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ if TYPE_CHECKING:
     from mcp.server.lowlevel import Server
 
 _READ_BYTES = 65_536
-"""As much as a pipe holds."""
+"""The usual capacity of a pipe."""
 _logger = logging.getLogger(__name__)
 
 
 async def serve_stdio(server: Server[Any], read_fd: int, write_fd: int) -> None:
-    """Serves one client over two file descriptors that carry nothing but MCP, until the client closes its side."""
+    """Serve one client over two file descriptors that carry only MCP, until the client closes its side."""
     take_at_once = _taker(write_fd)
 
     async def write(line: str) -> None:
@@ -47,14 +47,17 @@ async def serve_stdio(server: Server[Any], read_fd: int, write_fd: int) -> None:
 
 
 def _taker(write_fd: int) -> Callable[[bytes], bytes]:
-    """Writes what is taken without waiting, and gives what is left: all of it where that cannot be known."""
+    """Return a function that writes as much as fits without blocking, and returns the rest.
+
+    If it cannot know how much fits, it writes nothing.
+    """
     if sys.platform == "win32" or stat.S_IFMT(os.fstat(write_fd).st_mode) not in (stat.S_IFIFO, stat.S_IFSOCK):
         return lambda data: data
     room = select.poll()
     room.register(write_fd, select.POLLOUT)
 
     def take(rest: bytes) -> bytes:
-        while rest and room.poll(0):  # then so much is taken at once
+        while rest and room.poll(0):  # then PIPE_BUF bytes fit without blocking
             rest = rest[os.write(write_fd, rest[: select.PIPE_BUF]) :]
         return rest
 
@@ -73,8 +76,8 @@ async def _lines_of(read_fd: int) -> AsyncIterator[bytes]:
 
 
 async def _piece_of(read_fd: int) -> bytes:
-    """What has come, at once; empty at the end. It takes no thread, which costs more than the reading, but on Windows,
-    where nothing else waits for a pipe.
+    """Return the bytes that have arrived, as soon as there are any; empty at the end. It needs no thread, which costs
+    more than reading, except on Windows, where a pipe can only be awaited in a thread.
     """
     if sys.platform == "win32":
         return await to_thread.run_sync(os.read, read_fd, _READ_BYTES, abandon_on_cancel=True)
@@ -91,14 +94,14 @@ def _write_all(write_fd: int, data: bytes) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Lines:
-    """The lines of one client: those that come, and how one is written."""
+    """The lines of one client: an iterator of incoming lines, and a function that writes one line."""
 
     incoming: AsyncIterable[bytes]
     write: Callable[[str], Awaitable[None]]
 
 
 async def serve_lines(server: Server[Any], lines: Lines, peer: object = None) -> None:
-    """Serves one client until its lines end. `peer` is what each of its requests is said to come from."""
+    """Serve one client until its lines end. `peer` is attached to each of its requests as their origin."""
     to_server, incoming = anyio.create_memory_object_stream[SessionMessage | Exception]()
     outgoing, from_server = anyio.create_memory_object_stream[SessionMessage]()
     wire = _Wire(lines, ServerMessageMetadata(request_context=peer) if peer else None)
@@ -109,7 +112,7 @@ async def serve_lines(server: Server[Any], lines: Lines, peer: object = None) ->
 
 
 class _Wire:
-    """The lines of one client, both ways."""
+    """The lines of one client, in both directions."""
 
     def __init__(self, lines: Lines, metadata: ServerMessageMetadata | None) -> None:
         self._lines = lines
@@ -117,7 +120,7 @@ class _Wire:
         self._writing = anyio.Lock()
 
     async def read_all(self, to_server: MemoryObjectSendStream[SessionMessage | Exception]) -> None:
-        """Gives the server each message, and answers what is none."""
+        """Pass each message to the server, and answer lines that are not messages."""
         async with to_server:
             async for line in self._lines.incoming:
                 if not line.strip():
@@ -131,7 +134,7 @@ class _Wire:
                     await self._write(json.dumps(refusal.answer))
 
     async def write_all(self, from_server: MemoryObjectReceiveStream[SessionMessage]) -> None:
-        """Writes what the server sends."""
+        """Write what the server sends."""
         async with from_server:
             async for sent in from_server:
                 if line := _as_line(sent.message):
@@ -143,10 +146,10 @@ class _Wire:
 
 
 def _as_line(message: JSONRPCMessage) -> str:
-    """The message in JSON; an error in its place if it cannot be written, and nothing where nobody waits for it."""
+    """Return a message as JSON; if it cannot be written, an error instead, or "" if no answer is expected."""
     try:
         return message.model_dump_json(by_alias=True, exclude_unset=True)
-    except (PydanticSerializationError, ValueError) as error:  # a fault of ours, with which its client must not wait
+    except (PydanticSerializationError, ValueError) as error:  # a fault of ours; its client must not wait for ever
         _logger.exception("a message cannot be written")
         if isinstance(message, (JSONRPCRequest, JSONRPCNotification)):
             return ""

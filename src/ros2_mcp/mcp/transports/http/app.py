@@ -1,4 +1,4 @@
-"""MCP over HTTP, guarded: only known Host and Origin headers and tokens, whatever address it listens on."""
+"""MCP over HTTP, guarded at every address: only known Host and Origin headers and known tokens are accepted."""
 
 from __future__ import annotations
 
@@ -44,29 +44,35 @@ if TYPE_CHECKING:
 
 
 _MESSAGE_PATH = "/mcp"
-"""How the path begins that messages are posted to: with a line feed behind it, it leads there as well."""
+"""The prefix of the path to which messages are posted; a prefix, because the path with a line feed appended is routed
+to the same place.
+"""
 _MOST_BYTES = 1_000_000
-"""Of a body: the SDK parses it once more on the event loop, which takes 0.01 to 0.13 s for so much. The link
-lease is 1 s."""
+"""The largest body. The SDK parses it a second time on the event loop, which takes 0.01 to 0.13 s at this size. The
+link lease is 1 s.
+"""
 _TOO_LARGE = f"A request over HTTP has at most {_MOST_BYTES:,} bytes: send smaller requests, or use stdio."
 _MOST_NESTED = 50_000
-"""Lists and objects in a body, those that only stand in a text counted too. Each is an object that the garbage
-collector visits while the event loop waits: 400,000 of them in 0.8 MB take 0.5 s, and twelve such bodies delayed a stop
-by 3 s. A megabyte of points or poses has 40,000 at most."""
+"""The most lists and objects in a body, including brackets within texts. Each is an object that the garbage collector
+visits while the event loop waits: 400,000 of them in 0.8 MB take 0.5 s, and twelve such bodies delayed a stop by 3 s. A
+megabyte of points or poses has 40,000 at most.
+"""
 _TOO_NESTED = (
     f"A request over HTTP has at most {_MOST_NESTED:,} objects and lists: send smaller requests, or use stdio."
 )
 _SMALL_BYTES = 4000
-"""A body up to this size is always read, and by one parser only (`incoming.LARGE`): a stop has some 200."""
+"""A body up to this size is always read, and by one parser only (`incoming.LARGE`): a stop has about 200 bytes."""
 _MOST_HELD_BYTES = 64_000_000
-"""Of bodies that are read or answered at the same time: 64 of the largest."""
+"""The most bytes of bodies that are read or answered at the same time: 64 of the largest."""
 _LET_PASS_S = 3.0
-"""At most so long a large body waits for stops that are under way: who stops all the time keeps nobody out."""
+"""The longest wait of a large body for stops that are running, so that a client that stops all the time does not block
+the others.
+"""
 _BUSY = "Too many large requests are being processed: repeat this one in 1 s."
 _CANCELLED = 0
-"""The SDK's code for a request that its client has cancelled."""
+"""The SDK's error code for a request that its client has cancelled."""
 _Key = tuple[str, str]
-"""A session and the id of a request in it."""
+"""A session, and the id of a request in it."""
 
 
 async def serve_http(
@@ -78,10 +84,10 @@ async def serve_http(
     entrance: Entrance,
     announce: Callable[[str], None],
 ) -> None:
-    """Serves `/mcp` (streamable HTTP), until cancelled; `announce` is told its address once it listens.
+    """Serve `/mcp` (streamable HTTP) until cancelled. `announce` is called with the address when the server listens.
 
     Raises:
-        BadInput: if it cannot listen there.
+        BadInput: if it cannot listen at the address and port of the settings.
     """
     guard = TransportSecuritySettings(
         enable_dns_rebinding_protection=True,
@@ -96,11 +102,11 @@ async def serve_http(
             _KnownHosts(LoginLayer(Presence(readable, leases, connections), entrance.tokens), guard),
             ssl_certfile=settings.tls_cert and settings.tls_cert.expanduser(),
             ssl_keyfile=settings.tls_key and settings.tls_key.expanduser(),
-            ws="none",  # a way in that no guard, lease or test of ours knows
+            ws="none",  # WebSocket bypasses the guards and the leases, and is not tested
             log_level=settings.log_level,
             log_config=_log_config(),
             http=connections.protocol(),
-            proxy_headers=False,  # they say what the client likes
+            proxy_headers=False,  # such headers come from the client, and prove nothing
         )
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(leases.keep)
@@ -113,7 +119,7 @@ async def serve_http(
 async def _transport(
     server: Server[Any], guard: TransportSecuritySettings, settings: Settings, entrance: Entrance
 ) -> AsyncGenerator[ASGIApp]:
-    """What answers the messages, while it is used."""
+    """Return the ASGI app that answers messages; it runs within this context."""
     in_session = server.streamable_http_app(
         host=settings.host,
         transport_security=guard,
@@ -126,17 +132,17 @@ async def _transport(
 
 
 class _WithoutQuery(logging.Filter):
-    """Leaves what follows `?` out of the lines of uvicorn's access log: clients write tokens there, and session ids."""
+    """Removes the query from addresses in uvicorn's access log: clients write tokens and session ids there."""
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Always keeps the line."""
+        """Remove the query; always keep the line."""
         if isinstance(record.args, tuple):  # client, method, address, version, status
             record.args = tuple(one.partition("?")[0] if isinstance(one, str) else one for one in record.args)
         return True
 
 
 def _log_config() -> dict[str, Any]:
-    """uvicorn's own, with an access log that names paths only."""
+    """Return uvicorn's log configuration, with an access log without queries."""
     config = deepcopy(uvicorn.config.LOGGING_CONFIG)
     config["filters"] = {"without_query": {"()": _WithoutQuery}}
     config["loggers"]["uvicorn.access"]["filters"] = ["without_query"]
@@ -144,22 +150,22 @@ def _log_config() -> dict[str, Any]:
 
 
 class _Announced(uvicorn.Server):
-    """A server that says so once it listens."""
+    """A uvicorn server that calls `announce` when it listens."""
 
     def __init__(self, config: uvicorn.Config, announce: Callable[[], None]) -> None:
         super().__init__(config)
         self._announce = announce
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Begins to listen."""
+        """Begin to listen, then call `announce`."""
         await super().startup(sockets)
         if self.started:
             self._announce()
 
 
 class _KnownHosts:
-    """Refuses a request with a foreign Host or Origin, or whose end can be read in two ways, whatever its path and
-    method, before anything else sees it.
+    """Refuses requests with a foreign Host or Origin, or with an ambiguous length, before any other layer sees them,
+    whatever their path and method.
     """
 
     def __init__(self, app: ASGIApp, settings: TransportSecuritySettings) -> None:
@@ -173,10 +179,10 @@ class _KnownHosts:
             if any(len(request.headers.getlist(name)) > 1 for name in ("host", "origin")):
                 answer = Response(
                     "The header Host or Origin is given twice.", status_code=400
-                )  # the SDK looks at the first alone
+                )  # the SDK reads the first one only
             elif "transfer-encoding" in request.headers and "content-length" in request.headers:
-                # A proxy before us may go by the length, and we by the chunks: what is behind them would be a second
-                # request (RFC 9112, section 6.1). Whatever follows on this connection is not read.
+                # A proxy in front may use the length, and this server the chunks: bytes after the shorter of the two
+                # would be a second request (RFC 9112, section 6.1). Nothing more is read from this connection.
                 answer = Response(
                     "The headers Content-Length and Transfer-Encoding exclude each other.", 400, {"Connection": "close"}
                 )
@@ -186,9 +192,9 @@ class _KnownHosts:
 
 
 class _Readable:
-    """Answers a request that cannot be read, or whose id another one of its session has that is not answered yet.
+    """Answers requests that cannot be read, or whose id belongs to another unanswered request of the same session.
 
-    The transport of the handshake era would answer the one of the two that came last, and leave the other waiting.
+    Of two such requests, the transport of the handshake era would answer the later one only.
     """
 
     def __init__(self, app: ASGIApp, leases: Leases, scopes: Scopes) -> None:
@@ -219,7 +225,7 @@ class _Readable:
     async def _take(self, request: Request, send: Send) -> None:
         try:
             body = await _body_of(request)
-        except ClientDisconnect:  # before all of it had come: there is nobody to answer
+        except ClientDisconnect:  # before all of it had arrived: there is no client to answer
             return
         if body is None:
             await PlainTextResponse(_TOO_LARGE, 413)(request.scope, request.receive, send)
@@ -232,7 +238,7 @@ class _Readable:
 
     async def _answer(self, body: bytes, scope: Scope, receive: Receive, send: Send) -> None:
         session, login = session_of(Request(scope)), login_of(Request(scope))
-        if session and login:  # not yet checked: what another token sends under its id concerns nobody
+        if session and login:  # unchecked so far: the token's name keeps the sessions of different tokens apart
             session = f"{login.name} {session}"
         message = await self._read(body, session)
         first: Message | None = {"type": "http.request", "body": body, "more_body": False}
@@ -269,7 +275,7 @@ class _Readable:
             ended.set()
 
     async def _let_stops_pass(self) -> None:
-        """Waits until no stop is under way: what is large is parsed by the SDK on the event loop, where stops run."""
+        """Wait until no stop is running: the SDK parses large bodies on the event loop, where stops run, too."""
         with anyio.move_on_after(_LET_PASS_S):
             while self._stops:
                 await next(iter(self._stops)).wait()
@@ -277,7 +283,9 @@ class _Readable:
     async def _pass_on(
         self, message: JSONRPCMessage | list[Refusal], session: str, scope: Scope, replay: Receive, send: Send
     ) -> None:
-        """Gives the transport a request, unless one of its id is not answered yet; or answers what is none."""
+        """Pass a request to the transport unless an unanswered one has the same id; answer other messages that cannot
+        be read.
+        """
         if isinstance(message, JSONRPCRequest) and session:
             key = _key(session, message.id)
             if key in self._in_flight:
@@ -296,7 +304,7 @@ class _Readable:
             await self._app(scope, replay, send)
 
     async def _read(self, body: bytes, session: str) -> JSONRPCMessage | list[Refusal]:
-        """The message, or the answers to it. A large one is read while others pass: what cancels it is remembered."""
+        """Return the message, or the refusals to send. Record cancellations while a large message is parsed."""
         self._being_read[session] += 1
         try:
             message = await aside(len(body), read_message, body, turn=READING)
@@ -317,11 +325,11 @@ class _Readable:
 
 
 def _key(session: str, request_id: object) -> _Key:
-    return session, str(request_id)  # the SDK tells 7 and "7" not apart
+    return session, str(request_id)  # the SDK does not distinguish 7 from "7"
 
 
 async def _body_of(request: Request) -> bytes | None:
-    """The whole body; None if it is too large. Raises `ClientDisconnect`."""
+    """Return the whole body; None if it is too large. Raises `ClientDisconnect`."""
     if _declared_bytes(request) > _MOST_BYTES and "transfer-encoding" not in request.headers:
         return None
     body = bytearray()
@@ -333,6 +341,6 @@ async def _body_of(request: Request) -> bytes | None:
 
 
 def _declared_bytes(request: Request) -> int:
-    """How large a body is said to be; more than may be, where nothing is said."""
+    """Return the declared length of a body; more than the limit if there is none."""
     declared = request.headers.get("content-length", "")
     return int(declared[:20]) if declared.isdecimal() else _MOST_BYTES + 1

@@ -1,7 +1,7 @@
-"""The connections of clients over HTTP: how many there may be, how long a request may take to come, who is still there.
+"""The connections of HTTP clients: their number, the time limit for a request to arrive, and which clients are alive.
 
-Under Linux the kernel says when a connection's peer last acknowledged or sent anything (TCP_INFO). Elsewhere an open
-connection counts as a client that is there.
+On Linux the kernel reports when the peer of a connection last acknowledged or sent anything (TCP_INFO). Elsewhere an
+open connection counts as a live client.
 """
 
 from __future__ import annotations
@@ -28,39 +28,41 @@ if TYPE_CHECKING:
     from starlette.types import Scope
 
 MOST_CONNECTIONS = 256
-"""A quarter of the files that a process may usually have open; 16 clients need some 64."""
+"""A quarter of the files that a process may usually open; 16 clients need about 64 connections."""
 RECEIVE_S = 15.0
-"""For TLS and one request, to its last byte: 1 MB at 70 kB/s, and for the head alone far more than it needs."""
+"""The time for TLS and one request, to its last byte: enough for 1 MB at 70 kB/s, and far more than the headers need.
+"""
 _LOOK_S = 1.0
 _CONNECTION = "ros2_mcp.connection"
-"""The key of a request's state under which its connection is found."""
+"""The key of a connection in the state of a request."""
 _TCP_INFO_BYTES = 60
 _SINCE_HEARD = struct.Struct("=52xII")
-"""Of `struct tcp_info` of linux/tcp.h: `tcpi_last_data_recv` and `tcpi_last_ack_recv`, ms ago."""
+"""In `struct tcp_info` of linux/tcp.h: `tcpi_last_data_recv` and `tcpi_last_ack_recv`, both an age in ms."""
 _logger = logging.getLogger(__name__)
 
 
 class Connections:
     """The connections of all clients.
 
-    Where there are too many, the oldest makes room on which no request has been accepted yet; where there is none, one
-    of the login that has the most: whoever holds connections open keeps nobody out, with a login or without.
+    If there are too many, the oldest connection without an accepted request is closed; if there is none, one of the
+    login that has the most. So a client that holds connections open does not keep out the others, with or without a
+    login.
     """
 
     def __init__(self) -> None:
-        self._open: dict[Any, None] = {}  # in the order in which they came
-        self._arriving: dict[int, tuple[socket.socket, float]] = {}  # by descriptor, with when it came
+        self._open: dict[Any, None] = {}  # in order of arrival
+        self._arriving: dict[int, tuple[socket.socket, float]] = {}  # by file descriptor, with its arrival time
 
     async def listen(self, host: str, port: int) -> list[socket.socket]:
-        """Sockets at the addresses of a host, of which each connection is noted.
+        """Return sockets that listen at the addresses of a host, and that record each connection.
 
         Raises:
-            BadInput: if nothing can listen there.
+            BadInput: if this host and port cannot be used.
         """
         try:
             bound = await asyncio.get_running_loop().create_server(asyncio.Protocol, host, port, start_serving=False)
         except OSError as error:
-            # asyncio puts its own words before the reason, and under some Pythons the number.
+            # asyncio prefixes the reason with its own text, and in some versions of Python with the error number.
             why = str(error.strerror).rpartition(": ")[2].rpartition("] ")[2]
             raise BadInput(
                 f"This server cannot listen at {host}, port {port}: {why}.",
@@ -71,7 +73,7 @@ class Connections:
         return listeners
 
     def protocol(self) -> type[asyncio.Protocol]:
-        """The class of uvicorn's that speaks HTTP, which notes each connection here while it is open."""
+        """Return uvicorn's HTTP protocol class, extended to record each open connection here."""
         connections = self
 
         class NotedProtocol(AutoHTTPProtocol):
@@ -84,7 +86,7 @@ class Connections:
 
             def connection_made(self, transport: asyncio.BaseTransport) -> None:
                 self.receiving_since = monotonic()
-                self.app_state = {**self.app_state, _CONNECTION: self}  # which uvicorn copies into each request's scope
+                self.app_state = {**self.app_state, _CONNECTION: self}  # uvicorn copies it into each request's scope
                 super().connection_made(transport)
                 connections._arriving.pop(transport.get_extra_info("socket").fileno(), None)
                 connections._admit(self)
@@ -96,7 +98,7 @@ class Connections:
             def note_received(self) -> None:
                 cycle = self.cycle
                 if cycle is not None and not cycle.more_body and not cycle.response_complete:
-                    self.receiving_since = None  # all of the request has come
+                    self.receiving_since = None  # all of the request has arrived
                 elif self.receiving_since is None:
                     self.receiving_since = monotonic()
 
@@ -110,25 +112,27 @@ class Connections:
         return NotedProtocol
 
     async def keep(self) -> None:
-        """Ends connections whose request does not come, until cancelled."""
+        """Close connections whose request takes too long to arrive, until cancelled."""
         while True:
             await anyio.sleep(_LOOK_S)
             late = monotonic() - RECEIVE_S
             for each in list(self._open):
-                each.note_received()  # the beginning of a second request may have come with the first
+                each.note_received()  # the beginning of a second request may have arrived with the first
                 if each.receiving_since and each.receiving_since < late:
                     self._end(each, "its request took too long to come")
             for descriptor in [each for each, (_, since) in self._arriving.items() if since < late]:
                 self._turn_away(descriptor)
 
     def trust(self, scope: Scope) -> None:
-        """Notes that a request was accepted: its connection is a client's."""
+        """Record that a request was accepted, so that its connection belongs to a client."""
         if connection := _of(scope):
             connection.is_trusted = True
             connection.login = login_name(scope)
 
     def heard_at(self, scope: Scope) -> float:
-        """When the client of a request last acknowledged or sent anything (monotonic, s); now, if nobody can tell."""
+        """Return when the client of a request last acknowledged or sent anything (monotonic clock, s): the current time
+        except on Linux; 0 if the connection is closed.
+        """
         if sys.platform != "linux":
             return monotonic()
         connection = _of(scope)
@@ -149,15 +153,15 @@ class Connections:
             self._end(next(strangers, None) or self._of_the_most(connection), "there are too many connections")
 
     def _of_the_most(self, newest: Any) -> Any:
-        """Of the login that has the most connections, the oldest one, rather one on which no request is under way."""
+        """Return the oldest connection of the login that has the most, preferably one without a running request."""
         number = Counter(each.login for each in self._open if each is not newest)
         most = max(number, key=lambda login: number[login])
         own = [each for each in self._open if each.login == most and each is not newest]
         return next((each for each in own if each.is_at_rest()), own[0])
 
     def _arrive(self, connection: socket.socket) -> None:
-        """Notes a connection on which TLS is to be negotiated: of too many, the oldest makes room."""
-        self._arriving.pop(connection.fileno(), None)  # that one was closed: its number is given anew
+        """Record a connection before its TLS handshake; if there are too many, close the oldest."""
+        self._arriving.pop(connection.fileno(), None)  # the earlier connection with this descriptor was closed
         self._arriving[connection.fileno()] = connection, monotonic()
         if len(self._arriving) > MOST_CONNECTIONS:
             self._turn_away(next(iter(self._arriving)))
@@ -174,14 +178,14 @@ class Connections:
 
 
 class _Listener(socket.socket):
-    """Notes each connection from its first moment on: asyncio shows one only when TLS has been negotiated."""
+    """A listening socket that records each connection at once: asyncio shows one only after the TLS handshake."""
 
     def __init__(self, descriptor: int, arrive: Callable[[socket.socket], None]) -> None:
         super().__init__(fileno=descriptor)
         self._arrive = arrive
 
     def accept(self) -> tuple[socket.socket, Any]:
-        """The next one."""
+        """Accept and record the next connection."""
         connection, address = super().accept()
         self._arrive(connection)
         return connection, address

@@ -1,4 +1,4 @@
-"""The login over HTTP: a request without a token that is known goes no further, whatever its path and method."""
+"""The login over HTTP: a request without a known token is refused, whatever its path and method."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ if TYPE_CHECKING:
     from starlette.types import ASGIApp, Receive, Scope, Send
 
 _IN_QUERY = frozenset({"access_token", "token", "bearer_token", "api_key", "authorization"})
-"""Where tokens are written that do not belong there: addresses are logged, and kept in histories."""
+"""Query parameters in which clients wrongly put tokens: addresses are logged, and kept in histories."""
 _HOW = (
     "A token is asked for: Authorization: Bearer TOKEN. ros2-mcp config CLIENT --http prints a client's configuration."
 )
 
 
 class LoginLayer:
-    """The ASGI layer that asks for a token, and notes in the request whose it is."""
+    """The ASGI layer that requires a token, and stores its login in the request."""
 
     def __init__(self, app: ASGIApp, tokens: Tokens | None) -> None:
         self._app = app
         self._tokens = tokens
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """One request."""
+        """Answer one request."""
         app = self._app
         if scope["type"] == "http" and self._tokens:
             found = _logged_in(scope, self._tokens)
             if isinstance(found, Login):
                 scope[LOGIN] = found
-                # To the SDK it is the user, and a session can be used by the one alone who began it.
+                # The SDK takes it as the user: a session can only be used by the user who began it.
                 token = AccessToken(token="", client_id=found.name, scopes=sorted(found.scopes))
                 scope["user"] = AuthenticatedUser(token)
             else:
@@ -44,7 +44,7 @@ class LoginLayer:
 
 
 def _logged_in(scope: Scope, tokens: Tokens) -> Login | PlainTextResponse:
-    """Whose token the request has, or its refusal."""
+    """Return the login of a request's token, or the refusal."""
     presented = [value for name, value in scope["headers"] if name == b"authorization"]
     query = parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)
     if any(name.lower() in _IN_QUERY for name, _ in query):
@@ -62,6 +62,6 @@ def _refusal(status: int, error: str, text: str) -> PlainTextResponse:
 
 
 def challenge(error: str, scope: str = "") -> str:
-    """The header `WWW-Authenticate` of a refusal."""
+    """Return the header `WWW-Authenticate` of a refusal."""
     more = {"error": error, "scope": scope}
     return ", ".join(['Bearer realm="ros2-mcp"', *(f'{name}="{value}"' for name, value in more.items() if value)])

@@ -1,4 +1,4 @@
-"""Whether a client over HTTP is there: its open responses, and what the kernel has heard of it (`connections.py`)."""
+"""Whether an HTTP client is alive: its open responses, and the kernel's record of its connection (`connections.py`)."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ if TYPE_CHECKING:
     from ros2_mcp.mcp.transports.http.connections import Connections
 
 _ALIVE = b": alive\r\n\r\n"
-"""A comment of an event stream, which every reader of one skips."""
+"""A comment of an event stream, which readers skip."""
 _EVENTS = b"text/event-stream"
 
 
 class Presence:
-    """The ASGI layer below the MCP transports: tells the leases who is there."""
+    """The ASGI layer below the MCP transports that reports requests and closed responses to the leases."""
 
     def __init__(self, app: ASGIApp, leases: Leases, connections: Connections) -> None:
         self._app = app
@@ -29,7 +29,7 @@ class Presence:
         self.connections = connections
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """One request."""
+        """Answer one request."""
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
@@ -43,7 +43,7 @@ class Presence:
 
 
 class _Response:
-    """An `OpenResponse`: passes on what the application and the client send each other, and notes its end."""
+    """An `OpenResponse`: forwards the messages between application and client, and records its end."""
 
     def __init__(self, layer: Presence, scope: Scope, receive: Receive, send: Send) -> None:
         self._leases = layer.leases
@@ -62,11 +62,11 @@ class _Response:
         self.listens = scope["method"] == "GET"
 
     def heard_at(self) -> float:
-        """When its client last acknowledged or sent anything (monotonic, s)."""
+        """Return when the client last acknowledged or sent anything (monotonic clock, s), as `Connections.heard_at`."""
         return self._connections.heard_at(self._scope)
 
     async def receive(self) -> Message:
-        """What the client sends; its closing is noted first."""
+        """Return the client's next message; if it closes the response, record that first."""
         message = await self._receive()
         if message["type"] == "http.disconnect" and self.is_open:
             self.is_open, self.was_closed = False, True
@@ -74,7 +74,7 @@ class _Response:
         return message
 
     async def send(self, message: Message) -> None:
-        """Sends what the application answers."""
+        """Send a message of the application to the client."""
         async with self._sending:
             if message["type"] == "http.response.start":
                 self._note_start(message)
@@ -88,9 +88,9 @@ class _Response:
             await self._send(message)
 
     async def show_alive(self) -> None:
-        """Sends a comment, unless something else waits to be sent, which its client has to acknowledge as well.
+        """Send a comment, unless another message is being sent, which the client has to acknowledge as well.
 
-        A response that has not begun becomes an event stream: its client takes both kinds.
+        A response that has not begun becomes an event stream: MCP clients accept both kinds.
         """
         if self._sending.locked():
             return
@@ -103,13 +103,15 @@ class _Response:
                 await self._send({"type": "http.response.body", "body": _ALIVE, "more_body": True})
 
     def end(self) -> None:
-        """Notes that it is complete."""
+        """Record that the response is complete."""
         if self.is_open:
             self.is_open = False
             self._leases.finished(self)
 
     def _note_start(self, message: Message) -> None:
-        """A request that was accepted is a sign of life of the client of its session, and DELETE the end of it."""
+        """Record the start of the response. An accepted request is a sign of life of its session's client; DELETE ends
+        the session.
+        """
         self._has_begun = True
         self._is_stream = any(
             name.lower() == b"content-type" and value.startswith(_EVENTS) for name, value in message["headers"]
@@ -123,7 +125,7 @@ class _Response:
             self._leases.left(principal)
 
     def _as_event(self, message: Message) -> Message:
-        """The JSON of an answer as the one event of the stream that was begun for it."""
+        """Return a JSON answer as the one event of the stream that was begun for it."""
         self._held += message.get("body", b"")
         if message.get("more_body"):
             return {"type": "http.response.body", "body": b"", "more_body": True}

@@ -1,7 +1,7 @@
-"""How many sessions there may be over HTTP, for each login; and that a stop needs none.
+"""Limits the HTTP sessions of each login, and lets a stop pass without a session.
 
-A login's sessions are its own: no other one fills or ends them. Of those, one of which nothing is heard any more makes
-room for a new one. A stop is carried out also where its session has ended, or no session can be had.
+A login's sessions are its own: other logins neither fill nor end them. Among them, a silent session makes room for a
+new one. A stop is carried out even if its session has ended, or no session can be begun.
 """
 
 from __future__ import annotations
@@ -22,23 +22,25 @@ if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 MOST_SESSIONS = 16
-"""Of one login: more programs than drive one robot; each holds a few hundred kB here."""
+"""The most sessions of one login: more than the programs that use one robot. Each holds a few hundred kB in this
+server.
+"""
 REQUEST = "ros2_mcp.request"
-"""The key of a request's scope under which is noted what it asks for, a `ReadRequest`."""
+"""The key of the `ReadRequest` in a request's ASGI scope."""
 _SESSION = "mcp-session-id"
 _WITHOUT_SESSION = frozenset({"notifications/initialized", "ping", "tools/list"})
-"""What a client asks, besides `ros2_stop`, to which a handshake without a session was given."""
+"""What a client with a handshake but without a session may ask, besides `ros2_stop`."""
 _FULL = (
     "Too many open sessions of this login: without a session ros2_stop alone is answered. Connect again when one has "
     "ended."
 )
 _NO_SESSION = (404, 503)
-"""How the SDK refuses a request whose session it does not know, or cannot begin."""
+"""The HTTP statuses with which the SDK refuses an unknown session, or one that cannot be begun."""
 
 
 @dataclass(frozen=True, slots=True)
 class ReadRequest:
-    """What a request asks for. `stops` if it is a stop, of a size that two parsers read alike."""
+    """A parsed request. `stops`: it is a stop, small enough to be read by one parser only."""
 
     method: str
     stops: bool
@@ -47,7 +49,7 @@ class ReadRequest:
 
 @dataclass(slots=True)
 class _Session:
-    """`ending` is the scope of the request that ends it, `login` the name of the token that began it."""
+    """A session. `ending` is the scope of the request that ends it, `login` the name of the token that began it."""
 
     login: str
     ending: Scope
@@ -58,9 +60,9 @@ class _Session:
 class Sessions:
     """The ASGI layer that counts the sessions of streamable HTTP.
 
-    A session without an open response of which nothing was heard for a client lease keeps nothing moving; if it is the
-    one of its login that was silent for the longest, it is ended for a new one. Where none is, the new client gets a
-    handshake without a session, in which it can stop the robot and do nothing else. `without_session` answers it.
+    A session without an open response that was silent for a client lease moves nothing; of these, the one of the login
+    that was silent for the longest is ended for a new session. If there is none, the new client gets a handshake
+    without a session, in which it can only stop the robot. `without_session` is the app that answers it.
     """
 
     def __init__(self, app: ASGIApp, without_session: ASGIApp) -> None:
@@ -70,7 +72,7 @@ class Sessions:
         self._beginning: Counter[str] = Counter()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """One request."""
+        """Answer one request."""
         if scope["type"] != "http" or _is_modern(scope):
             await self._app(scope, receive, send)
             return
@@ -90,7 +92,7 @@ class Sessions:
             await PlainTextResponse(_FULL, 503, {"Retry-After": "1"})(scope, receive, send)
 
     async def _stop(self, read: ReadRequest, named: str, scope: Scope, receive: Receive, send: Send) -> None:
-        """In its session, or, if that is not there any more, without one."""
+        """Carry out a stop in its session, or without one if the session no longer exists."""
         has_no_session = not named
 
         async def unless_refused(message: Message) -> None:
@@ -146,7 +148,7 @@ class Sessions:
                 self._beginning[login] -= 1
 
     async def _has_room(self, login: str) -> bool:
-        """Whether a login may begin one more; a silent one is ended for it."""
+        """Return whether a login may begin one more session; end a silent one for it if needed."""
         while True:
             own = {name: session for name, session in self._known.items() if session.login == login}
             if len(own) + self._beginning[login] < MOST_SESSIONS:
@@ -158,7 +160,7 @@ class Sessions:
             await self._end(min(silent, key=lambda name: own[name].used_at))
 
     async def _end(self, name: str) -> None:
-        """Ends a session as its client would."""
+        """End a session as its client would."""
 
         async def unheard(_: Any) -> None: ...
 
@@ -166,13 +168,13 @@ class Sessions:
 
 
 def _is_modern(scope: Scope) -> bool:
-    """Whether a request is of the era that knows no sessions."""
+    """Return whether a request is of the modern era, which has no sessions."""
     version = Headers(scope=scope).get("mcp-protocol-version")
     return version is not None and version not in HANDSHAKE_PROTOCOL_VERSIONS
 
 
 def _replayed(body: bytes, then: Receive | None = None) -> Receive:
-    """A body that has been read, once more, and what comes `then`."""
+    """Return a `Receive` that first gives a body that has been read, and then what `then` gives."""
     first: Message | None = {"type": "http.request", "body": body, "more_body": False}
 
     async def receive() -> Message:
@@ -187,7 +189,7 @@ _OF_A_REQUEST = ("type", "asgi", "http_version", "path", "raw_path", "root_path"
 
 
 def _ending(begun_by: Scope, session: str) -> Scope:
-    """The DELETE with which a client ends the session that it began with that request."""
+    """Return the scope of the DELETE request with which a client ends the session that it began with `begun_by`."""
     kept = {key: begun_by[key] for key in _OF_A_REQUEST if key in begun_by}
     headers = [(key, value) for key, value in begun_by["headers"] if key == b"host"]
     headers.append((_SESSION.encode(), session.encode()))
