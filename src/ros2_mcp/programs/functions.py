@@ -18,6 +18,7 @@ from ros2_mcp.programs.sandbox import LONGEST_S
 from ros2_mcp.programs.streams import FollowRequest
 from ros2_mcp.programs.stub import Stream
 from ros2_mcp.robot.goals import Goal
+from ros2_mcp_common.language.scans import why_no_bearings
 
 
 @function()
@@ -98,8 +99,9 @@ async def scan(use: Use, topic_name: str = "", timeout: float = 5.0, bag: str = 
     message = await latest(use=use, topic_name=topic_name, timeout=timeout, bag=bag)
     if "angle_increment" not in message:
         raise BadInput(f"{named(topic_name)} is not a laser scan.", "robot.topics() shows the types.")
-    if not message["angle_increment"] and len(message["ranges"]) > 1:
-        raise BadData(f"The scan of {named(topic_name)} has no bearings: angle_increment is 0.")
+    angles = (float(message[name]) for name in ("angle_min", "angle_max", "angle_increment"))
+    if why := why_no_bearings(*angles, len(message["ranges"])):
+        raise BadData(f"{named(topic_name)}: {why}")
     least, most = message["range_min"], message["range_max"]
     beams: list[list[float]] = []
     for index, metres in enumerate(message["ranges"]):

@@ -15,13 +15,12 @@ from ros2_mcp.model.meanings import SECTOR_RAD, SECTORS, ScanMeaning
 from ros2_mcp.model.poses import Pose, rotated
 from ros2_mcp.model.text import counted
 from ros2_mcp.world.footprint import Point, beyond
+from ros2_mcp_common.language.scans import why_no_bearings
 
 _COVERED = 0.5
 """A sector is told as free only where the valid beams cover this share of it: of less, too little is known."""
 _TILTED_DEG = 10.0
 """A scan plane that is tilted more than that meets the floor: at a height of 0.3 m in less than 2 m."""
-_MOST_TURN_RAD = 2 * math.tau
-"""No scanner tells more than two turns in one message; one whose steps are in degrees would tell 57."""
 _MOST_BEAMS = 1_000_000
 """More than any scanner has in a turn; so large a message is broken."""
 
@@ -53,25 +52,14 @@ def scan_points(message: Any) -> ScanPoints:
     and what is less than `range_min` invalid. Many drivers write 0 where they saw nothing: that is invalid, too.
 
     Raises:
-        BadData: if its angles are no numbers or the same for all beams, if they are of many turns, or if it has too
-            many beams.
+        BadData: if nobody knows where its beams point (`why_no_bearings`), or if it has too many.
     """
     ranges = np.asarray(message.ranges, np.float64)
     angle, step = float(message.angle_min), float(message.angle_increment)
-    if len(ranges) > _MOST_BEAMS or not (math.isfinite(angle) and math.isfinite(step)):
-        told = f"angle_min is {angle:g} rad, angle_increment {step:g} rad".replace("nan", "NaN")
-        raise BadData(f"The angles of the scan's {len(ranges)} beams are not known: {told}.")
-    if step == 0 and len(ranges) > 1:
-        raise BadData(
-            f"The scan has no bearings: angle_increment is 0 for {len(ranges)} ranges.",
-            "Its driver has not filled it in; the ranges themselves can be read.",
-        )
-    if abs(step) * (len(ranges) - 1) > _MOST_TURN_RAD:
-        raise BadData(
-            f"The scan has no bearings: {len(ranges)} ranges in steps of {step:.4g} rad are "
-            f"{abs(step) * len(ranges) / math.tau:.3g} turns.",
-            "Is angle_increment in degrees? It is in radians.",
-        )
+    if len(ranges) > _MOST_BEAMS:
+        raise BadData(f"The scan has {len(ranges)} ranges, more than any scanner.")
+    if why := why_no_bearings(angle, float(message.angle_max), step, len(ranges)):
+        raise BadData(why, "The ranges themselves can be read.")
     least, most = float(message.range_min), float(message.range_max)
     least = least if math.isfinite(least) and least > 0 else 0.0
     echoed = np.isfinite(ranges) & (ranges > 0) & (ranges >= least)

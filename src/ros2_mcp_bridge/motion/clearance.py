@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from ros2_mcp_bridge.motion.points import places
+from ros2_mcp_common.language.scans import why_no_bearings
 
 # From a scan to a command at the driver: the scanner's turn, the way, our looks. Chosen, with room.
 REACTION_S = 0.15
@@ -137,6 +138,8 @@ class Clearance:
     def _of_scan(self, scan: Any) -> tuple[list[tuple[float, float]], set[int]]:
         points: list[tuple[float, float]] = []
         seen: set[int] = set()
+        if why_no_bearings(scan.angle_min, scan.angle_max, scan.angle_increment, len(scan.ranges)):
+            return points, seen  # it shows no direction
         mount, body = self.mount, self.body
         for (cosine, sine), distance in zip(self._directions(scan), scan.ranges, strict=True):
             along_x, along_y = mount.xx * cosine + mount.xy * sine, mount.yx * cosine + mount.yy * sine

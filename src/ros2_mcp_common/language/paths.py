@@ -1,6 +1,7 @@
 """Paths to fields: `pose.pose.position`, `ranges[0:10]`, `name[-1]`, `transforms[*].header.frame_id`.
 
-`transforms[child_frame_id == "base_link"]` are the elements of which that is so. Server and bridge share them: they
+`transforms[child_frame_id == "base_link"]` are the elements of which that is so, `data[100:200]` of a text these
+characters. Server and bridge share them: they
 read messages of rosbags as well as of rclpy. Needs no ROS.
 """
 
@@ -64,6 +65,11 @@ class Step:
         """The type of the field, or of one element where some are picked."""
         return self.field.type if self.pick is None else self.field.type.element
 
+    @property
+    def is_several(self) -> bool:
+        """Whether it stands for several values; a part of a text is one."""
+        return isinstance(self.pick, (slice, Where)) and self.field.type.arity != "single"
+
 
 @dataclass(frozen=True)
 class FieldPath:
@@ -80,7 +86,7 @@ class FieldPath:
     @property
     def is_list(self) -> bool:
         """Whether it stands for several values."""
-        return self.type.arity != "single" or any(isinstance(step.pick, (slice, Where)) for step in self.steps)
+        return self.type.arity != "single" or any(step.is_several for step in self.steps)
 
     def finds_none_in(self, message: object) -> bool:
         """Whether it asks for elements with a value, and the message has none."""
@@ -91,7 +97,7 @@ class FieldPath:
 
         None where it cannot be told: several lists lead there, or it is counted from the end of one of any length.
         """
-        lists = [step for step in self.steps if isinstance(step.pick, (slice, Where))]
+        lists = [step for step in self.steps if step.is_several]
         if self.type.arity != "single":
             lists.append(self.steps[-1])
         if len(lists) != 1 or isinstance(lists[0].pick, Where):
@@ -193,7 +199,10 @@ def _step(types: Types, path: str, inside: FieldType, name: str, brackets: str) 
     if not brackets:
         return Step(field)
     if field.type.arity == "single":
-        raise PathError(path, f"{name} is a single {field.type}, not a list.")
+        if field.type.base in TEXTS and (match := _SLICE.fullmatch(index)):
+            return Step(field, _slice(match))
+        hint = f"{name}[0:100] are characters of it." if field.type.base in TEXTS else ""
+        raise PathError(path, f"{name} is a single {field.type}, not a list.", hint)
     if index == "*":
         return Step(field, slice(None))
     if _INDEX.fullmatch(index):
@@ -206,7 +215,11 @@ def _step(types: Types, path: str, inside: FieldType, name: str, brackets: str) 
     match = _SLICE.fullmatch(index)
     if match is None:
         raise PathError(path, f"[{index}] is not an index.", _NOT_AN_INDEX)
-    return Step(field, slice(*(int(bound) if bound else None for bound in match.groups())))
+    return Step(field, _slice(match))
+
+
+def _slice(match: re.Match[str]) -> slice:
+    return slice(*(int(bound) if bound else None for bound in match.groups()))
 
 
 def _where(types: Types, path: str, field: TypedField, found: re.Match[str]) -> Where:

@@ -2,7 +2,7 @@
 
 The manager says which controllers and hardware components are active. An inactive base ignores commands and an inactive
 arm rejects goals, each with the line that the real controllers log; below hardware that is not active goals are
-accepted, and nothing moves. The base's odometry is transient_local, as that of a real diff_drive_controller. It knows
+accepted, and nothing moves. No manager knows the flipper's driver, a lifecycle node that is unconfigured. The base's odometry is transient_local, as that of a real diff_drive_controller. It knows
 ROS 2 and nothing of this project.
 """
 
@@ -25,6 +25,7 @@ from nav_msgs.msg import Odometry
 from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import MultiThreadedExecutor
+from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
@@ -82,7 +83,10 @@ class Robot:
         other = Node("another_client")
         self._client = ActionClient(other, FollowJointTrajectory, "/arm_controller/follow_joint_trajectory")
         self._sent: Any = None
+        flipper = LifecycleNode("flipper_driver")
+        flipper.create_subscription(Float64MultiArray, "/flipper/commands", lambda _: None, 10)
         executor = MultiThreadedExecutor()
+        executor.add_node(flipper)
         for node in (*self._nodes.values(), other):
             executor.add_node(node)
         threading.Thread(target=executor.spin, daemon=True).start()

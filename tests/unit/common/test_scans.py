@@ -19,6 +19,7 @@ class Scan:
     range_min: float = 0.1
     range_max: float = 10.0
     ranges: list[float] = field(default_factory=lambda: [5.0] * 181)
+    angle_max: float = 0.0
 
 
 def seen(**at_degrees: float) -> Scan:
@@ -77,8 +78,9 @@ def test_what_is_free_is_infinitely_far() -> None:
     ("scan", "says"),
     [
         (Scan(ranges=[]), "sees nothing"),
-        (Scan(angle_increment=0.0), "no numbers"),
-        (Scan(angle_min=math.nan), "no numbers"),
+        (Scan(angle_increment=0.0), "angle_increment is 0"),
+        (Scan(angle_min=math.nan), "angle_min is NaN"),
+        (Scan(angle_max=math.pi), "has 181 ranges, and its header tells 271"),
         (Scan(ranges=[0.0] * 181), "has measured"),
     ],
 )

@@ -7,12 +7,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ros2_mcp.model.errors import BadInput, NotFound, RobotError
+from ros2_mcp.model.errors import BadData, BadInput, NotFound, RobotError
 from ros2_mcp.model.text import listed, named
 from ros2_mcp.ops.motion.body import body_of
 from ros2_mcp.ops.motion.find import Found, first_decoded, given_topic, located_on
 from ros2_mcp.robot import Robot
 from ros2_mcp.world.transforms import Located
+from ros2_mcp_common.language.scans import why_no_bearings
 
 DEFAULT_GUARD_M = 0.2
 """Kept free ahead of the outline where nobody asks for another distance: it leaves room to turn on the spot, and for
@@ -110,6 +111,8 @@ async def _sight(robot: Robot, found: Found, base_frame: str, is_given: bool) ->
     """Where that sensor sits; the error of one that is silent, or is not fixed to the robot, is returned."""
     try:
         message = await first_decoded(robot, found)
+        if found.type == SCAN and (why := _no_bearings(message)):
+            raise BadData(f"{named(found.topic)}: {why}")
         frame = str(message.header.frame_id).lstrip("/")
         located = await located_on(robot, frame, base_frame)
         if located is None:
@@ -124,6 +127,10 @@ async def _sight(robot: Robot, found: Found, base_frame: str, is_given: bool) ->
         return error
     turn = (round(message.angle_min, 2), round(message.angle_max, 2)) if found.type == SCAN else ()
     return Sight(found, (frame, *turn), mount)
+
+
+def _no_bearings(scan: Any) -> str:
+    return why_no_bearings(scan.angle_min, scan.angle_max, scan.angle_increment, len(scan.ranges))
 
 
 def _is_carried(located: Located) -> bool:
