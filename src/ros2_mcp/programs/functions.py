@@ -99,8 +99,8 @@ async def scan(use: Use, topic_name: str = "", timeout: float = 5.0, bag: str = 
     message = await latest(use=use, topic_name=topic_name, timeout=timeout, bag=bag)
     if "angle_increment" not in message:
         raise BadInput(f"{named(topic_name)} is not a laser scan.", "robot.topics() shows the types.")
-    angles = (float(message[name]) for name in ("angle_min", "angle_max", "angle_increment"))
-    if why := why_no_bearings(*angles, len(message["ranges"])):
+    first, last, step = (float(message[name]) for name in ("angle_min", "angle_max", "angle_increment"))
+    if why := why_no_bearings(first, last, step, len(message["ranges"])):
         raise BadData(f"{named(topic_name)}: {why}")
     least, most = message["range_min"], message["range_max"]
     beams: list[list[float]] = []

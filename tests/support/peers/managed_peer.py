@@ -2,8 +2,8 @@
 
 The manager says which controllers and hardware components are active. An inactive base ignores commands and an inactive
 arm rejects goals, each with the line that the real controllers log; below hardware that is not active goals are
-accepted, and nothing moves. No manager knows the flipper's driver, a lifecycle node that is unconfigured. The base's odometry is transient_local, as that of a real diff_drive_controller. It knows
-ROS 2 and nothing of this project.
+accepted, and nothing moves. No manager knows the flipper's driver, a lifecycle node that is unconfigured. The base's
+odometry is transient_local, as that of a real diff_drive_controller. It knows ROS 2 and nothing of this project.
 """
 
 from __future__ import annotations

@@ -125,7 +125,9 @@ class Dump:
         if not self.left_out:
             return line
         long = ", ".join(f"{named(name)} ({size})" for name, size in list(self.left_out.items())[:_MAX_NAMED])
-        return f"{line} Too long to show: {long}. {_WHOLE_HINT}, or a part of it, {_part_hint(next(iter(self.left_out)))}."
+        return (
+            f"{line} Too long to show: {long}. {_WHOLE_HINT}, or a part of it, {_part_hint(next(iter(self.left_out)))}."
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -358,7 +360,7 @@ async def _set(robot: Robot, session: Session, command: SetParameters) -> dict[s
     One that answers for fewer than it is asked to set (micro-ROS with little memory takes one at a time, and answers
     nothing to a list) is asked for each in turn.
     """
-    messages = cast("Sequence[Mapping[str, Any]]", command.value["parameters"])
+    messages = cast("Mapping[str, Any]", command.value)["parameters"]
     answering = robot.do(command, session)
     response = await fields_of_answer(robot, command.name, answering, _not_found, unanswered=_UNANSWERED)
     if command.type == SET_PARAMETERS_ATOMICALLY:

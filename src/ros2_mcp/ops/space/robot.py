@@ -16,10 +16,12 @@ import anyio
 from ros2_mcp.model.aside import load
 from ros2_mcp.model.errors import NotFound, RobotError, UnknownInterface
 from ros2_mcp.model.graph import TopicEndpoints
+from ros2_mcp.model.pictures import RobotPlace
 from ros2_mcp.model.poses import Pose, from_roll_pitch_yaw
 from ros2_mcp.model.text import named, quoted
 from ros2_mcp.ops.measure.diagnostics import LEVELS
 from ros2_mcp.ops.pictures.next_message import next_message
+from ros2_mcp.ops.pictures.robot_place import LOCALISED, LOCALISED_TYPE, robot_place
 from ros2_mcp.ops.results.results import silent
 from ros2_mcp.ops.sources.source import GraphSnapshot, Source
 from ros2_mcp.ops.space.body import NO_MOUNT, MountInWords, footprint_in_words, mounted
@@ -28,7 +30,7 @@ from ros2_mcp.ops.space.controllers import LIST_CONTROLLERS, Controller, control
 from ros2_mcp.ops.space.description import described
 from ros2_mcp.ops.space.edges import edge_row, in_words
 from ros2_mcp.ops.space.first_heard import FIRST_S, YOUNG_S, frames_heard, not_heard_in_words
-from ros2_mcp.ops.space.frames import WORLDS, disputed_roots, frames_of, separate_roots
+from ros2_mcp.ops.space.frames import MAP, WORLDS, disputed_roots, frames_of, separate_roots
 from ros2_mcp.ops.space.heads import Head, heads_of
 from ros2_mcp.ops.space.inputs import (
     CommandInput,
@@ -40,6 +42,7 @@ from ros2_mcp.ops.space.inputs import (
 )
 from ros2_mcp.ops.space.joints import JointNow, joints_now, placed
 from ros2_mcp.ops.space.lines import Named
+from ros2_mcp.ops.space.place import OLD_S, fixed_in_world, pose_in_words
 from ros2_mcp.ops.space.sensors import JOINT_STATE, MISSED, ODOMETRY, also_told, ranked, rate_in_words, sensors_of
 from ros2_mcp.ops.space.stacks import stacks_of
 from ros2_mcp.ops.space.standing_time import standing_time
@@ -47,8 +50,8 @@ from ros2_mcp.ops.space.states import states_of
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.transforms import LISTENS
 from ros2_mcp.world.robot_kind import arms_of, kind_of, wheels_of
-from ros2_mcp.world.transforms import FrameTree, Located
-from ros2_mcp.world.urdf import Mount, Urdf, parse
+from ros2_mcp.world.transforms import FrameTree
+from ros2_mcp.world.urdf import Urdf, parse
 
 _ANSWERED_S, _GIVEN_UP_S = 1.4, 1.7
 """After the call: so long messages are waited for, all at the same time, and so long any part of it at most. The
@@ -69,8 +72,6 @@ _MOST_SENSORS, _MOST_STATES = 30, 20
 more."""
 _MOST_HEARD = 40
 """Sensors of which rate and frame are looked for, where all are told."""
-_OLD_S = 2.0
-"""A place that is older is not that of now."""
 _FIRST = ("frames", "odometry", "diagnostics")
 """Parts of which a young bridge waits for the first message."""
 _MOST_CORNERS = 200
@@ -102,6 +103,7 @@ class _Seen:
     faults: Sequence[str] = ()
     odometry: Any = None
     odometry_topic: str = ""
+    in_map: RobotPlace | None = None
     diagnostics_topic: str = ""
     has_diagnostics: bool = False
     problems: list[str] = field(default_factory=list[str])
@@ -171,6 +173,7 @@ async def _gathered(robot: Robot, source: Source, most_sensors: int) -> _Seen:
         ("diagnostics", _reports(source, seen)),
         ("states", _states(source, seen)),
         ("odometry", _odometry(source, seen)),
+        ("place in the map", _in_map(source, seen)),
         ("footprint", _published_footprint(source, seen)),
         ("controllers", _managed(robot, source, seen)),
     )
@@ -373,6 +376,12 @@ async def _odometry(source: Source, seen: _Seen) -> None:
         seen.odometry = await _message(source, seen, topic, ODOMETRY, seen.first_s)
 
 
+async def _in_map(source: Source, seen: _Seen) -> None:
+    """Where pictures show it, too: by the transforms, else by what a localisation says."""
+    if any(one.topic in LOCALISED for one in _topics(seen.graph, LOCALISED_TYPE)):
+        seen.in_map = await robot_place(source, MAP)
+
+
 async def _published_footprint(source: Source, seen: _Seen) -> None:
     """The outline that Nav2 uses, in whatever frame it is told."""
     for one in _topics(seen.graph, "geometry_msgs/msg/PolygonStamped"):
@@ -492,13 +501,18 @@ def _place(source: Source, seen: _Seen, base: str) -> tuple[str, list[str]]:
     for world in WORLDS:
         match = next((name for name in seen.tree.frames if name.rpartition("/")[2] == world), "")
         if match and base and match != base and (found := seen.tree.newest(match, base)):
-            age_s = _age_s(source, seen.tree, found)
+            age_s = _age_s(source, seen.tree, found.stamp_ns)
             how = "TF, localised" if world == "map" else "TF, by dead reckoning" if world == "odom" else "TF"
             how = "TF, fixed there" if found.stamp_ns is None else how
-            told.append(_pose_in_words(match, found.pose.translation, found.pose.yaw_rad, how, age_s))
-            if age_s is None or age_s < _OLD_S:
+            told.append(pose_in_words(match, found.pose.translation, found.pose.yaw_rad, how, age_s))
+            if age_s is None or age_s < OLD_S:
                 break
             old.append(f"Its place in {named(match)} is {age_s:.0f} s old.")
+        elif world == MAP and (said := seen.in_map):
+            age_s = _age_s(source, seen.tree, said.stamp_ns)
+            told.append(pose_in_words(MAP, (said.x_m, said.y_m, said.z_m), said.yaw_rad, "localisation", age_s))
+            if age_s is None or age_s < OLD_S:
+                break
     if told:
         return " ".join(told), old
     if seen.odometry is not None:
@@ -507,10 +521,10 @@ def _place(source: Source, seen: _Seen, base: str) -> tuple[str, list[str]]:
         with suppress(ValueError):
             pose = pose_of(seen.odometry.pose.pose)
             how = f"odometry, {named(seen.odometry_topic)}"
-            return _pose_in_words(seen.odometry.header.frame_id, pose.translation, pose.yaw_rad, how, None), []
-    if seen.urdf and (fixed := _fixed_in_world(seen.urdf, base)):
+            return pose_in_words(seen.odometry.header.frame_id, pose.translation, pose.yaw_rad, how, None), []
+    if seen.urdf and (fixed := fixed_in_world(seen.urdf, base)):
         pose = Pose(fixed.xyz, from_roll_pitch_yaw(*fixed.rpy))
-        return _pose_in_words(seen.urdf.root, pose.translation, pose.yaw_rad, "URDF, fixed there", None), []
+        return pose_in_words(seen.urdf.root, pose.translation, pose.yaw_rad, "URDF, fixed there", None), []
     is_silent = source.is_live and bool(seen.odometry_topic)
     if _misses_frames(seen) or is_silent or "odometry" in seen.not_read:
         return "The robot's place was not read in time.", []
@@ -522,25 +536,11 @@ def _place(source: Source, seen: _Seen, base: str) -> tuple[str, list[str]]:
     )
 
 
-def _fixed_in_world(urdf: Urdf, base: str) -> Mount | None:
-    """Where the base is fixed in the link that stands for the world; None where the description tells none."""
-    is_fixed = urdf.root.lower() in WORLDS and base != urdf.root and urdf.fixed_to(base) == urdf.root
-    return urdf.mount(base) if is_fixed else None
-
-
-def _pose_in_words(frame: str, at: Sequence[float], yaw_rad: float, how: str, age_s: float | None) -> str:
-    yaw_deg = round(math.degrees(yaw_rad))  # an int has no -0
-    x, y, z = (round(part, 2) + 0.0 for part in at)  # nor has a zero, so
-    height = f" z {z:.2f}" if abs(z) >= 0.05 else ""
-    age = "" if age_s is None else f", {age_s:.1f} s old" if age_s < _OLD_S else f" {age_s:.0f} s ago"
-    return f"In {named(frame)} at x {x:.2f} y {y:.2f}{height} m, yaw {yaw_deg}° ({how}{age})."
-
-
-def _age_s(source: Source, tree: FrameTree, found: Located) -> float | None:
-    if found.stamp_ns is None:
+def _age_s(source: Source, tree: FrameTree, stamp_ns: int | None) -> float | None:
+    if stamp_ns is None:
         return None
     now_ns = _now_ns(source)
-    return None if not now_ns else max((now_ns - found.stamp_ns - tree.clock_ns) / 1e9, 0.0)
+    return None if not now_ns else max((now_ns - stamp_ns - tree.clock_ns) / 1e9, 0.0)
 
 
 def _now_ns(source: Source) -> int:
@@ -593,6 +593,6 @@ def _not_localised(seen: _Seen) -> str:
     localisers = [name for name in seen.graph.nodes or () if name.rpartition("/")[2] in ("amcl", "slam_toolbox")]
     maps = [name for name in seen.tree.frames if name.rpartition("/")[2] == "map"]
     is_told = any(seen.tree.newest(frame, seen.tree.base) for frame in maps) if seen.tree.base else False
-    if not localisers or is_told or not seen.tree.base:
+    if not localisers or is_told or seen.in_map or not seen.tree.base:
         return ""
     return f"Not localised: {named(localisers[0])} runs, but nothing reports where the robot is in the map."
