@@ -136,7 +136,9 @@ def scan_message(
                 nearest = min(nearest, along - math.sqrt(half))
         ranges.append(nearest + base.random.gauss(0.0, noise_m) if nearest < 5.0 else math.inf)
     step = fov / beams
-    return SimpleNamespace(angle_min=-fov / 2, angle_increment=step, ranges=ranges, range_min=0.05, range_max=5.0)
+    return SimpleNamespace(
+        angle_min=-fov / 2, angle_max=fov / 2, angle_increment=step, ranges=ranges, range_min=0.05, range_max=5.0
+    )
 
 
 def surroundings(rng: random.Random) -> list[Disc]:

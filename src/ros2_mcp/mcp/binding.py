@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -35,9 +36,8 @@ from ros2_mcp.tools.misnamed import hint_for, taken_for
 from ros2_mcp.tools.schema import argument_schema, expected_kind, node_at, result_schema, text_for_number
 from ros2_mcp.view.viewing import Viewing
 
-_PLAIN_WORDS = {"dict_type": "an object is expected", "list_type": "a list is expected"}
-_NO_NUMBER = frozenset({"finite_number", "float_type", "float_parsing", "int_type", "int_parsing", "int_parsing_size"})
-"""Types of validation errors that mean: the value is not a usable number."""
+_OUR_WORDS = frozenset({"value_error", "assertion_error"})
+"""The types of validation errors whose message is of a validator of ours; of others it is a library's text."""
 # Damaged or missing parts of recordings, in every answer read from them; results with `problems` report them there.
 _DAMAGE = "damage"
 SUMMARY = "summary"
@@ -107,7 +107,7 @@ class BoundTool:
         try:
             checked, told = await aside(extent(arguments), self._checked, arguments)
         except ValidationError as error:
-            raise CallFailed(_explain(self.name, error, self.listed.input_schema)) from error
+            raise CallFailed(explained(self.name, error, self.listed.input_schema)) from error
         # One level only: an argument that is an object stays the model that the tool declared.
         values = {name: getattr(checked, name) for name in self.arguments.model_fields}
         told += [f"{name}: {said}." for name, kind in self._times() if (said := kind.taken_as(values[name]))]
@@ -137,7 +137,7 @@ class BoundTool:
         try:
             checked, _ = self._checked(arguments, are_exact=True)
         except ValidationError as error:
-            raise BadInput(_explain(self.name, error, self.listed.input_schema)) from error
+            raise BadInput(explained(self.name, error, self.listed.input_schema)) from error
         except CallFailed as error:
             raise BadInput(str(error)) from error
         values = {name: getattr(checked, name) for name in self.arguments.model_fields}
@@ -396,7 +396,7 @@ def _cut(text: str) -> str:
     return f"{text[:MOST_CHARACTERS]}… (cut after {MOST_CHARACTERS} characters)"
 
 
-def _explain(tool: str, error: ValidationError, schema: Mapping[str, Any]) -> str:
+def explained(tool: str, error: ValidationError, schema: Mapping[str, Any]) -> str:
     """Return a sentence for each error in a call's arguments: what is wrong and what is expected."""
     return " ".join(_explain_one(tool, problem, schema) for problem in error.errors())
 
@@ -412,10 +412,10 @@ def _explain_one(tool: str, problem: Mapping[str, Any], schema: Mapping[str, Any
     if problem["type"] == WHOLE_SENTENCE:
         return f"BadInput: {path}: {problem['msg']}"
     kind = expected_kind(node_at(schema, problem["loc"]))
-    if kind and (problem["input"] is None or problem["type"] in _NO_NUMBER):
-        message = f"{kind} is expected"
+    if problem["type"] in _OUR_WORDS and not (kind and problem["input"] is None):
+        message = re.sub("^(Value|Assertion) error, ", "", str(problem["msg"]))
     else:
-        message = _PLAIN_WORDS.get(problem["type"], str(problem["msg"]).removeprefix("Value error, "))
+        message = f"{kind or 'something else'} is expected"
     path = path or "the name of an argument"  # no text, such as an unpaired surrogate
     return f"BadInput: {path}: {message}, not {json.dumps(problem['input'], default=str)[:100]}."
 

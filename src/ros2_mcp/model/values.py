@@ -31,6 +31,10 @@ DIAGONAL_EXPLAINED = (
 """The explanation in results that contain one."""
 
 
+FIRST_ELEMENTS = "[0:100]"
+"""What a hint adds to the path of a list that was summarised, to get elements of it."""
+
+
 def is_covariance(path: str) -> bool:
     """Return whether the field at a path may be written as its diagonal: its name contains `covariance`."""
     return "covariance" in path.rpartition(".")[2]
@@ -47,7 +51,9 @@ def summarised(paths: Mapping[str, str]) -> str:
     named = ", ".join(path or "the whole message" for path in list(paths)[:8])
     more = next((field for path, field in paths.items() if path and "[" not in path), "")
     such = f', such as fields=["{more}"]' if more else ""
-    larger = ", or a larger max_array" if any(field.endswith("]") for field in paths.values()) else ""
+    such += " (characters)" if more.endswith("]") and not more.endswith(FIRST_ELEMENTS) else ""
+    is_list = any(field.endswith(FIRST_ELEMENTS) for field in paths.values())
+    larger = ", or a larger max_array" if is_list else ""
     return f"Summarised: {named}. For more, give fields{such}{larger}."
 
 

@@ -4,7 +4,8 @@ A null is never anything but *not given*. A tool that only reads cannot do harm 
 that its schema does not have means *not given* there, and a number above the maximum means the maximum, which is told.
 A tool that acts takes nothing but what its schema says. No tool takes a number that is not finite.
 
-Where a list of texts or objects is expected, one of them alone is a list of one, and the other way round; that is told.
+Where a list of texts or objects is expected, one of them alone is a list of one, and the other way round; where an
+object with one necessary text is expected, that text alone is it. That is told.
 """
 
 from __future__ import annotations
@@ -13,6 +14,8 @@ import json
 import math
 from collections.abc import Mapping
 from typing import Any, cast
+
+from ros2_mcp.tools.schema import natural_field
 
 Schema = Mapping[str, Any]
 _NUMBERS = ("number", "integer")
@@ -52,12 +55,18 @@ def _value(node: Schema, value: object, path: str, acts: bool, told: list[str]) 
 
 
 def _one_or_many(node: Schema, value: object, path: str, told: list[str]) -> object:
-    """A list of one for a text or an object alone, and the text for a list of one, as the schema has it."""
-    alone = {"string": str, "object": dict}
-    kind = alone.get(str(node.get("items", {}).get("type"))) if node.get("type") == "array" else None
-    if kind and value and isinstance(value, kind):
+    """A list of one for a text or an object alone, and the text for a list of one, as the schema has it; an object for
+    the one text that it needs.
+    """
+    items = cast("Schema", node.get("items", {}) if node.get("type") == "array" else {})
+    alone = {"string": (str,), "object": (dict, str) if natural_field(items) else (dict,)}
+    kinds = alone.get(str(items.get("type")))
+    if kinds and value and isinstance(value, kinds):
         told.append(f"{path}: taken as a list of one.")
         return [cast("object", value)]
+    if value and isinstance(value, str) and (name := natural_field(node)):
+        told.append(f"{path}: taken as {json.dumps({name: value}, ensure_ascii=False)}.")
+        return {name: value}
     if node.get("type") == "string" and isinstance(value, list):
         texts = cast("list[object]", value)
         if len(texts) == 1 and isinstance(texts[0], str):

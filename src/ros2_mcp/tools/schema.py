@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
@@ -88,11 +89,32 @@ def node_at(schema: Mapping[str, Any], path: Sequence[str | int]) -> Mapping[str
 def expected_kind(node: Mapping[str, Any]) -> str:
     """In words, what a part of a schema takes: "a whole number of at least 1 and at most 2000"; empty if it is open."""
     kind = node.get("type")
-    if kind not in ("number", "integer"):
-        return _KINDS.get(kind, "")
-    bounds = ((" of at least", "minimum"), (" above", "exclusiveMinimum"), (" at most", "maximum"))
-    said = [f"{words} {node[key]:g}" for words, key in bounds if key in node]
-    return ("a whole number" if kind == "integer" else "a finite number") + " and".join(said)
+    if "enum" in node:
+        return f"one of {', '.join(map(str, node['enum']))}"
+    if kind in ("number", "integer"):
+        bounds = ((" of at least", "minimum"), (" above", "exclusiveMinimum"), (" at most", "maximum"))
+        said = [f"{words} {node[key]:g}" for words, key in bounds if key in node]
+        return ("a whole number" if kind == "integer" else "a finite number") + " and".join(said)
+    least, most, of = {
+        "array": ("minItems", "maxItems", " elements"),
+        "string": ("minLength", "maxLength", " characters"),
+    }.get(str(kind), ("", "", ""))
+    said = [f"{words} {node[key]}" for words, key in (("at least", least), ("at most", most)) if node.get(key)]
+    sized = f" of {' and '.join(said)}{of}" if said else ""
+    sized += f" like {node['pattern']}" if kind == "string" and "pattern" in node else ""
+    needed = node.get("required", ()) if kind == "object" else ()
+    form = f" such as {{{', '.join(f'{json.dumps(name)}: …' for name in needed)}}}" if needed else ""
+    return f"{_KINDS[kind]}{sized}{form}" if kind in _KINDS else ""
+
+
+def natural_field(node: Mapping[str, Any]) -> str:
+    """The field of an object that a text alone stands for: the only one that it needs, if that is a text; empty if it
+    is not clear.
+    """
+    needed = node.get("required", ()) if node.get("type") == "object" else ()
+    if len(needed) != 1 or node["properties"][needed[0]].get("type") != "string":
+        return ""
+    return str(needed[0])
 
 
 def text_for_number(schema: Mapping[str, Any], value: Any, path: str = "") -> str:

@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from struct import Struct
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,11 +19,12 @@ from numpy.typing import NDArray
 
 from ros2_mcp.model.interfaces import FLOATS, OCTETS, TEXTS, FieldType
 from ros2_mcp.model.text import escaped_bytes, is_unicode, visible_json
-from ros2_mcp.model.values import DIAGONAL, EXACT_INTEGER, SUMMARY, is_covariance, not_finite_text
+from ros2_mcp.model.values import DIAGONAL, EXACT_INTEGER, FIRST_ELEMENTS, SUMMARY, is_covariance, not_finite_text
 from ros2_mcp.values.check import check
 from ros2_mcp.values.definitions import Definitions
 from ros2_mcp.values.select import FieldPath, Step, element_at, parse_fields, several_of
 from ros2_mcp.values.store import attribute
+from ros2_mcp_common.language.scans import no_bearings
 
 _BYTES_AS_LIST = 64
 """Up to this many bytes are a readable list (a UUID); more are base64, a third as long."""
@@ -31,6 +33,8 @@ _MOST_FIRST = 16
 _SQUARES = {9: 3, 36: 6}
 """Length of an array → rows of the square matrix that it is: the covariances of ROS."""
 
+_TEXT_SLICE = 8000
+"""Characters of a long text that a hint asks for at once: with its quotes escaped they fit into one answer."""
 _SCAN = "sensor_msgs/msg/LaserScan"
 """In a scan the nearest point matters: the summary of its ranges includes the angle of the smallest one, in radians."""
 _ANGLE_DIGITS = 4
@@ -83,10 +87,13 @@ class Rendered:
 
 
 class _Limits(NamedTuple):
+    """`slice` is that of elements which were asked for by a path, `text` that of characters."""
+
     array: int
     string: int
     depth: int
     slice: int
+    text: int
 
 
 def render(definitions: Definitions, type_name: str, message: object, *, options: RenderOptions) -> Rendered:
@@ -116,16 +123,18 @@ def example_of(definitions: Definitions, type_name: str) -> dict[str, Any]:
 def _attempts(options: RenderOptions) -> Iterator[_Limits]:
     """Yield limits to try, each tighter than the one before."""
     if options.exact or options.native:
-        yield _Limits(_UNLIMITED, _UNLIMITED, _UNLIMITED, _UNLIMITED)
+        yield _Limits(_UNLIMITED, _UNLIMITED, _UNLIMITED, _UNLIMITED, _UNLIMITED)
         return
     most = max(options.max_bytes // 2, 1)  # an element takes at least two characters
     array, string = min(max(options.max_array, 0), most), min(max(options.max_string, 0), most)
-    yield _Limits(array, string, _UNLIMITED, most)
+    yield _Limits(array, string, _UNLIMITED, most, 2 * most)
+    text = most
     for lower, shorter in zip(_ARRAY_STEPS, (*_STRING_STEPS, _STRING_STEPS[-1]), strict=True):
         array, string = min(array, lower), min(string, shorter)
-        yield _Limits(array, string, _UNLIMITED, array)
+        yield _Limits(array, string, _UNLIMITED, array, text)
+        text = string
     for depth in _DEPTH_STEPS:
-        yield _Limits(array, string, depth, array)
+        yield _Limits(array, string, depth, array, string)
 
 
 class _Render:
@@ -196,11 +205,15 @@ class _Render:
         self._cut(path, slice_of=path)
         return _list_summary(field_type, len(values), first)
 
-    def _text(self, text: str, path: str, most: int) -> Any:
+    def _text(self, text: str, path: str, most: int, whole: str = "", start: int = 0) -> Any:
+        """A text; as a part of another one, whose path is `whole`, it begins at `start` there."""
         if len(text) <= most and (text.isascii() or is_unicode(text)):
             return text
         self._cut(path)
         if len(text) > most:
+            if len(text) > _TEXT_SLICE and "[" not in (whole or path):
+                shown = start + most
+                self._truncated[path] = f"{whole or path}[{shown}:{shown + _TEXT_SLICE}]"
             return {SUMMARY: "string", "length": len(text), "first": escaped_bytes(text[:most])}
         # JSON cannot represent it exactly: it is not UTF-8, or has a lone surrogate.
         return {SUMMARY: "string", "not_utf8": escaped_bytes(text)}
@@ -213,6 +226,10 @@ class _Render:
             return None
         if isinstance(step.pick, int):
             field_type, value = field_type.element, element_at(value, step.pick, path)
+        elif isinstance(step.pick, slice) and field_type.arity == "single":  # characters of a text
+            start, end, stride = step.pick.indices(len(value))
+            whole = path.rpartition("[")[0] if stride == 1 else ""
+            return self._text(value[start:end:stride], path, self._limits.text, whole, start)
         elif step.pick is not None:
             value = several_of(value, step.pick)
             if rest:
@@ -226,11 +243,11 @@ class _Render:
         if rest:
             return self._follow(path, rest, value)
         if field_type.arity == "single" and field_type.base in TEXTS:
-            return self._text(value, path, self._limits.slice)
+            return self._text(value, path, self._limits.text)
         return self._value(field_type, value, path, self._limits.depth)
 
     def _cut(self, path: str, slice_of: str = "") -> None:
-        self._truncated[path] = f"{slice_of}[0:100]" if slice_of and "[" not in slice_of else path
+        self._truncated[path] = f"{slice_of}{FIRST_ELEMENTS}" if slice_of and "[" not in slice_of else path
 
 
 # ── numbers and texts, exactly or as a summary ────────────────────────────────────────────────────────────────────
@@ -301,8 +318,12 @@ def _list_summary(field_type: FieldType, length: int, first: Sequence[Any]) -> d
 def _add_angle(scan: dict[str, Any]) -> None:
     """Add the angle of the smallest range to a scan's summary of ranges, if the definition has the usual fields."""
     ranges: Any = scan.get("ranges") or ()
-    start, step = scan.get("angle_min"), scan.get("angle_increment")
-    if isinstance(start, (int, float)) and isinstance(step, (int, float)) and step and "min_at" in ranges:
+    start, last, step = (scan.get(name) for name in ("angle_min", "angle_max", "angle_increment"))
+    if not (isinstance(start, (int, float)) and isinstance(step, (int, float)) and "min_at" in ranges):
+        return
+    last = last if isinstance(last, (int, float)) else 0.0
+    told = SimpleNamespace(angle_min=start, angle_max=last, angle_increment=step, ranges=range(ranges["length"]))
+    if not no_bearings(told):
         ranges["min_at_angle"] = _json_number("float64", round(float(start + ranges["min_at"] * step), _ANGLE_DIGITS))
 
 

@@ -1,7 +1,7 @@
 """Paths to fields: `pose.pose.position`, `ranges[0:10]`, `name[-1]`, `transforms[*].header.frame_id`.
 
-`transforms[child_frame_id == "base_link"]` selects the elements with that value. Server and bridge share the paths,
-which read messages of rosbags as well as of rclpy. Needs no ROS.
+`transforms[child_frame_id == "base_link"]` selects the elements with that value, `data[100:200]` of a text these
+characters. Server and bridge share the paths, which read messages of rosbags as well as of rclpy. Needs no ROS.
 """
 
 from __future__ import annotations
@@ -66,6 +66,11 @@ class Step:
         """The type of the field, or of one element if elements are selected."""
         return self.field.type if self.pick is None else self.field.type.element
 
+    @property
+    def is_several(self) -> bool:
+        """Whether it stands for several values; a part of a text is one."""
+        return isinstance(self.pick, (slice, Where)) and self.field.type.arity != "single"
+
 
 @dataclass(frozen=True)
 class FieldPath:
@@ -82,7 +87,7 @@ class FieldPath:
     @property
     def is_list(self) -> bool:
         """Whether the path leads to several values."""
-        return self.type.arity != "single" or any(isinstance(step.pick, (slice, Where)) for step in self.steps)
+        return self.type.arity != "single" or any(step.is_several for step in self.steps)
 
     def finds_none_in(self, message: object) -> bool:
         """Return whether the path selects elements by value and the message has none."""
@@ -94,7 +99,7 @@ class FieldPath:
         Return None if it cannot be known: several lists lead there, elements are selected by value, or the slice counts
         from the end of a list of variable length.
         """
-        lists = [step for step in self.steps if isinstance(step.pick, (slice, Where))]
+        lists = [step for step in self.steps if step.is_several]
         if self.type.arity != "single":
             lists.append(self.steps[-1])
         if len(lists) != 1 or isinstance(lists[0].pick, Where):
@@ -197,7 +202,10 @@ def _step(types: Types, path: str, inside: FieldType, name: str, brackets: str) 
     if not brackets:
         return Step(field)
     if field.type.arity == "single":
-        raise PathError(path, f"{name} is a single {field.type}, not a list.")
+        if field.type.base in TEXTS and (match := _SLICE.fullmatch(index)):
+            return Step(field, _slice(match))
+        hint = f"{name}[0:100] are characters of it." if field.type.base in TEXTS else ""
+        raise PathError(path, f"{name} is a single {field.type}, not a list.", hint)
     if index == "*":
         return Step(field, slice(None))
     if _INDEX.fullmatch(index):
@@ -210,7 +218,11 @@ def _step(types: Types, path: str, inside: FieldType, name: str, brackets: str) 
     match = _SLICE.fullmatch(index)
     if match is None:
         raise PathError(path, f"[{index}] is not an index.", _NOT_AN_INDEX)
-    return Step(field, slice(*(int(bound) if bound else None for bound in match.groups())))
+    return Step(field, _slice(match))
+
+
+def _slice(match: re.Match[str]) -> slice:
+    return slice(*(int(bound) if bound else None for bound in match.groups()))
 
 
 def _where(types: Types, path: str, field: TypedField, found: re.Match[str]) -> Where:

@@ -20,6 +20,11 @@ _HALF_A_STEP = 0.5 * (1 + 1e-6)
 
 # No scanner tells more than two turns in one message; one whose steps are in degrees would tell 57.
 _MOST_TURN_RAD = 2 * _TURN
+# By how many rays, or by which share of them, the header may be wrong: drivers count the last ray in or not, and round
+# their steps. Bearings are then wrong by 7° at most.
+_WRONG_RAYS, _WRONG_SHARE = 2, 0.02
+# A number of ranges that is worth telling.
+_MOST_TOLD = 1e6
 
 
 class NoRange(Exception):
@@ -35,7 +40,18 @@ def no_bearings(scan: Any) -> str:
         return f"angle_increment is 0 for {count} ranges"
     if abs(step) * (count - 1) > _MOST_TURN_RAD:
         return f"{count} ranges in steps of {step:.4g} rad are {abs(step) * count / _TURN:.3g} turns"
-    return ""
+    return _contradiction(scan.angle_min, scan.angle_max, step, count)
+
+
+def _contradiction(first: float, last: float, step: float, count: int) -> str:
+    """Return how the number of ranges contradicts the header; empty if it agrees, or if `angle_max` was left at 0."""
+    if count < 2 or not last or not math.isfinite(last):
+        return ""
+    told_count = (last - first) / step + 1
+    if abs(told_count - count) <= max(_WRONG_RAYS, _WRONG_SHARE * count):
+        return ""
+    tells = f"{round(told_count)}" if 0 < told_count < _MOST_TOLD else "another number"
+    return f"it has {count} ranges, and the header tells {tells} ({first:.4g} to {last:.4g} rad in steps of {step:.4g})"
 
 
 def limits_of(scan: Any) -> tuple[float, float]:
@@ -57,7 +73,7 @@ def nearest_range(scan: Any, from_deg: float, to_deg: float) -> float:
     measured, here 0; `inf`, and a range above `range_max`, means that nothing was detected.
 
     Raises:
-        NoRange: if no ray points there, or none of them has a measurement.
+        NoRange: if the scan has no bearings, no ray points there, or none of those that do has a measurement.
     """
     if not (math.isfinite(from_deg) and math.isfinite(to_deg)):
         raise NoRange("the angles that are asked for are not finite.")

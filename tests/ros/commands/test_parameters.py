@@ -259,6 +259,25 @@ def test_a_node_that_answers_for_fewer_than_it_is_asked_for_is_asked_for_each(ag
     assert (dump["parameters"], dump["not_set"]) == ({"here": 7, "there": 0.5}, {"gone": "string"})
 
 
+def test_a_node_that_takes_one_at_a_time_is_given_one_after_the_other(agent, unset) -> None:
+    node = unset.name("one_at_a_time")
+    found = agent.call("ros2_parameter_set", node_name=node, values={"gain": 2.5, "offset": 3, "mode": "fast"})
+    told = {one["name"]: (one["successful"], one["value"]) for one in found["parameters"]}
+    assert told == {"gain": (True, 2.5), "offset": (True, 3), "mode": (False, "slow")}
+    assert found["successful"] is False and "only by hand" in found["parameters"][2]["reason"]
+
+
+def test_a_part_of_a_long_parameter_is_read_by_its_place_in_it(agent, robot) -> None:
+    text = "".join(f"<{number}>" for number in range(5000))
+    assert put(agent, robot, label=text)["successful"]
+    dump = get(agent, robot)
+    assert 'names=["label[0:8000]"]' in agent.whole("ros2_parameter_get", {"node_name": dump["node"]}).content[0].text
+    found = get(agent, robot, "label[0:8000]", "label[20000:]", "counts[:1]", "steps")
+    assert found["parts"] == {"label[0:8000]": text[:8000], "label[20000:]": text[20000:], "counts[:1]": [1]}
+    assert found["parameters"] == {"steps": 5}
+    assert "neither a text" in agent.refusal("ros2_parameter_get", node_name=robot.name("tuned"), names=["steps[0:2]"])
+
+
 def test_a_hint_is_never_what_was_asked_for(agent, unset) -> None:
     said = agent.refusal("ros2_parameter_get", node_name=unset.name("mapper"), names=["gain_99"])
     assert said.startswith(f"NotFound: {unset.name('mapper')} has no parameter gain_99. Did you mean gain_")

@@ -70,6 +70,16 @@ def agent(ros_environment: dict[str, str], tmp_path_factory: pytest.TempPathFact
     writer.add_topic(StoredTopic("/cmd_vel", "geometry_msgs/msg/Twist", None, "ros2msg", ""))
     writer.write("/cmd_vel", Sample(START_NS, START_NS, None, b"\0\1\0\0" + bytes(48)))
     writer.close()
+    (folder / "mixed").mkdir()
+    writer = BagWriter(folder / "mixed", "mixed")
+    kinds = {"/a": "std_msgs/msg/Int32", "/größe der tür": "std_msgs/msg/Int32", "/maker": "strange_msgs/msg/Thing"}
+    for topic, kind in kinds.items():
+        writer.add_topic(StoredTopic(topic, kind, None, "ros2msg", "int32 data\n"))
+    for number in range(3):
+        at_ns = START_NS + number * 10**8
+        for topic in kinds:
+            writer.write(topic, Sample(at_ns, at_ns, None, b"\0\1\0\0" + number.to_bytes(4, "little")))
+    writer.close()
     with agent_for(ros_environment, "--tools", "all", "--record-dir", str(folder)) as started:
         yield started
 
@@ -177,6 +187,26 @@ def test_what_cannot_be_played_is_said_before_anything_is(agent: Agent, listener
     refusal = agent.refusal("ros2_bag_play", bag="run", topic_names=["/a"], remaps={"/a": "/rosout"}, force=True)
     assert "rcl_interfaces/msg/Log" in refusal
     assert not any(listener.heard().values())
+
+
+def test_what_is_of_a_type_that_is_not_installed_is_left_out_and_told_unless_it_is_asked_for(
+    agent: Agent, listener: Listener
+) -> None:
+    played = agent.call("ros2_bag_play", bag="mixed", rate=10, wait_sec=10)
+    assert (played["state"], played["published"]) == ("ended", {"/a": 3})
+    assert "/maker" in played["note"] and "strange_msgs/msg/Thing is not known" in played["note"]
+    assert listener.numbers("/a", 3) == [0, 1, 2]
+    refusal = agent.refusal("ros2_bag_play", bag="mixed", topics=["/a", "/maker"])
+    assert "/maker cannot be played" in refusal and "Without it /a can be played" in refusal
+    assert "/maker cannot be played" in agent.refusal("ros2_bag_play", bag="mixed", topics=["/maker"])
+
+
+def test_a_name_that_ros_does_not_allow_is_played_by_another_one(agent: Agent, listener: Listener) -> None:
+    name = "/größe der tür"
+    assert "remaps" in agent.refusal("ros2_bag_play", bag="mixed", topics=[name])
+    played = agent.call("ros2_bag_play", bag="mixed", topics=[name], remaps={name: "/c"}, rate=10, wait_sec=10)
+    assert (played["state"], played["published"]) == ("ended", {"/c": 3})
+    assert listener.numbers("/c", 3) == [0, 1, 2]
 
 
 @pytest.mark.promise("ros2_bag_play", "Can move the robot if the bag holds commands")

@@ -71,6 +71,18 @@ def test_a_command_to_a_controller_that_is_inactive_says_so(agent: Agent, robot:
     assert "/grip_controller is not active: it is unconfigured" in publish(agent, **given, data={"data": [1.0]})
 
 
+def test_a_command_to_a_lifecycle_node_that_no_manager_knows_says_in_which_state_it_is(
+    agent: Agent, robot: CommandedProcess
+) -> None:
+    robot.put()
+    given = {"topic_name": "/flipper/commands", "message_type": "std_msgs/msg/Float64MultiArray"}
+    assert "/flipper_driver is not active: it is unconfigured" in publish(agent, **given, data={"data": [1.0]})
+    agent.call("ros2_lifecycle_change", node_name="/flipper_driver", transition="configure")
+    assert "/flipper_driver is not active: it is inactive" in publish(agent, **given, data={"data": [1.0]})
+    agent.call("ros2_lifecycle_change", node_name="/flipper_driver", transition="activate")
+    assert "active" not in publish(agent, **given, data={"data": [1.0]})
+
+
 def test_a_command_above_hardware_that_is_not_active_names_it_and_no_other(
     agent: Agent, robot: CommandedProcess
 ) -> None:

@@ -280,7 +280,7 @@ def assert_whole(listing: dict[str, Any], topics: set[str]) -> None:
             {"topics": [{"name": "/x", "durtion": 1}]},
             "no argument 'topics.0.durtion'. Did you mean duration?",
         ),
-        ("ros2_subscribe_multiple_topics", {"topics": "/x"}, 'topics: a list is expected, not "/x".'),
+        ("ros2_subscribe_multiple_topics", {"topics": 5}, "topics: a list of at least 1 and at most"),
         ("ros2_topic_publish", {"topic_name": "/x", "data": "x"}, 'data: an object is expected, not "x".'),
     ],
 )

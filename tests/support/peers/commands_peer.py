@@ -32,7 +32,7 @@ from rcl_interfaces.msg import (
     ParameterValue,
     SetParametersResult,
 )
-from rcl_interfaces.srv import DescribeParameters, GetParameters, GetParameterTypes, ListParameters
+from rcl_interfaces.srv import DescribeParameters, GetParameters, GetParameterTypes, ListParameters, SetParameters
 from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
@@ -470,6 +470,7 @@ def unset(peer: Peer) -> None:
         (DescribeParameters, "describe_parameters", lambda _request, response: response),
     ):
         peer.keep(terse.create_service(kind, f"terse/{service}", answer))
+    one_at_a_time(peer)
     slow = Node("slow_to_set", namespace=namespace)
     slow.declare_parameter("gain", 1.0)
 
@@ -479,6 +480,46 @@ def unset(peer: Peer) -> None:
 
     slow.add_on_set_parameters_callback(wait_for_release)
     peer.nodes += [mapper, terse, slow]
+
+
+def one_at_a_time(peer: Peer) -> None:
+    """A node that answers for one name, and to more than one nothing, as micro-ROS with little memory; one of its
+    parameters it never takes.
+    """
+    node = Node("one_at_a_time", namespace=peer.node.get_namespace(), start_parameter_services=False)
+    values = {
+        "gain": ParameterValue(type=3, double_value=1.0),
+        "mode": ParameterValue(type=4, string_value="slow"),
+        "offset": ParameterValue(type=2, integer_value=1),
+    }
+
+    def names(_request: Any, response: Any) -> Any:
+        response.result.names = list(values)
+        return response
+
+    def get(request: Any, response: Any) -> Any:
+        response.values = [values[name] for name in request.names] if len(request.names) == 1 else []
+        return response
+
+    def take(request: Any, response: Any) -> Any:
+        if len(request.parameters) == 1:
+            (one,) = request.parameters
+            if one.name == "mode":
+                response.results = [SetParametersResult(successful=False, reason="only by hand")]
+            else:
+                values[one.name] = one.value
+                response.results = [SetParametersResult(successful=True)]
+        return response
+
+    for kind, service, answer in (
+        (ListParameters, "list_parameters", names),
+        (GetParameters, "get_parameters", get),
+        (GetParameterTypes, "get_parameter_types", lambda _request, response: response),
+        (DescribeParameters, "describe_parameters", lambda _request, response: response),
+        (SetParameters, "set_parameters", take),
+    ):
+        peer.keep(node.create_service(kind, f"one_at_a_time/{service}", answer))
+    peer.nodes.append(node)
 
 
 class Valve(LifecycleNode):

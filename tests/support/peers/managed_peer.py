@@ -3,8 +3,8 @@
 The manager says which controllers and hardware components are active. An inactive base ignores commands and an inactive
 arm rejects goals, each with the line that the real controllers log; below hardware that is not active goals are
 accepted, and nothing moves. With its motors off commands and goals are accepted, nothing moves, and the node of the
-motors says why. The base's odometry is transient_local, as that of a real diff_drive_controller. It knows ROS 2 and
-nothing of this project.
+motors says why. No manager knows the flipper's driver, a lifecycle node that is unconfigured. The base's odometry is
+transient_local, as that of a real diff_drive_controller. It knows ROS 2 and nothing of this project.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from nav_msgs.msg import Odometry
 from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import MultiThreadedExecutor
+from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
@@ -84,7 +85,10 @@ class Robot:
         other = Node("another_client")
         self._client = ActionClient(other, FollowJointTrajectory, "/arm_controller/follow_joint_trajectory")
         self._sent: Any = None
+        flipper = LifecycleNode("flipper_driver")
+        flipper.create_subscription(Float64MultiArray, "/flipper/commands", lambda _: None, 10)
         executor = MultiThreadedExecutor()
+        executor.add_node(flipper)
         for node in (*self._nodes.values(), other):
             executor.add_node(node)
         threading.Thread(target=executor.spin, daemon=True).start()

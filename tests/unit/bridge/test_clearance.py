@@ -23,6 +23,7 @@ def scan(ranges: dict[int, float], otherwise: float = math.inf) -> Any:
     """A scan with a beam for each degree from -180° on; `ranges` by degrees."""
     return SimpleNamespace(
         angle_min=-math.pi,
+        angle_max=math.pi,
         angle_increment=math.radians(1),
         ranges=[ranges.get(degree, otherwise) for degree in range(-180, 180)],
         range_min=0.1,
@@ -44,6 +45,12 @@ def test_nothing_in_sight_lets_it_go() -> None:
     clearance = heard(scan({}))
     assert ahead(clearance) == ahead(clearance, -1) == FAST
     assert clearance.allowed_turn(FAST, 0.0).speed == FAST
+
+
+def test_a_scan_with_another_number_of_ranges_than_its_header_tells_shows_no_direction() -> None:
+    message = scan({0: 1.0}, otherwise=3.0)
+    message.angle_max = 0.5
+    assert not Guard({"scan": heard(message)}).sees(0.0)
 
 
 @pytest.mark.parametrize("unknown", [math.nan, 0.0, 0.05])

@@ -19,6 +19,7 @@ class Scan:
     range_min: float = 0.1
     range_max: float = 10.0
     ranges: list[float] = field(default_factory=lambda: [5.0] * 181)
+    angle_max: float = 0.0
 
 
 def seen(**at_degrees: float) -> Scan:
@@ -79,6 +80,7 @@ def test_what_is_free_is_infinitely_far() -> None:
         (Scan(ranges=[]), "sees nothing"),
         (Scan(angle_increment=0.0), "no bearings: angle_increment is 0"),
         (Scan(angle_min=math.nan), "no bearings: angle_min is NaN"),
+        (Scan(angle_max=math.pi), "181 ranges, and the header tells 271"),
         (Scan(ranges=[0.0] * 181), "has measured"),
     ],
 )

@@ -256,9 +256,19 @@ async def test_a_name_that_is_listed_can_be_asked_for_by_every_tool(opened: Open
         ):
             said, _, is_error = await found.call(tool, **asked)
             assert not is_error and "no topic" not in said and "MISSING" not in said, (tool, name, said)
-    for name in NAMES[:-1]:  # a colon parts the topic from its field
-        said, _, is_error = await found.call("ros2_plot", series=[f"{name}:data"])
-        assert not is_error, said
+    for at, name in enumerate(NAMES):
+        plotted = await found.structured("ros2_plot", series=[f"{name}:data"])
+        assert plotted["series"][0]["first"] == 10 * at, name
+
+
+async def test_a_series_is_parted_at_the_last_colon_behind_a_topic(opened: Open, tmp_path: Path) -> None:
+    names = ("arm", "arm:speed", "arm:speed:raw")
+    found = opened(write_mcap(tmp_path / "arm.mcap", *(numbers(name, 3, 10.0 * at) for at, name in enumerate(names))))
+    for series, first in (("arm:data", 0), ("arm:speed:data", 10), ("arm:speed:raw:data", 20), ("arm:speed", 10)):
+        plotted = await found.structured("ros2_plot", series=[series])
+        assert [one["first"] for one in plotted["series"]] == [first], series
+    said, _, is_error = await found.call("ros2_plot", series=["leg:speed:data"])
+    assert is_error and "no topic" in said
 
 
 async def test_a_slash_more_or_less_is_no_other_name(opened: Open, tmp_path: Path) -> None:

@@ -85,5 +85,6 @@ async def test_what_stops_ignores_an_argument_whose_name_is_empty_and_tells() ->
 async def test_null_for_a_required_argument_is_refused_with_what_is_expected(tool: BoundTool) -> None:
     schema = tool.listed.input_schema
     for name in schema.get("required", ()):
-        expected = f"BadInput: {name}: {WORDS[schema['properties'][name]['type']]} is expected, not null."
-        assert expected in await refusal(tool, **{name: None})
+        kind = WORDS[schema["properties"][name]["type"]]
+        said = await refusal(tool, **{name: None})
+        assert f"BadInput: {name}: {kind}" in said and "is expected, not null." in said

@@ -104,6 +104,8 @@ def test_a_long_scan_says_where_its_smallest_range_is(definitions: Definitions) 
     scan = {"angle_min": -1.5, "angle_increment": 0.5, "ranges": ["nan", 2.0, "-inf", 9.0, 0.5, 3.0]}
     ranges = shown(definitions, SCAN, scan, max_array=2).value["ranges"]
     assert (ranges["min"], ranges["min_at"], ranges["min_at_angle"]) == (0.5, 4, 0.5)
+    contradicted = shown(definitions, SCAN, {**scan, "angle_max": 40.0}, max_array=2).value["ranges"]
+    assert (contradicted["min_at"], contradicted.get("min_at_angle")) == (4, None)
 
 
 def test_summaries_of_other_lists(definitions: Definitions) -> None:
@@ -136,6 +138,29 @@ def test_a_long_text_is_summarised_and_a_broken_one_explained(codec: Codec) -> N
     result = render(codec.definitions, name, message, options=RenderOptions(exact=True))
     assert result.value["data"] == {"$summary": "string", "not_utf8": "20\\xb0C"}
     assert list(result.truncated) == ["data"]
+
+
+def test_a_text_that_was_cut_is_read_to_its_end_by_what_the_hints_say(definitions: Definitions) -> None:
+    text = "".join(f'<joint name="j{number}"/>' for number in range(1500))
+    name = "std_msgs/msg/String"
+    result = shown(definitions, name, {"data": text}, max_bytes=10_000)
+    found, hint = text[:2048], result.truncated["data"]
+    assert len(result.value["data"]["first"]) == 2048 and "(characters)" in summarised(result.truncated)
+    while not found.endswith(text[-30:]):
+        part = shown(definitions, name, {"data": text}, max_bytes=10_000, fields=[hint])
+        assert not part.truncated
+        found += part.value[hint]
+        hint = f"data[{len(found)}:{len(found) + 8000}]"
+    assert found == text
+    too_long = shown(definitions, name, {"data": text}, max_bytes=10_000, fields=["data[100:]"])
+    shown_to = 100 + len(too_long.value["data[100:]"]["first"])
+    assert too_long.truncated == {"data[100:]": f"data[{shown_to}:{shown_to + 8000}]"}
+
+
+def test_parts_of_texts_are_counted_as_slices_are(definitions: Definitions) -> None:
+    fields = ["data[1:4]", "data[-2:]", "data[::2]", "data[9:]"]
+    found = shown(definitions, "std_msgs/msg/String", {"data": "abcdef"}, fields=fields).value
+    assert found == {"data[1:4]": "bcd", "data[-2:]": "ef", "data[::2]": "ace", "data[9:]": ""}
 
 
 @pytest.mark.parametrize("budget", [15_000, 8_000, 1_000, 200, 60])
@@ -183,7 +208,7 @@ def test_a_selected_text_is_full_up_to_the_budget(definitions: Definitions) -> N
     value = {"data": "x" * 10_000}
     assert shown(definitions, "std_msgs/msg/String", value, fields=["data"]).value == value
     assert shown(definitions, "std_msgs/msg/String", value, fields=["data"], max_bytes=5000).truncated == {
-        "data": "data"
+        "data": "data[2500:10500]"
     }
 
 

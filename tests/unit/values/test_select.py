@@ -14,7 +14,7 @@ ODOMETRY = "nav_msgs/msg/Odometry"
     [
         ("pose.pose.positon", "geometry_msgs/msg/Pose has no field 'positon'", "Did you mean position?"),
         ("header.frame_id.x", "string has no fields", ""),
-        ("child_frame_id[0]", "a single string, not a list", ""),
+        ("child_frame_id[0]", "a single string, not a list", "child_frame_id[0:100]"),
         ("pose.covariance.x", "float64[36] is a list", "[0:10]"),
         ("pose.covariance[0].x", "float64 has no fields", ""),
         ("pose.covariance[a]", "[a] is not an index", "[*]"),

@@ -13,17 +13,19 @@ from PIL import Image
 
 from ros2_mcp.model.errors import BadData
 from ros2_mcp.model.pictures import Bounds
+from ros2_mcp.model.poses import Pose
 from ros2_mcp.pictures.images import compressed_raster, depth_of
 from ros2_mcp.pictures.raster import Raster
 from ros2_mcp.world.clouds import cloud_of
-from ros2_mcp.world.scans import scan_meaning
+from ros2_mcp.world.scans import nearest_to, scan_meaning
 
 BOUNDS = Bounds()
 
 
-def scan(step: float, count: int) -> Any:
+def scan(step: float, count: int, last: float = 0.0) -> Any:
+    """From -180° on; a `last` angle of 0 is not filled in."""
     header = SimpleNamespace(frame_id="laser")
-    numbers = {"angle_min": -math.pi, "angle_increment": step, "range_min": 0.1, "range_max": 10.0}
+    numbers = {"angle_min": -math.pi, "angle_max": last, "angle_increment": step, "range_min": 0.1, "range_max": 10.0}
     return SimpleNamespace(header=header, ranges=np.full(count, 3.0), **numbers)
 
 
@@ -50,6 +52,23 @@ def test_a_scan_whose_steps_are_no_angles_has_no_bearings(step: float, count: in
 @pytest.mark.parametrize(("step", "count"), [(math.tau / 360, 360), (-math.tau / 360, 361), (0.0, 1)])
 def test_a_scan_of_a_turn_or_of_one_beam_has_them(step: float, count: int) -> None:
     assert scan_meaning(scan(step, count)).nearest_m == 3
+
+
+@pytest.mark.parametrize(
+    ("count", "last", "told"), [(400, 0.5, 210), (90, math.pi, 361), (541, math.radians(90), 271), (100, -3.2, 0)]
+)
+def test_a_scan_with_another_number_of_ranges_than_its_header_tells_has_no_bearings(
+    count: int, last: float, told: int
+) -> None:
+    with pytest.raises(BadData, match=f"no bearings: it has {count} ranges.*tells {told or 'another'}"):
+        scan_meaning(scan(math.tau / 360, count, last))
+    with pytest.raises(BadData, match="no bearings"):
+        nearest_to([(0.1, 0.1), (-0.1, 0.1), (0.0, -0.1)], scan(math.tau / 360, count, last), Pose())
+
+
+@pytest.mark.parametrize(("count", "last"), [(360, math.pi), (361, math.pi), (358, math.radians(175)), (270, math.nan)])
+def test_a_header_that_counts_the_last_ray_in_or_not_or_is_rounded_is_believed(count: int, last: float) -> None:
+    assert scan_meaning(scan(math.tau / 360, count, last)).nearest_m == 3
 
 
 def test_a_cloud_whose_fields_end_beyond_its_points_is_refused_by_the_name_of_the_field() -> None:

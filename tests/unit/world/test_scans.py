@@ -119,7 +119,7 @@ def test_what_is_too_close_to_be_measured_is_the_nearest(scan: Any) -> None:
 
 def test_a_scan_of_the_front_alone_says_nothing_of_the_rear(scan: Any) -> None:
     front = [2.0] * 91
-    meaning = scan_meaning(scan(angle_min=-math.pi / 4, ranges=front))
+    meaning = scan_meaning(scan(angle_min=-math.pi / 4, angle_max=math.pi / 4, ranges=front))
     seen = {name for name, metres in meaning.free_m.items() if metres is not None}
     assert seen == {"front", "front left", "front right"}
 

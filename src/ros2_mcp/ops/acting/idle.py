@@ -1,4 +1,5 @@
-"""Why what is commanded may not move: its controller or the hardware below it is not active, or a node is frozen."""
+"""Why what is commanded may not move: its controller, the hardware below it or the node that listens is not active, or
+a node is frozen."""
 
 from __future__ import annotations
 
@@ -15,6 +16,7 @@ COMMAND_TYPES = frozenset((*MOTION_TYPES, "std_msgs/msg/Float64MultiArray", "con
 """What controllers of ros2_control listen to: the others are not asked about."""
 _LIST = "controller_manager_msgs/srv/ListControllers"
 _HARDWARE, _LIST_HARDWARE = "/list_hardware_components", "controller_manager_msgs/srv/ListHardwareComponents"
+_STATE, _GET_STATE = "/get_state", "lifecycle_msgs/srv/GetState"
 _PARAMETERS, _GET_PARAMETERS = "/get_parameters", "rcl_interfaces/srv/GetParameters"
 _ANSWER_S = 0.7
 """One that is alive answers within milliseconds, the first time after 0.1 s of discovery."""
@@ -27,19 +29,23 @@ async def why_idle(
     robot: Robot, commands: str = "", feedback: str = "", action: str = "", *, is_in_doubt: bool = False
 ) -> str:
     """Sentences on what keeps the listeners of a topic with commands, the publishers of one with feedback, or the
-    server of an action from acting: their controllers and hardware, by each controller manager; empty where nothing
-    does, or nobody knows.
+    server of an action from acting: their controllers and hardware, by each controller manager, and lifecycle nodes
+    that are not active; empty where nothing does, or nobody knows.
 
     `is_in_doubt` where something did not move: then also nodes that no manager knows are asked for a sign of life.
     Takes up to some tenths of a second, 1.5 s where one is frozen. Raises no `RobotError`.
     """
     try:
-        services = {row.name for row in await robot.graph.services()}
+        rows = await robot.graph.services()
+        services = {row.name for row in rows}
         hosts = [name.removesuffix(LIST_CONTROLLERS) for name in services if name.endswith(LIST_CONTROLLERS)]
-        if not (hosts or is_in_doubt):
+        managed = {row.name.removesuffix(_STATE) for row in rows if _GET_STATE in row.types}
+        if not (hosts or managed or is_in_doubt):
             return ""
         nodes = await _nodes(robot, commands, feedback, action)
         told = [await _by_its_list(robot, host, nodes, services) for host in sorted(hosts)[:2]]
+        unnamed = [node for node in sorted(managed & nodes) if not any(named(node) in text for text in told)]
+        told += await asyncio.gather(*(_by_its_state(robot, node) for node in unnamed[:_MOST_NODES]))
     except RobotError:  # what was sent is sent, and is to be told
         return ""
     if is_in_doubt and not any(told):
@@ -116,6 +122,17 @@ def _below(controllers: Mapping[str, Mapping[str, Any]], meant: Sequence[str]) -
 def _interfaces(controller: Mapping[str, Any]) -> Sequence[str]:
     """What a controller commands: claimed while it is active, required always."""
     return [*controller["claimed_interfaces"], *controller["required_command_interfaces"]]
+
+
+async def _by_its_state(robot: Robot, node: str) -> str:
+    """A sentence where a lifecycle node is not active."""
+    try:
+        state = str((await _asked(robot, f"{node}{_STATE}", _GET_STATE))["current_state"]["label"])
+    except RobotError:
+        return ""
+    if state == _ACTIVE:
+        return ""
+    return f"{named(node)} is not active: it is {named(state)}. ros2_lifecycle_change activates it."
 
 
 async def _sign_of_life(robot: Robot, node: str, services: set[str]) -> str:

@@ -202,7 +202,7 @@ async def check_health(
         hung=await source.hung(graph.nodes or ()) if is_quiet else (),
         **parts,
     )
-    missed = f"Not read: {', '.join(not_read)}." if not_read else ""
+    missed = f"Not read, and so not judged: {'; '.join(not_read)}." if not_read else ""
     return _report(
         graph,
         joined(findings_in(evidence)) or _nothing_measured(evidence),
@@ -211,7 +211,9 @@ async def check_health(
         expected=expected,
         measured=len(flows),
         source=source.words,
-        note=" ".join(filter(None, (_note(graph, skipped, failed), missed, trouble, _bounds(flows)))),
+        note=" ".join(
+            filter(None, (_note(graph, skipped, failed, is_live=source.is_live), missed, trouble, _bounds(flows)))
+        ),
     )
 
 
@@ -416,13 +418,12 @@ class _Statuses:
         return f"{DIAGNOSTICS}: {undecodable(self._undecodable, self._first_trouble)}" if self._undecodable else ""
 
 
-def _note(graph: GraphSnapshot, skipped: Sequence[str], failed: Sequence[Missing]) -> str:
+def _note(graph: GraphSnapshot, skipped: Sequence[str], failed: Sequence[Missing], *, is_live: bool) -> str:
     notes = [] if graph.settled else ["Discovery had not settled. Ask again."]
     if skipped:
         names_of = listed(skipped, _MAX_SKIPPED)
-        notes.append(
-            f"Not measured, to limit the load on the robot: {names_of}. Name topics in expected_topics to measure them."
-        )
+        why = "to limit the load on the robot" if is_live else "as there are many, or they are large"
+        notes.append(f"Not measured, {why}: {names_of}. Name topics in expected_topics to measure them.")
     if graph.nodes is None or graph.services is None:
         notes.append("A recording does not say which nodes and services ran.")
     others = [missing for missing in failed if not isinstance(missing.error, UnknownInterface)]

@@ -15,7 +15,7 @@ from ros2_mcp.bags.stored import Span, StoredTopic
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.commands import Feed, Play
-from ros2_mcp.model.errors import BadInput, NotFound, Refused, RobotError, Stopped, TypeConflict
+from ros2_mcp.model.errors import BadInput, NotFound, Refused, RobotError, Stopped, TypeConflict, UnknownInterface
 from ros2_mcp.model.graph import RelayCounts
 from ros2_mcp.model.qos import QoS
 from ros2_mcp.model.samples import Sample
@@ -126,6 +126,7 @@ class Playback(Job):
         bag: Bag,
         span: Span,
         topics: Mapping[str, StoredTopic],
+        unknown: Mapping[str, str],
     ) -> None:
         self._destinations = {name: request.remaps.get(name, name) for name in topics}
         super().__init__(owner=session.principal, moves=list(self._destinations.values()))
@@ -142,7 +143,8 @@ class Playback(Job):
         left_out = [] if request.topics else [topic for topic in bag.topics.values() if topic.name not in topics]
         self._left_out: dict[str, list[str]] = {}
         for topic in sorted(left_out, key=lambda topic: topic.name):
-            self._left_out.setdefault(_why_not(topic, request.remaps), []).append(topic.name)
+            why = unknown.get(topic.name) or _why_not(topic, request.remaps)
+            self._left_out.setdefault(why, []).append(topic.name)
         self._fed = dict.fromkeys(topics, 0)
         self._published = dict.fromkeys(topics, 0)
         """Of the messages that were fed to the bridge, those that it has published."""
@@ -348,20 +350,22 @@ async def play(
             publisher, or somebody listens to a velocity command.
         NotFound: if there is no such bag, or it has no such topic.
         TypeConflict: if a topic is there with another type.
-        UnknownInterface: if the robot does not know a type.
+        UnknownInterface: if the robot does not know the type of a topic that was asked for, or of any.
     """
     bounded("rate", request.rate, 0.01, 100.0, "times")
     robot.jobs.require_room(Playback)
     request = replace(request, remaps={recorded: names.absolute(name) for recorded, name in request.remaps.items()})
-    request, bag, span, topics = await to_thread.run_sync(_prepare, store, request)
-    playback = Playback(robot, session, request, store=store, bag=bag, span=span, topics=topics)
+    request, bag, span, chosen = await to_thread.run_sync(_prepare, store, request)
 
     async def tell() -> None:
         state = playback.report()
         await report(state.progress, 1.0, state.summary())
 
     try:
+        topics, unknown = await _installed(robot, request, chosen)
         await _check(robot, request, topics)
+        span = replace(span, topics=frozenset(topics))
+        playback = Playback(robot, session, request, store=store, bag=bag, span=span, topics=topics, unknown=unknown)
         await robot.jobs.start(playback)
     except BaseException:  # also where the call is cancelled
         bag.close()
@@ -402,7 +406,7 @@ def _prepare(store: BagStore, request: PlayRequest) -> tuple[PlayRequest, Bag, S
         if not topics:
             why = "; ".join(f"{named(topic.name)}: {_why_not(topic, remaps)}" for topic in bag.topics.values())
             raise BadInput(f"Nothing of {named(request.bag)} can be played. {why}.", _REMAP)
-        request = replace(request, remaps={name: remaps.get(name, names.absolute(name)) for name in topics})
+        request = replace(request, remaps={name: remaps.get(name) or names.absolute(name) for name in topics})
         types: dict[str, str] = {}
         for name, topic in topics.items():
             destination = request.remaps.get(name, name)
@@ -437,8 +441,30 @@ _OF_ACTION = "published by servers of actions"
 _REMAP = 'Give it a name of ROS with remaps, such as {"vehicle.speed": "/vehicle/speed"}.'
 
 
+async def _installed(
+    robot: Robot, request: PlayRequest, topics: Mapping[str, StoredTopic]
+) -> tuple[Mapping[str, StoredTopic], Mapping[str, str]]:
+    """The topics whose types the robot knows, and why not the others; raises `UnknownInterface` where one of those was
+    asked for by name, or none is left.
+    """
+    errors: dict[str, UnknownInterface] = {}
+    for name in {topic.type for topic in topics.values()}:
+        try:
+            await robot.values.learn(name)
+        except UnknownInterface as error:
+            errors[name] = error
+    known = {name: topic for name, topic in topics.items() if topic.type not in errors}
+    unknown = {name: topic.type for name, topic in topics.items() if topic.type in errors}
+    if unknown and (request.topics or not known):
+        name, type_name = next(iter(unknown.items()))
+        others = f" Without it {listed(list(known), _MOST_NAMED)} can be played: name them in topics." if known else ""
+        error = errors[type_name]
+        raise UnknownInterface(f"{named(name)} cannot be played. {error.message}", f"{error.hint}{others}".lstrip())
+    return known, {name: f"{named(kind)} is not known where the bridge runs" for name, kind in unknown.items()}
+
+
 async def _check(robot: Robot, request: PlayRequest, topics: Mapping[str, StoredTopic]) -> None:
-    """Raises as `play`, for the topics as they are on the robot now; learns their types."""
+    """Raises as `play`, for the topics as they are on the robot now."""
     own = robot.graph.own_nodes  # the bridge keeps publishers ready that publish nothing
     ours = {topic: job.id for job in robot.jobs.running(Job) for topic in job.moves}
     busy: list[str] = []
@@ -462,7 +488,6 @@ async def _check(robot: Robot, request: PlayRequest, topics: Mapping[str, Stored
         raise Refused(f"These topics have a live publisher: {', '.join(busy)}.", hint)
     if driven and not request.force:
         raise Refused(f"Playing would move the robot: {', '.join(driven)}.", hint)
-    await robot.values.learn(*(topic.type for topic in topics.values()))
 
 
 def _next_batch(messages: Iterator[tuple[str, Sample]]) -> list[tuple[str, Sample]]:

@@ -154,9 +154,9 @@ async def move_until(robot: Robot, session: Session, request: UntilRequest, repo
         command = replace(command, rate_hz=min(_RATE_HZ, ruling.most("rate_hz") or _RATE_HZ))
     moved, reason = await run_motion(robot, session, command, report, line)
     held = [await others_on(robot, to.topic)]
-    if odometry and moved.sent.sent and moved.outcome != "met" and (moved.report["distance_m"] or 0.0) < _STOOD_M:
-        held += await why_it_stands(robot, to.topic, odometry)
-        held.append(await why_idle(robot, to.topic, odometry.topic, is_in_doubt=True))
+    if moved.sent.sent and moved.outcome != "met" and (moved.report["distance_m"] or 0.0) < _STOOD_M:
+        held += await why_it_stands(robot, to.topic, odometry) if odometry else ()
+        held.append(await why_idle(robot, to.topic, odometry.topic if odometry else "", is_in_doubt=bool(odometry)))
     return _result(command, moved, reason, " ".join(filter(None, [turned, *held])))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import re
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -27,8 +28,15 @@ _SHORT_BYTES = 1000
 """As JSON. A value of that size is always shown: there are hundreds of them at most; of longer ones as many as fit."""
 _MAX_NAMED = 5
 """Parameters that are named in a summary, which is one line."""
-_LONG_HINT = "left_out gives the length; ros2_parameter_get with its name and whole=true returns it."
-_WHOLE_HINT = "Call again with that parameter's name and whole=true."
+_LONG_HINT = (
+    "left_out gives the length; ros2_parameter_get with its name and whole=true returns it, "
+    'or a part of it, such as names=["robot_description[0:8000]"].'
+)
+_WHOLE_HINT = "Call again with that parameter's name and whole=true"
+_PART_OF = re.compile(r"(?P<name>.+)\[(?P<start>\d*):(?P<end>\d*)\]")
+"""A part of a long text or list, as in a path to a field."""
+_PART_LENGTH = 8000
+"""Characters of a part that fit into one answer, with their quotes escaped."""
 _OF_EVERY_NODE: Mapping[str, Any] = {"use_sim_time": False, "start_type_description_service": True}
 """What rclcpp and rclpy declare for each node, with its default."""
 _OVERRIDES = "qos_overrides."
@@ -46,6 +54,7 @@ _NO_DESCRIPTOR: Mapping[str, Any] = {
     "additional_constraints": "",
 }
 """Of a parameter that its node does not describe."""
+_NO_RESULT: Mapping[str, Any] = {"successful": False, "reason": "the node's answer has no result for it"}
 _UNANSWERED = "The change may still take effect: read it with ros2_parameter_get before you set it again."
 
 
@@ -95,7 +104,8 @@ class Dump:
     """All parameters of a node as name → value, in the form that setting takes.
 
     `left_out` says of values that are too long to be shown how long they are: setting the others back leaves these
-    as they are. `not_set` has the declared types of parameters without a value, `empty_lists` those of empty lists.
+    as they are. `not_set` has the declared types of parameters without a value, `empty_lists` those of empty lists,
+    `parts` what was asked for as `robot_description[0:8000]`.
     """
 
     node: str = field(metadata=SAID)
@@ -105,6 +115,7 @@ class Dump:
     note: str = ""
     not_set: dict[str, str] = field(default_factory=dict[str, str])
     empty_lists: dict[str, str] = field(default_factory=dict[str, str])
+    parts: dict[str, Any] = field(default_factory=dict[str, Any], metadata=IF_ANY)
 
     def summary(self) -> str:
         """One line."""
@@ -114,7 +125,9 @@ class Dump:
         if not self.left_out:
             return line
         long = ", ".join(f"{named(name)} ({size})" for name, size in list(self.left_out.items())[:_MAX_NAMED])
-        return f"{line} Too long to show: {long}. {_WHOLE_HINT}"
+        return (
+            f"{line} Too long to show: {long}. {_WHOLE_HINT}, or a part of it, {_part_hint(next(iter(self.left_out)))}."
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,6 +172,10 @@ class SetResult:
             f"{self.node}: {len(taken)} of {counted(len(self.parameters), 'parameter')} set{now}. {self.note}".rstrip(),
             *refused,
         ]
+
+
+def _part_hint(name: str) -> str:
+    return f'such as names=["{named(name)}[0:{_PART_LENGTH}]"]'
 
 
 def _before(value: Any) -> str:
@@ -253,12 +270,23 @@ async def dump(robot: Robot, node: str, asked: Sequence[str] | None = None, *, w
     """
     node = names.absolute(node, "node")
     declared = await _names(robot, node)
-    for name in asked or ():
+    asked_parts = {name: part for name in asked or () if name not in declared and (part := _PART_OF.fullmatch(name))}
+    wanted = [name for name in asked or () if name not in asked_parts]
+    for name in (*wanted, *(part["name"] for part in asked_parts.values())):
         if name not in declared:
             raise NotFound(f"{node} has no parameter {name}.", _near(name, declared))
-    found = await _read(robot, node, declared if asked is None else asked, declared)
+    found = await _read(robot, node, declared if asked is None else wanted, declared)
+    longer = {part["name"]: None for part in asked_parts.values()}
+    read_for_parts = {one.name: one.value for one in await _read(robot, node, list(longer), declared)}
     room = _Room(answer_bytes(robot))
     shown = found if whole else [room.shown(parameter) for parameter in found]
+    notes = [await shared_names(robot, [node])]
+    notes += [
+        f"{named(one.name)} has {len(one.value)} characters: where it has no room here, ask for parts of it, "
+        f"{_part_hint(one.name)}."
+        for one in shown
+        if isinstance(one.value, str) and len(one.value) > _PART_LENGTH
+    ]
     values = {one.name: one.value for one in shown if not (one.not_set or one.left_out)}
     left_out = {one.name: one.left_out for one in shown if one.left_out}
     return Dump(
@@ -266,12 +294,20 @@ async def dump(robot: Robot, node: str, asked: Sequence[str] | None = None, *, w
         values,
         [parameter.name for parameter in found if parameter.read_only],
         left_out,
-        await shared_names(robot, [node]),
+        " ".join(filter(None, notes)),
         not_set={one.name: one.type for one in found if one.not_set},
         empty_lists={
             one.name: one.type for one in found if one.type.endswith("_array") and not (one.value or one.not_set)
         },
+        parts={name: _part_of(name, part, read_for_parts[part["name"]]) for name, part in asked_parts.items()},
     )
+
+
+def _part_of(name: str, part: re.Match[str], value: Any) -> Any:
+    if not isinstance(value, (str, list)):
+        raise BadValue(name, "it is neither a text nor a list.", f"Ask for {named(part['name'])}.")
+    start, end = (int(part[bound]) if part[bound] else None for bound in ("start", "end"))
+    return cast("str | list[Any]", value)[start:end]
 
 
 async def set_values(
@@ -304,9 +340,7 @@ async def set_values(
         timeout_s=TIMEOUT_S,
         wait_s=await _time_to_appear(robot),
     )
-    response = await fields_of_answer(robot, node, robot.do(command, session), _not_found, unanswered=_UNANSWERED)
-    results = [response["result"]] * len(messages) if atomic else response["results"]
-    result_of = {message["name"]: result for message, result in zip(messages, results, strict=True)}
+    result_of = await _set(robot, session, command)
     room = _Room(answer_bytes(robot))
     now = {parameter.name: room.shown(parameter) for parameter in await _read(robot, node, list(values), ())}
     # What was left out of the request: a node would refuse a read-only parameter even with the value that it has.
@@ -318,6 +352,30 @@ async def set_values(
         was = before.get(name)
         ones.append(SetOne(name, result["successful"], _cut(result["reason"]), value, left_out, before=was))
     return SetResult(node, all(one.successful for one in ones), atomic, ones, await shared_names(robot, [node]))
+
+
+async def _set(robot: Robot, session: Session, command: SetParameters) -> dict[str, Mapping[str, Any]]:
+    """What the node answers for each parameter of the request.
+
+    One that answers for fewer than it is asked to set (micro-ROS with little memory takes one at a time, and answers
+    nothing to a list) is asked for each in turn.
+    """
+    messages = cast("Mapping[str, Any]", command.value)["parameters"]
+    answering = robot.do(command, session)
+    response = await fields_of_answer(robot, command.name, answering, _not_found, unanswered=_UNANSWERED)
+    if command.type == SET_PARAMETERS_ATOMICALLY:
+        return {message["name"]: response["result"] for message in messages}
+    results = response["results"]
+    if len(results) == len(messages):
+        return {message["name"]: result for message, result in zip(messages, results, strict=True)}
+    if len(messages) == 1:
+        return {messages[0]["name"]: _NO_RESULT}
+    found: dict[str, Mapping[str, Any]] = {}
+    for message in messages:
+        name, value = message["name"], {"parameters": [message]}
+        one = replace(command, value=value, parameters={name: command.parameters[name]})
+        found |= await _set(robot, session, one)
+    return found
 
 
 async def _messages(

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from ros2_mcp.guard.policy import bounded
-from ros2_mcp.model.errors import BadInput, NotFound
+from ros2_mcp.model.errors import BadInput, BadName, NotFound
 from ros2_mcp.model.pictures import MAX_SIDE
 from ros2_mcp.model.text import counted
 from ros2_mcp.model.times import seconds_in
@@ -102,8 +103,7 @@ async def plot(source: Source, request: PlotRequest, report: Report = silent) ->
     """
     bounded("width", request.width, 300, MAX_SIDE, "px")
     bounded("height", request.height, 200, MAX_SIDE, "px")
-    texts = [text.partition(":") for text in request.series]
-    parts = [(await source.name_of(topic.strip()), field.strip()) for topic, _, field in texts]
+    parts = [await _split(source, text) for text in request.series]
     if not parts:
         raise BadInput("Nothing to plot is given.", 'Give series such as ["/odom:twist.twist.linear.x"].')
     topics = list(dict.fromkeys(topic for topic, _ in parts))
@@ -114,6 +114,22 @@ async def plot(source: Source, request: PlotRequest, report: Report = silent) ->
         raise next(iter(missing.values()))
     found = [(capture, field) for topic, field in parts if isinstance(capture := captures[topic], Capture)]
     return await asyncio.to_thread(_drawn, source.words, found, request, [str(error) for error in missing.values()])
+
+
+async def _split(source: Source, text: str) -> tuple[str, str]:
+    """A topic and a field: apart at the last colon before which there is the name of a topic, as some have one in it;
+    at the first colon where none is there.
+    """
+    for at in [None, *(number for number in reversed(range(len(text))) if text[number] == ":")]:
+        topic = text[:at].strip()
+        if ":" not in topic:
+            break
+        with suppress(BadName, NotFound):  # of what runs no name has a colon
+            name = await source.name_of(topic)
+            await source.type_of(name)
+            return name, "" if at is None else text[at + 1 :].strip()
+    topic, _, path = text.partition(":")
+    return await source.name_of(topic.strip()), path.strip()
 
 
 def _keeping(parts: Sequence[tuple[str, str]], request: PlotRequest) -> Callable[[Stream], Columns]:

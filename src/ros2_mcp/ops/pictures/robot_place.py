@@ -22,9 +22,9 @@ _BEFORE_NS, _AFTER_NS = 10_000_000_000, 200_000_000
 """What is read around a time of a recording: what tf2 would keep, and one more message of a slow publisher."""
 _MOST = 200
 """Messages of a recording that are looked at: a localisation says the pose ten times a second."""
-_POSES = ("/amcl_pose", "/pose")
+LOCALISED = ("/amcl_pose", "/pose")
 """Where localisation says the robot's pose, as Nav2's and slam_toolbox do, with this type."""
-_POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+LOCALISED_TYPE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 
 
 async def robot_place(source: Source, frame: str, near_ns: int | None = None) -> RobotPlace | None:
@@ -41,8 +41,10 @@ async def robot_place(source: Source, frame: str, near_ns: int | None = None) ->
         tree = await frames_of(source, until=lambda tree: _found(tree, frame) is not None, patience_s=_LISTEN_S)
         if found := _found(tree, frame):
             return placed(found.pose, found.stamp_ns)
-    for topic in _POSES:
-        said = [message for message in await _messages(source, topic, _POSE) if message.header.frame_id == frame]
+    for topic in LOCALISED:
+        said = [
+            message for message in await _messages(source, topic, LOCALISED_TYPE) if message.header.frame_id == frame
+        ]
         if said:
             with suppress(ValueError):  # numbers that are not finite
                 return placed(pose_of(said[-1].pose.pose), stamp_ns(said[-1].header))

@@ -17,7 +17,8 @@ from ros2_mcp.robot.transforms import LISTENS, TF, TF_STATIC, TF_TYPE, Transform
 from ros2_mcp.world.no_transform import why_none
 from ros2_mcp.world.transforms import FrameTree, Located
 
-WORLDS = ("map", "odom", "world", "earth")
+MAP = "map"
+WORLDS = (MAP, "odom", "world", "earth")
 """Frames in which a robot's place is meant, the better first (REP 105)."""
 APPEARING_S = 4.0
 """A publisher may be discovered up to 3 s late, and sends once a second at least; after that a frame is not there."""

@@ -9,6 +9,7 @@ from typing import Any
 
 from ros2_mcp.model.graph import TopicEndpoints
 from ros2_mcp.model.text import named
+from ros2_mcp.ops.graph.remaps import led_nowhere
 from ros2_mcp.ops.sources.source import GraphSnapshot
 from ros2_mcp.ops.space.controllers import idle_nodes
 from ros2_mcp.ops.space.lines import Named, some_nodes, to_nodes
@@ -116,15 +117,19 @@ def other_actions(graph: GraphSnapshot, inputs: Sequence[CommandInput]) -> list[
 
 
 def waited_for(graph: GraphSnapshot, inputs: Sequence[CommandInput]) -> list[Named]:
-    """Topics of which somebody waits for messages that nobody sends, whatever their types are for."""
+    """Topics of which somebody waits for messages that nobody sends, whatever their types are for; of sensors only
+    those for which what is published under nearly the same name was most likely meant.
+    """
     told = {one.topic for one in inputs}
-    waiting = sorted((one for one in graph.topics.values() if _waits(one, told)), key=_rank)
-    return [_waiting(one) for one in waiting]
+    remapped = led_nowhere(graph.topics)
+    waiting = [one for one in graph.topics.values() if _waits(one, told) or one.topic in remapped.keys() - told]
+    return [_waiting(one, remapped.get(one.topic)) for one in sorted(waiting, key=_rank)]
 
 
-def _waiting(topic: TopicEndpoints) -> Named:
+def _waiting(topic: TopicEndpoints, published: TopicEndpoints | None) -> Named:
     listeners = sorted({subscriber.node for subscriber in topic.subscribers})
-    return Named(topic.topic, topic.types[0].rpartition("/")[2], listeners=listeners)
+    meant = f"(nobody hears {named(published.topic)}: a remapping?)" if published else ""
+    return Named(topic.topic, topic.types[0].rpartition("/")[2], meant, listeners=listeners)
 
 
 def orders_by_service(graph: GraphSnapshot) -> list[Named]:

@@ -8,11 +8,12 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
+from ros2_mcp.model.pictures import RobotPlace
 from ros2_mcp.model.poses import Pose, from_roll_pitch_yaw
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.ops.space.frames import WORLDS
-from ros2_mcp.world.transforms import FrameTree, Located
+from ros2_mcp.world.transforms import FrameTree
 from ros2_mcp.world.urdf import Mount, Urdf
 from ros2_mcp_common.finite import not_finite
 
@@ -32,22 +33,40 @@ class Odometer:
 
 
 def place_in_words(
-    source: Source, tree: FrameTree, base: str, odometer: Odometer, urdf: Urdf | None, *, is_unread: bool
+    source: Source,
+    tree: FrameTree,
+    base: str,
+    odometer: Odometer,
+    urdf: Urdf | None,
+    *,
+    in_map: RobotPlace | None = None,
+    is_unread: bool,
 ) -> tuple[str, list[str]]:
-    """Where it is, and what is wrong with that: where a place is old, that in the next frame is told, too. `is_unread`:
-    it may be known, but was not read in time.
+    """Return where the robot is, in a sentence, and what is wrong with that.
+
+    If the place in one frame is old, the place in the next frame is given, too.
+
+    Args:
+        in_map: What a localisation publishes, for a robot without a transform from the map.
+        is_unread: The place may be known, but was not read in time.
     """
     told, old = list[str](), list[str]()
     for world in WORLDS:
         match = next((name for name in tree.frames if name.rpartition("/")[2] == world), "")
         if match and base and match != base and (found := tree.newest(match, base)):
-            age_s = _age_s(source, tree, found)
+            age_s = _age_s(source, tree, found.stamp_ns)
             how = "TF, localised" if world == "map" else "TF, by dead reckoning" if world == "odom" else "TF"
             how = "TF, fixed there" if found.stamp_ns is None else how
             told.append(_pose_in_words(match, found.pose.translation, found.pose.yaw_rad, how, age_s))
             if age_s is None or age_s < _OLD_S:
                 break
             old.append(f"Its place in {named(match)} is {age_s:.0f} s old.")
+        elif world == "map" and in_map:
+            age_s = _age_s(source, tree, in_map.stamp_ns)
+            at = (in_map.x_m, in_map.y_m, in_map.z_m)
+            told.append(_pose_in_words("map", at, in_map.yaw_rad, "localisation", age_s))
+            if age_s is None or age_s < _OLD_S:
+                break
     if told:
         return " ".join(told), old
     if odometer.message is not None:
@@ -85,11 +104,11 @@ def _pose_in_words(frame: str, at: Sequence[float], yaw_rad: float, how: str, ag
     return f"In {named(frame)} at x {x:.2f} y {y:.2f}{height} m, yaw {yaw_deg}° ({how}{age})."
 
 
-def _age_s(source: Source, tree: FrameTree, found: Located) -> float | None:
-    if found.stamp_ns is None:
+def _age_s(source: Source, tree: FrameTree, stamp_ns: int | None) -> float | None:
+    if stamp_ns is None:
         return None
     now_ns = now_ns_of(source)
-    return None if not now_ns else max((now_ns - found.stamp_ns - tree.clock_ns) / 1e9, 0.0)
+    return None if not now_ns else max((now_ns - stamp_ns - tree.clock_ns) / 1e9, 0.0)
 
 
 def now_ns_of(source: Source) -> int:

@@ -16,9 +16,11 @@ import anyio
 from ros2_mcp.model.aside import load
 from ros2_mcp.model.errors import NotFound, RobotError, UnknownInterface
 from ros2_mcp.model.graph import TopicEndpoints
+from ros2_mcp.model.pictures import RobotPlace
 from ros2_mcp.model.text import named, quoted
 from ros2_mcp.ops.measure.diagnostics import LEVELS
 from ros2_mcp.ops.pictures.next_message import next_message
+from ros2_mcp.ops.pictures.robot_place import LOCALISED, LOCALISED_TYPE, robot_place
 from ros2_mcp.ops.results.results import silent
 from ros2_mcp.ops.sources.from_before import from_before
 from ros2_mcp.ops.sources.source import GraphSnapshot, Source
@@ -28,7 +30,7 @@ from ros2_mcp.ops.space.controllers import LIST_CONTROLLERS, Controller, control
 from ros2_mcp.ops.space.description import described
 from ros2_mcp.ops.space.edges import edge_row, in_words
 from ros2_mcp.ops.space.first_heard import FIRST_S, YOUNG_S, frames_heard, not_heard_in_words
-from ros2_mcp.ops.space.frames import WORLDS, disputed_roots, frames_of, separate_roots
+from ros2_mcp.ops.space.frames import MAP, WORLDS, disputed_roots, frames_of, separate_roots
 from ros2_mcp.ops.space.heads import Head, heads_of
 from ros2_mcp.ops.space.inputs import (
     CommandInput,
@@ -119,6 +121,7 @@ class _Seen:
     senseless: list[str] = field(default_factory=list[str])
     odometry: Any = None
     odometry_topic: str = ""
+    in_map: RobotPlace | None = None
     diagnostics_topic: str = ""
     has_diagnostics: bool = False
     problems: list[str] = field(default_factory=list[str])
@@ -188,6 +191,7 @@ async def _gathered(robot: Robot, source: Source, most_sensors: int) -> _Seen:
         ("diagnostics", _reports(source, seen)),
         ("states", _states(source, seen)),
         ("odometry", _odometry(source, seen)),
+        ("place in the map", _in_map(source, seen)),
         ("footprint", _published_footprint(source, seen)),
         ("controllers", _managed(robot, source, seen)),
     )
@@ -386,6 +390,12 @@ async def _odometry(source: Source, seen: _Seen) -> None:
         seen.odometry = await _message(source, seen, topic, ODOMETRY, seen.first_s)
 
 
+async def _in_map(source: Source, seen: _Seen) -> None:
+    """Where pictures show it, too: by the transforms, else by what a localisation says."""
+    if any(one.topic in LOCALISED for one in _topics(seen.graph, LOCALISED_TYPE)):
+        seen.in_map = await robot_place(source, MAP)
+
+
 async def _published_footprint(source: Source, seen: _Seen) -> None:
     """The outline that Nav2 uses, in whatever frame it is told."""
     for one in _topics(seen.graph, "geometry_msgs/msg/PolygonStamped"):
@@ -429,7 +439,9 @@ def _everything(source: Source, seen: _Seen) -> RobotInBrief:
     is_silent = source.is_live and bool(seen.odometry_topic)
     is_unread = _misses_frames(seen) or is_silent or "odometry" in seen.not_read
     odometer = Odometer(seen.odometry_topic, seen.odometry, seen.ages.get(seen.odometry_topic, ""))
-    place, trouble = place_in_words(source, seen.tree, base, odometer, seen.urdf, is_unread=is_unread)
+    place, trouble = place_in_words(
+        source, seen.tree, base, odometer, seen.urdf, in_map=seen.in_map, is_unread=is_unread
+    )
     return RobotInBrief(
         name=(seen.urdf.name if seen.urdf else "") or "robot",
         kind=kind_of(seen.urdf, drive_types(inputs), stacks, _controller_types(seen)),
@@ -555,6 +567,6 @@ def _not_localised(seen: _Seen) -> str:
     localisers = [name for name in seen.graph.nodes or () if name.rpartition("/")[2] in ("amcl", "slam_toolbox")]
     maps = [name for name in seen.tree.frames if name.rpartition("/")[2] == "map"]
     is_told = any(seen.tree.newest(frame, seen.tree.base) for frame in maps) if seen.tree.base else False
-    if not localisers or is_told or not seen.tree.base:
+    if not localisers or is_told or seen.in_map or not seen.tree.base:
         return ""
     return f"Not localised: {named(localisers[0])} runs, but nothing reports where the robot is in the map."

@@ -11,8 +11,8 @@ from ros2_mcp.model.qos import Endpoint, QoS
 from ros2_mcp.ops.measure.checks import CHECKS, findings_in
 from ros2_mcp.ops.measure.checks.parameter_ranges import outside
 from ros2_mcp.ops.measure.diagnostics import DiagnosticTable
-from ros2_mcp.ops.measure.evidence import Evidence, Expectations, Ros2Control
-from ros2_mcp.ops.measure.findings import Finding
+from ros2_mcp.ops.measure.evidence import Evidence, Expectations, Flow, Ros2Control, TopicRow
+from ros2_mcp.ops.measure.findings import Finding, joined
 from ros2_mcp.ops.measure.rivals import Rivals
 from ros2_mcp.ops.nodes.lifecycle import LifecycleState
 from ros2_mcp.ops.nodes.parameters import Parameter
@@ -205,6 +205,8 @@ def test_a_service_or_an_action_of_two_nodes_is_a_fault() -> None:
 def test_one_service_with_two_types_is_a_fault() -> None:
     graph = GraphSnapshot({}, [], {"/reset": ["std_srvs/srv/Trigger", "std_srvs/srv/Empty"], "/one": ["a/srv/B"]})
     assert subjects(found_in(graph)) == ["/reset"]
+    (finding,) = found_in(graph, servers={"/reset": ["/b", "/a"]})
+    assert "2 types" in finding.problem and "by /a, /b" in finding.problem
 
 
 @pytest.mark.parametrize(
@@ -214,6 +216,7 @@ def test_one_service_with_two_types_is_a_fault() -> None:
         ("/robot/chatter", "/chatter"),
         ("/raw_chatter", "/chatter"),
         ("/chater", "/chatter"),
+        ("/lidar/scan_front", "/scan/front_lidar"),
     ],
 )
 def test_a_remapping_that_leads_nowhere_is_a_fault(published: str, awaited: str) -> None:
@@ -222,16 +225,28 @@ def test_a_remapping_that_leads_nowhere_is_a_fault(published: str, awaited: str)
     assert (finding.subject, f"{published}:={awaited}" in finding.recommendation) == (awaited, True)
 
 
+def test_what_is_silent_because_of_a_remapping_is_told_with_it_and_once() -> None:
+    scan = "sensor_msgs/msg/LaserScan"
+    graph = topics(
+        ("/front/scan", scan, "/lidar", ""), ("/scan/front", scan, "", "/filter"), ("/clean", scan, "/filter", "")
+    )
+    row = TopicRow("/clean", scan, 1, 0, "SILENT", None, None, expected=False)
+    (finding,) = joined(found_in(graph, rows=[row], flows={"/clean": Flow(0, None, 0.0)}))
+    assert (finding.subject, "/front/scan:=/scan/front" in finding.recommendation) == ("/scan/front", True)
+    assert "/front/scan, which nobody hears" in finding.problem and "/clean is silent" in finding.problem
+
+
 @pytest.mark.parametrize(
     "rows",
     [
         [("/chatter", TEXT, "/talker", "/other"), ("/chatter_remapped", TEXT, "", "/listener")],
         [("/chatter", TEXT, "/talker", ""), ("/chatter_remapped", "std_msgs/msg/Bool", "", "/listener")],
+        [("/left/wheel/speed", TEXT, "/talker", ""), ("/speed/wheel/right", TEXT, "", "/listener")],
         [("/status", TEXT, "/talker", ""), ("/command", TEXT, "", "/listener")],
         [("/chatter", TEXT, "/talker", ""), ("/chatter_in", TEXT, "", "/talker")],
         [("/a/chatter", TEXT, "/x", ""), ("/b/chatter", TEXT, "/y", ""), ("/chatter", TEXT, "", "/listener")],
     ],
-    ids=["somebody hears it", "another type", "another name", "its own node", "which of two"],
+    ids=["somebody hears it", "another type", "another word", "another name", "its own node", "which of two"],
 )
 def test_what_only_looks_like_a_remapping_is_none(rows: list[tuple[str, str, str, str]]) -> None:
     assert found_in(topics(*rows)) == []

@@ -12,6 +12,7 @@ from ros2_mcp.model import names
 from ros2_mcp.model.graph import OF_EVERY_NODE
 from ros2_mcp.model.text import listed
 from ros2_mcp.model.times import both_times
+from ros2_mcp.ops.graph.remaps import led_nowhere
 from ros2_mcp.ops.measure.checks.check import Check
 from ros2_mcp.ops.measure.evidence import MAX_NAMES, Evidence, Flow, TopicRow, nodes_of, only, streams
 from ros2_mcp.ops.measure.findings import Finding
@@ -82,7 +83,12 @@ def _of(evidence: Evidence, row: TopicRow, measured: Flow | None, waits: Mapping
         if root and not root.publishers:
             who = listed(sorted({one.node for one in root.subscribers}), MAX_NAMES)
             problem = f"{who} waits for {root.topic}, which nobody publishes; so {row.topic_name} is silent."
-            yield Finding(severity, root.topic, problem, f"Start what publishes {root.topic}.", root.topic)
+            advice = f"Start what publishes {root.topic}."
+            if published := led_nowhere(evidence.graph.topics).get(root.topic):
+                problem = f"So {row.topic_name} is silent: its publisher waits for {root.topic}."
+                advice = f"If they belong together, remap one: {published.topic}:={root.topic}."
+            cause = only(evidence.graph.left.topics.get(root.topic, ())) if published else ""
+            yield Finding(severity, root.topic, problem, advice, cause or root.topic)
             return
         if root:
             problem += (

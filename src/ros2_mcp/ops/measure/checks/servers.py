@@ -17,6 +17,8 @@ def _find(evidence: Evidence) -> Iterator[Finding]:
     offered: dict[tuple[str, ...], tuple[list[str], list[str]]] = {}
     for service, nodes in (evidence.servers or {}).items():
         is_action = service.endswith(_SEND_GOAL)
+        if len(set((evidence.graph.services or {}).get(service, ()))) > 1:
+            continue  # a request has one type, and reaches the servers of that type alone; `types` tells it
         if len(set(nodes)) < 2 or (names.is_hidden(service) and not is_action):
             continue
         services, actions = offered.setdefault(tuple(sorted(set(nodes))), ([], []))

@@ -26,6 +26,8 @@ def _find(evidence: Evidence) -> Iterator[Finding]:
     for name, types in (evidence.graph.services or {}).items():
         if len(set(types)) > 1:
             problem = f"One service with {len(set(types))} types: {', '.join(map(named, sorted(set(types))))}."
+            if servers := sorted(set((evidence.servers or {}).get(name, ()))):
+                problem += f" Offered by {listed(servers, MAX_NAMES)}."
             advice = "Stop or remap the wrong server, or the client that asks with the wrong type."
             yield Finding("warning", name, problem, advice)
     topics: dict[str, list[Missing]] = {}
