@@ -21,7 +21,7 @@ _NOTES: Mapping[int, str] = {
     UNKNOWN_GOAL: "The server does not know this goal.",
     3: "The goal had already ended.",
 }
-"""What the codes of refusals mean."""
+"""The meaning of each code of a refusal."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,10 +58,10 @@ async def cancel(
     stamp: Mapping[str, int] | None = None,
     timeout_s: float = 3.0,
 ) -> Cancellation:
-    """Asks the server to cancel one goal, all goals, or all that were accepted up to a stamp.
+    """Ask the action server to cancel one goal, all goals, or all that were accepted up to a stamp.
 
     Raises:
-        BadValue: if there is neither a goal id nor `cancel_all`, or what is given is no goal id.
+        BadValue: if neither a goal id nor `cancel_all` is given, or the goal id is malformed.
         NotFound: if no such action is there.
         TimedOut: if the server did not answer.
     """
@@ -92,7 +92,7 @@ def _cancellation(service: str, response: Mapping[str, Any], *, cancel_all: bool
 
 
 async def cancel_sent(goal: Goal, within_s: float) -> Cancellation:
-    """Cancels a goal of ours, as `Goal.request_cancel` does.
+    """Cancel a goal that this server sent, as `Goal.request_cancel` does.
 
     Raises:
         NotFound: if no such action is there.
