@@ -523,6 +523,6 @@ def _dropped(ended: StopReply) -> list[str]:
 
 
 def _first(names: Sequence[str]) -> list[str]:
-    """The first names, and how many more there are."""
+    """Return the first names, and a text with the number of the others."""
     more = len(names) - _MOST_NAMED
     return [*names[:_MOST_NAMED], *([f"and {more} more"] if more > 0 else [])]
