@@ -43,7 +43,7 @@ class Cancellation:
     note: str = field(metadata=IF_ANY)
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         refused = f"{self.return_code_text}: " if self.return_code else ""
         return f"{refused}Cancelling {counted(len(self.goals_canceling), 'goal')}. {self.note}".rstrip()
 
@@ -62,7 +62,7 @@ async def cancel(
 
     Raises:
         BadValue: if neither a goal id nor `cancel_all` is given, or the goal id is malformed.
-        NotFound: if no such action is there.
+        NotFound: if there is no such action.
         TimedOut: if the server did not answer.
     """
     action = names.absolute(action, "action")
@@ -95,7 +95,7 @@ async def cancel_sent(goal: Goal, within_s: float) -> Cancellation:
     """Cancel a goal that this server sent, as `Goal.request_cancel` does.
 
     Raises:
-        NotFound: if no such action is there.
+        NotFound: if there is no such action.
         TimedOut: if the server did not answer.
     """
     return _cancellation(f"{goal.action}/_action/cancel_goal", await goal.request_cancel(within_s))

@@ -39,7 +39,7 @@ class FeedbackMessages:
     note: str = field(metadata=IF_ANY)
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         return f"{counted(len(self.messages), 'feedback message')} in {self.duration_sec:.2f} s. {self.note}".rstrip()
 
 
@@ -58,7 +58,7 @@ async def follow_feedback(
     message).
 
     Raises:
-        NotFound: if no such action is there.
+        NotFound: if there is no such action.
         BadValue: if the goal id is malformed.
     """
     only_goal = goal_id_hex(goal_id_bytes(goal_id)) if goal_id else None

@@ -29,7 +29,7 @@ class ActionList:
     note: str = ""
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         return f"{counted(len(self.actions), 'action')}. {self.note}".rstrip()
 
 

@@ -43,7 +43,7 @@ class GoalResult:
     note: str = ""
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         return f"goal {self.goal_id}: {self.status}. {self.note}".rstrip()
 
 
@@ -62,7 +62,7 @@ async def request_result(
     time-out does not cancel the goal.
 
     Raises:
-        NotFound: if no such action is there, or its server left before the goal ended.
+        NotFound: if there is no such action, or its server left before the goal ended.
         BadValue: if the goal id is malformed.
     """
     action = names.absolute(action, "action")

@@ -72,7 +72,7 @@ class GoalOutcome:
         return not self.accepted or self.status == "ABORTED"
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         return f"{self.action_name} goal {self.goal_id}: {self.status}. {self.note}".rstrip()
 
 
@@ -97,7 +97,7 @@ async def send_goal(
 
     Raises:
         BadInput: if several nodes serve the action.
-        NotFound: if no such action is there, or its server left.
+        NotFound: if there is no such action, or its server left.
         BadValue: if a value does not fit; it names the path, and nothing is sent.
         TimedOut: if the server neither accepted nor rejected the goal.
     """

@@ -60,7 +60,7 @@ class StatusFrames:
     note: str = field(metadata=IF_ANY)
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         return f"{counted(len(self.frames), 'status message')} in {self.duration_sec:.2f} s. {self.note}".rstrip()
 
 
@@ -87,7 +87,7 @@ class KnownGoals:
     note: str = field(metadata=IF_ANY)
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         return f"{counted(len(self.goals), 'goal')} of {counted(len(self.actions), 'action')}. {self.note}".rstrip()
 
 
@@ -121,7 +121,7 @@ async def follow_status(
     """Return the states of an action's goals over some seconds; the last known states come first.
 
     Raises:
-        NotFound: if no such action is there.
+        NotFound: if there is no such action.
     """
     bounded("duration_sec", duration_s, 0.0, MAX_DURATION_S, "s")
     bounded("max_messages", max_messages, 1, MAX_MESSAGES, "messages")

@@ -21,7 +21,7 @@ class InterfaceList:
     note: str = field(metadata=IF_ANY)
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         return f"{len(self.interfaces)} of {self.total} interfaces. {self.note}".rstrip()
 
 
@@ -42,7 +42,7 @@ class Definition:
     hash: str
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         return f"{self.message_type} ({self.kind})"
 
 

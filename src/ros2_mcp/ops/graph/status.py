@@ -64,7 +64,7 @@ class Status:
     limitations: Sequence[str]
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         ros = f"ROS 2 {self.distro} with {self.rmw}, domain {self.domain_id}; bridge {self.bridge_node} is up."
         strength = f" ({self.policy_strength})" if self.policy_strength else ""
         return f"{ros} Policy: {self.policy}{strength}. {self.note}".rstrip()

@@ -154,7 +154,7 @@ class Driven:
         return self.outcome not in ("reached", "ended")
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         unit = "°" if self.unit == "deg" else " m"
         if self.measured is None:
             return f"{self.outcome}: nothing was driven. {self.note}".rstrip()

@@ -138,7 +138,7 @@ class JointsMoved:
         return self.outcome not in ("reached", "ended")
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         moved = ", ".join(
             f"{named(one.name)} {one.measured:.3f} of {one.target:.3f} {one.unit}" for one in self.joints[:8]
         )

@@ -90,7 +90,7 @@ class MovedUntil:
         return self.outcome in ("silent", "nobody_listens", "refused")
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         way = "" if self.distance_m is None else f" It moved {self.distance_m:.2f} m by {named(self.odometry_topic)}."
         outcome = f"{'is met' if self.met else 'was not met'} after {self.elapsed:.2f} s ({told_values(self.values)})"
         return f"{named(self.topic_name)}: {self.condition} {outcome}.{way} {self.note}".rstrip()

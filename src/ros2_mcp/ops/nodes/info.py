@@ -69,7 +69,7 @@ class NodeInfo:
     settled: bool = field(default=True, metadata=SAID)
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         has = "" if self.parameters is None else f" It has {self.parameters} parameters."
         state = f" Its lifecycle state is {named(self.lifecycle_state)}." if self.lifecycle_state else ""
         services = counted(self.left_out, "service")
@@ -87,7 +87,7 @@ async def node_info(robot: Robot, node: str) -> NodeInfo:
     """Return what a node publishes, subscribes to, serves and calls.
 
     Raises:
-        NotFound: if no such node is in the graph.
+        NotFound: if there is no such node in the graph.
     """
     node = names.absolute(node, "node")
     try:

@@ -39,7 +39,7 @@ class LifecycleState:
     managed_by: str = ""
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         by = f" Managed by {named(self.managed_by)}." if self.managed_by else ""
         told = self.error or f"{named(self.state)}; possible now: {_listed(self.transitions)}."
         return f"{self.node}: {told}{by}"
@@ -72,7 +72,7 @@ class Transition:
     note: str = ""
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         outcome = "done" if self.successful else "failed"
         states = f"{named(self.state_before)} → {named(self.state)}"
         return f"{self.node}: {named(self.transition)} {outcome}; {states}. {self.note}".rstrip()

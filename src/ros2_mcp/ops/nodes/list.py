@@ -23,7 +23,7 @@ class NodeList:
     note: str = field(metadata=IF_ANY)
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         return f"{len(self.nodes)} of {self.total} nodes. {self.note}".rstrip()
 
 

@@ -108,7 +108,7 @@ class Dump:
     empty_lists: dict[str, str] = field(default_factory=dict[str, str])
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         count = counted(len(self.parameters), "parameter")
         declared = f" {len(self.not_set)} declared, but not set." if self.not_set else ""
         line = f"{self.node}: {count}, {len(self.read_only)} read-only.{declared} {self.note}".rstrip()
@@ -286,7 +286,7 @@ async def set_values(
     A read-only parameter with the value that it already has is no error: all that `dump` has read can be set back.
 
     Raises:
-        NotFound: if the node is not there.
+        NotFound: if the node does not exist.
         BadValue: if a value is not of its parameter's type or out of its range, or the parameter is read-only or not
             declared; nothing is set.
     """

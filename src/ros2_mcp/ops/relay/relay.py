@@ -106,7 +106,7 @@ class RelayState:
     note: str = field(metadata=IF_ANY)
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         return (
             f"{self.relay_id} ({self.transform}) {self.source_topic} → {self.destination_topic}: {self.state}, "
             f"{self.passed} passed, {self.dropped} dropped. {self.note}"

@@ -41,7 +41,7 @@ class ServiceAnswer:
     note: str = ""
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         if not self.called:
             return f"{self.service_name} was not called. {self.note}"
         return f"{self.service_name} answered: {in_words(self.result or {}) or 'nothing'}. {self.note}".rstrip()

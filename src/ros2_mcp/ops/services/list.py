@@ -37,7 +37,7 @@ class ServiceList:
     note: str = field(metadata=IF_ANY)
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         return f"{len(self.services)} of {self.total} services. {self.note}".rstrip()
 
 
