@@ -1,6 +1,4 @@
-"""Sentences about a job that the bridge or a stop ended, messages that the bridge held back, and waiting for the
-stopper.
-"""
+"""Sentences about jobs that the bridge or a stop ended, messages that the bridge held back, and the stopper."""
 
 from __future__ import annotations
 
@@ -43,7 +41,7 @@ def limited(count: int) -> str:
 
 
 def guarded(waited_s: float, problem: str) -> str:
-    """Return sentences about the stopper: how long the bridge waited for it, and why there is none; empty in the usual
+    """Return sentences about the stopper: how long it was waited for, and why there is none; empty in the usual
     case.
     """
     waited = f"It waited {waited_s:.1f} s for the stopper, which sends the zero if the bridge dies."

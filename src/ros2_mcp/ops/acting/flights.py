@@ -88,8 +88,7 @@ async def outcome(
     response: Mapping[str, Any],
     since_ns: int,
 ) -> str:
-    """Return the outcome of an order in sentences: whether it was followed, or why not, as far as the vehicle reports
-    it.
+    """Return the outcome of an order in sentences: whether it was followed or why not, as far as the vehicle reports.
 
     `since_ns` is when the order was sent, by the robot's clock.
     """

@@ -12,8 +12,7 @@ from ros2_mcp.robot import Robot
 from ros2_mcp.robot.graph import Graph
 
 _KNOWN_S = 2.0
-"""How long a service is assumed to have one server after that was seen: repeated calls ask the graph once in that time.
-"""
+"""How long a service is assumed to have one server after that was seen: repeated calls ask the graph only once."""
 _MOST_KNOWN = 256
 _MOST_NAMED = 4
 

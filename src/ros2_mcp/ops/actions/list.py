@@ -34,7 +34,7 @@ class ActionList:
 
 
 async def list_actions(robot: Robot, pattern: str = "") -> ActionList:
-    """The actions whose names or types match, with the fields of their goals."""
+    """Return the actions whose names or types match, with the fields of their goals."""
     types, absence = await asyncio.gather(robot.types.actions(), robot.graph.absence())
     chosen = names.matching(sorted(types), pattern, types.__getitem__)
     fields, unknown = await robot.values.fields_of((types[name][0] for name in chosen), "_Goal")

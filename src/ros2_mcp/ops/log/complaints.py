@@ -1,4 +1,6 @@
-"""Collect what the robot's nodes warned of during an attempt: their own log mostly gives the reason of a failure."""
+"""Collect the warnings and errors that the robot's nodes log during an attempt: they mostly give the reason of a
+failure.
+"""
 
 from __future__ import annotations
 

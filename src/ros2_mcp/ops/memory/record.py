@@ -352,7 +352,7 @@ class Recording(Job):
     async def _look(self, topics: TaskGroup, recorder: Recorder) -> None:
         """Begin to record chosen topics that are new, and renew subscriptions that no longer fit the publishers' QoS.
 
-        Errors are noted: the next look may succeed, and the other topics are recorded on.
+        Errors are noted: the next check may succeed, and the other topics continue to be recorded.
         """
         try:
             for row in await self._robot.graph.topics():
@@ -410,7 +410,7 @@ class Recording(Job):
             except RobotError as error:
                 joined.error = str(error)
                 return
-            except Exception as error:  # whatever the error, the other topics are recorded on
+            except Exception as error:  # whatever the error, the other topics continue
                 joined.error = f"It cannot be recorded: {error}"
                 _logger.exception("%s cannot be recorded", name)
                 return

@@ -77,7 +77,7 @@ async def guarding(
     if not sights:
         reasons = dict.fromkeys(
             error.message.rstrip(".") for error in problems
-        )  # all sensors in one frame have the same reason
+        )  # one reason for all sensors in one frame
         raise NotFound("; ".join(reasons) + ".", WITHOUT)
     distance_m = DEFAULT_GUARD_M if guard_m is None else guard_m
     topics = [one.found.topic for one in sights]

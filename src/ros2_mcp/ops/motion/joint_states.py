@@ -55,7 +55,7 @@ class JointStates:
         )
 
     def age_s(self, joints: Sequence[str]) -> float:
-        """Return the age in s of the newest positions of these joints, the greatest of them."""
+        """Return the greatest age, in s, of the newest positions of these joints."""
         return monotonic() - min((self.positions[joint].heard_at for joint in joints), default=-math.inf)
 
     def of(self, joints: Sequence[str]) -> list[float]:

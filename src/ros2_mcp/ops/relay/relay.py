@@ -404,7 +404,7 @@ async def list_relays(robot: Robot) -> RelayList:
     if robot.jobs.running(Relay):
         with suppress(
             LinkError
-        ):  # the bridge is gone: the relays are about to end, and only their last counts are known
+        ):  # the bridge is gone: the relays are about to end, their last counts are all that is known
             counts = await robot.graph.relays()
             for relay in robot.jobs.running(Relay):  # relays that ended meanwhile keep their last counts
                 relay.counts = counts.get(relay.id, relay.counts)

@@ -247,9 +247,7 @@ def in_words(values: Mapping[str, Any]) -> str:
     """
     shallow = {name: value for name, value in values.items() if not isinstance(value, (dict, list))}
     nested = {name: value for name, value in values.items() if name not in shallow}
-    leaves = [
-        f"{named(path)} {text}" for path, text in _leaves({**shallow, **nested})
-    ]  # nested values last: stamps matter least
+    leaves = [f"{named(path)} {text}" for path, text in _leaves({**shallow, **nested})]  # stamps matter least
     more = f" and {len(leaves) - _MAX_IN_WORDS} more" if len(leaves) > _MAX_IN_WORDS else ""
     return ", ".join(leaves[:_MAX_IN_WORDS]) + more
 

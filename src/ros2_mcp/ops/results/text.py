@@ -129,8 +129,7 @@ class _Body:
     def add(self, one: Any, title: str = "", path: str = "", *, is_row: bool = False) -> None:
         """Add all fields of a dataclass; `title` begins their first line, `path` the name of each.
 
-        What the summary says is not repeated, except in the rows of a list, where a reader would have to look for the
-        row to which a line of the summary belongs.
+        What the summary says is not repeated, except in the rows of a list, so that each row is complete.
         """
         found = [(declared, getattr(one, declared.name)) for declared in _shown_fields(one)]
         beside: dict[str, tuple[str, Sequence[Any]]] = {
@@ -268,8 +267,8 @@ def _flat(name: str, rows: Sequence[Mapping[str, Any]]) -> _Part:
 
 
 def _grouped(name: str, values: Sequence[Any], inner: str, said: str) -> _Part:
-    """Return objects with a list of flat ones each as one table, in which a line for each object stands above its rows.
-    Objects without rows, of which all is `said` already, are left out.
+    """Return objects that each have a list of flat objects as one table: a line for each object, then its rows. Objects
+    without rows, of which everything is `said` already, are left out.
     """
     groups = [[_row(one) for one in _items(getattr(value, inner))] for value in values]
     rows = [row for group in groups for row in group]

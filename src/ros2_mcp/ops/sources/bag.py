@@ -93,7 +93,7 @@ class _BagStream(Stream):
 
 @dataclass
 class _Part(Generic[K]):
-    """What is kept of one of several topics that are read together, and the number of its messages."""
+    """The kept data of one of several topics that are read together, and the number of its messages."""
 
     stored: StoredTopic
     stream: _BagStream

@@ -44,9 +44,7 @@ class Sources:
             BadInput: if times are given without a recording.
             NotFound, BadData, BadValue: as by `open_bag`.
         """
-        await load(
-            "ros2_mcp.values.cdr", "ros2_mcp.values.select"
-        )  # readers decode: this imports numpy, so not at the start
+        await load("ros2_mcp.values.cdr", "ros2_mcp.values.select")  # for decoding: with numpy, not at the start
         times = start.strip(), end.strip()
         request = SourceRequest(name.strip(), *times, names=names, waits=waits, report=report)
         for kind in self.kinds:

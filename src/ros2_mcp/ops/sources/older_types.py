@@ -1,5 +1,5 @@
-"""Read messages whose definition has changed: recordings without definitions are read as the distribution that wrote
-them defines the type.
+"""Read messages whose definition has changed: a recording without definitions is read with those of the distribution
+that wrote it.
 
 Range, Marker and SolidPrimitive have more fields since Humble or Iron; the definitions are those of `rosbags`.
 """

@@ -56,7 +56,7 @@ class RecordedGraph(Graph):
         return await self.topics(), ""
 
     async def absence(self, within_s: float | None = None, found: Rows[NodeRow] | None = None) -> str:  # noqa: ARG002
-        """Return "" (nothing): a recording is never absent."""
+        """Return "": a recording is never absent."""
         return ""
 
     async def interfaces(self, within_s: float = REQUEST_S) -> list[str]:  # noqa: ARG002 - a file answers at once

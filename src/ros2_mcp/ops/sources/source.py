@@ -46,7 +46,8 @@ Keep: TypeAlias = "Callable[[Stream], K]"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Capture(Generic[K]):
-    """What was `kept` of the messages of one topic between two times, with what is needed to interpret it.
+    """The result of capturing one topic: what was `kept` of its messages between two times, and what is needed to
+    interpret it.
 
     `start_ns` and `end_ns` are Unix times by the receiver's clock; only a latched message may be older. `received`
     counts all messages of that time, of which `dropped` were discarded because of memory bounds; `lost` never arrived,
@@ -180,7 +181,7 @@ class Stream:
         return sample.received_ns < self.start_ns or 0 < sample.source_ns < self.asked_ns
 
     async def why_no_more(self, last: Sample | None) -> str:
-        """Return a sentence on why no sample came after `last` (None if there was no sample at all)."""
+        """Return a sentence on why no sample came after `last`, which is None if there was no sample at all."""
         return f"The recording has {'no more' if last else 'nothing'} of it in that part."
 
 
@@ -279,8 +280,8 @@ class Source(ABC):
             limit: how many samples are needed; of a recording without a start these are the last ones. A live stream
                 goes on: its reader stops.
             every_n: live, and of a recording with a limit, only every n-th sample is given, counted from the first.
-            latched: whether a recording also gives the earlier messages that a late subscriber would still have got.
-            times_only: no more of the samples is needed than their sizes and the bytes of a header's stamp.
+            latched: whether a recording also gives the earlier messages that a late subscriber would have received.
+            times_only: only the sizes of the samples and their bytes up to a header's stamp are needed.
 
         Raises:
             NotFound: if the topic does not appear in that time.

@@ -151,7 +151,7 @@ class Stopped:
         told = ", ".join(words for count, words in parts if count)
         if self.confirmed and unheard and not any((*ended[:2], len(self.topics) - unheard, *ended[3:])):
             return f"Nothing to stop: {told}. {self.note}".rstrip()  # as when the base has left the graph
-        if self.is_doubted:  # why comes first: who reads no further knows what may still move
+        if self.is_doubted:  # the reason comes first, in case the reader stops there
             return f"{verdict}: {self.note} Done: {told}." if told else f"{verdict}: {self.note}"
         return f"{verdict}: {f'{told}. ' if told else ''}{self.note}".rstrip()
 
@@ -475,8 +475,8 @@ def _doubts(topics: Sequence[StoppedTopic], goals: Sequence[StoppedGoal], seen: 
 
 
 def _unknown(unsettled: Sequence[tuple[str, str]]) -> list[str]:
-    """Return a sentence about the services called and topics published on whose effects this server does not know how
-    to stop, given as kind and name; empty if there are none.
+    """Return a sentence on the services called and topics published on whose effects this server does not know how to
+    stop; empty if there are none. `unsettled` has kind and name of each.
     """
     services, topics = ([name for of, name in unsettled if of == kind] for kind in ("service", "topic"))
     sent = [f"called {counted(len(services), 'service')}"] if services else []

@@ -322,7 +322,7 @@ async def echo(source: Source, topic: str, topic_type: str, selection: Selection
     chosen = topic if topic_type or selection.fields else await source.lightest(topic)
     collected = await collect(source, chosen, topic_type, selection)
     reading = _told(await _shown(source, collected, selection), as_asked=chosen == topic)
-    if collected.samples and not reading.messages and not source.is_live:  # the next one that is what its type says
+    if collected.samples and not reading.messages and not source.is_live:  # then the next message that can be decoded
         several = await collect(source, topic, topic_type, replace(selection, message_limit=_TRIED))
         found, note = await asyncio.to_thread(_first_readable, several)
         if found:
