@@ -16,8 +16,8 @@ _MOST_NAMED = 6
 
 
 def left_at_default(definitions: Definitions, type_name: str, value: Mapping[str, Any]) -> str:
-    """Return a sentence on the fields of a known type that a value leaves out, with their defaults; empty if it has
-    all.
+    """Return a sentence on the fields of a known type that a value leaves out, with their
+    defaults; empty if it has all.
     """
     from ros2_mcp.values.render import example_of  # with numpy: not before it is needed
 

@@ -41,8 +41,8 @@ def limited(count: int) -> str:
 
 
 def guarded(waited_s: float, problem: str) -> str:
-    """Return sentences about the stopper: how long it was waited for, and why there is none; empty in the usual
-    case.
+    """Return sentences about the stopper: how long it was waited for, and why there is
+    none; empty in the usual case.
     """
     waited = f"It waited {waited_s:.1f} s for the stopper, which sends the zero if the bridge dies."
     without = f"There is no stopper ({problem}): if the bridge dies, the zero comes from its successor."

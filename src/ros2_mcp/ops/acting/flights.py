@@ -32,8 +32,8 @@ RESULTS: Mapping[int, str] = {
 _MODE_S = 2.0
 """Time for a new mode to be reported: at once on a change, or with the autopilot's next heartbeat within a second."""
 _TEXT_S = 1.0
-"""Time for the autopilot's text about a refusal: it comes within milliseconds, in a log that is drained ten times a
-second."""
+"""Time for the autopilot's text about a refusal: it comes within milliseconds, in a log that
+is drained ten times a second."""
 _LOOK_S = 0.05
 """Seconds between two reads of the log, which is drained ten times a second."""
 _WARNING = 30

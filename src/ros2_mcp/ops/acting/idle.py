@@ -19,8 +19,8 @@ _PARAMETERS, _GET_PARAMETERS = "/get_parameters", "rcl_interfaces/srv/GetParamet
 _ANSWER_S = 0.7
 """Time-out of each question: a live node answers within milliseconds, the first time after 0.1 s of discovery."""
 _MOST_NODES = 4
-"""The most nodes that are asked for a sign of life: the subscribers of a command are a base, perhaps a recorder and a
-filter."""
+"""The most nodes that are asked for a sign of life: the subscribers of a command are a base,
+perhaps a recorder and a filter."""
 _ACTIVE = "active"
 
 
@@ -108,8 +108,8 @@ async def _by_its_list(robot: Robot, host: str, nodes: set[str], services: set[s
 
 
 def _below(controllers: Mapping[str, Mapping[str, Any]], meant: Sequence[str]) -> Sequence[str]:
-    """Return these controllers and the chained ones below them. An interface of a chained controller begins with its
-    name.
+    """Return these controllers and the chained ones below them. An interface of a chained
+    controller begins with its name.
     """
     found = list(meant)
     for name in found:  # grows during the iteration

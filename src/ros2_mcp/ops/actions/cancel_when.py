@@ -18,15 +18,15 @@ from ros2_mcp.robot.jobs import Job
 
 _TOPIC = re.compile(r"\s*(?P<topic>/[\w/]+)\s*:(?P<condition>.*)", re.DOTALL | re.ASCII)
 _BEGUN_POLL_S = 0.01
-"""Seconds between two checks of whether the bridge evaluates the condition. It does within milliseconds; the goal is
-not sent before."""
+"""Seconds between two checks of whether the bridge evaluates the condition. It does within
+milliseconds; the goal is not sent before."""
 _BEGUN_S = 10.0
 """Time for the bridge to load the type of a topic: mostly milliseconds, a second if its package is large."""
 
 
 class ConditionalCancel(Job):
-    """A condition that is evaluated while a goal runs; its id is that of the goal with a prefix. `met` is set once the
-    condition was met.
+    """A condition that is evaluated while a goal runs; its id is that of the goal with a prefix. `met` is
+    set once the condition was met.
 
     The job itself moves nothing: the motion of the goal is stopped with the goal.
     """

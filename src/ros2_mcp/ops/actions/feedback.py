@@ -54,8 +54,8 @@ async def follow_feedback(
     max_bytes: int,
     report: Report = silent,
 ) -> FeedbackMessages:
-    """Return the feedback of an action's goals over some seconds, as JSON of at most `max_bytes` (but at least one
-    message).
+    """Return the feedback of an action's goals over some seconds, as JSON of at most
+    `max_bytes` (but at least one message).
 
     Raises:
         NotFound: if there is no such action.

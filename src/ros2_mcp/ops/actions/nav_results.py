@@ -15,8 +15,8 @@ _NOT_REACHED = {2: "skipped", 3: "failed"}
 
 
 def told_by_result(action_type: str, result: Mapping[str, Any] | None) -> str:
-    """Return a sentence on a result of Nav2: missed waypoints first, then its error code. Empty for other actions, and
-    if all went well.
+    """Return a sentence on a result of Nav2: missed waypoints first, then its error code. Empty for other
+    actions, and if all went well.
     """
     if not result or not action_type.startswith(_OF_NAV2):
         return ""

@@ -23,8 +23,8 @@ from ros2_mcp_common.wire.limits import MAX_DURATION_S
 STATUS_AFTER_S = 1.0
 """Answers come within milliseconds; after this the action's status is read, in case the answer was lost."""
 _STATUS_EVERY_S = 3.0
-"""Seconds between two reads of the status, each of which costs a subscription. A result whose answer was lost comes
-that much later."""
+"""Seconds between two reads of the status, each of which costs a subscription. A result whose answer
+was lost comes that much later."""
 _AT_LEAST_S = 0.1
 """The least time-out of a service call, so that a result that is ready arrives even if no time is left."""
 

@@ -52,8 +52,8 @@ class RunningGoal:
 async def running_goals(
     robot: Robot, actions: Mapping[str, Sequence[str]] | None = None, *, beside: Collection[str] = ()
 ) -> list[RunningGoal]:
-    """Return the running goals of these actions, or of all actions, that can move a robot, except those whose ids are
-    in `beside`.
+    """Return the running goals of these actions, or of all actions, that can move a robot, except
+    those whose ids are in `beside`.
 
     Takes half a second if a server has had no goal yet. A dead server reports nothing. Raises the same errors as
     `Resolution.actions`.

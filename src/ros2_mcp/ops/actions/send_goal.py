@@ -66,8 +66,8 @@ class GoalOutcome:
 
     @property
     def has_failed(self) -> bool:
-        """Return whether the server rejected or aborted the goal. A goal that continues, or was cancelled, has not
-        failed.
+        """Return whether the server rejected or aborted the goal. A goal that continues, or
+        was cancelled, has not failed.
         """
         return not self.accepted or self.status == "ABORTED"
 
@@ -175,8 +175,8 @@ async def _through_losses(
     *,
     was_lost: bool = False,
 ) -> GoalOutcome:
-    """Wait for the end of a goal. If the bridge is lost, continue with its successor, as the robot continues with the
-    goal.
+    """Wait for the end of a goal. If the bridge is lost, continue with its successor, as the
+    robot continues with the goal.
     """
     topic, kind = f"{sent.action_name}/_action/feedback", f"{sent.action_type}_FeedbackMessage"
     while True:
@@ -230,8 +230,8 @@ async def _submit(robot: Robot, session: Session, command: SendGoal, goal: Mappi
 async def _accepted_meanwhile(
     robot: Robot, command: SendGoal, calling: asyncio.Future[Answer]
 ) -> dict[str, Any] | None:
-    """Return the stamp of acceptance if the action's status has it before the answer arrives; None once the answer is
-    there.
+    """Return the stamp of acceptance if the action's status has it before the answer arrives;
+    None once the answer is there.
 
     A server that has not discovered its client yet drops its answer, and continues with the goal.
     """

@@ -20,14 +20,14 @@ from ros2_mcp.robot.goals import Goal
 from ros2_mcp_common.wire.limits import MAX_DURATION_S
 
 SERVER_S = 3.0
-"""Time for an action server that is starting: its services are discovered one after the other, within 3 s of each
-other."""
+"""Time for an action server that is starting: its services are discovered one after the
+other, within 3 s of each other."""
 MAX_MESSAGES = 1000
-"""The most messages of one call that follows states or feedback: more than a model reads, and a bound on what is
-collected."""
+"""The most messages of one call that follows states or feedback: more than a model reads,
+and a bound on what is collected."""
 _LATCHED_S = 0.5
-"""Time for the latched message, which comes with the matching, within milliseconds. A server that has had no goal has
-none."""
+"""Time for the latched message, which comes with the matching, within milliseconds. A server
+that has had no goal has none."""
 _OTHER_CLOCK_S = 1e8
 """Three years: a stamp further than this from now is from a clock that began at zero, as in a simulation."""
 

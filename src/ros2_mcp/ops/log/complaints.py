@@ -1,5 +1,5 @@
-"""Collect the warnings and errors that the robot's nodes log during an attempt: they mostly give the reason of a
-failure.
+"""Collect the warnings and errors that the robot's nodes log during an attempt: they
+mostly give the reason of a failure.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from ros2_mcp.robot.log import LOG_TYPE, level_of
 
 _WARN = 30
 _BEFORE_NS = 500_000_000
-"""Lines are included from this long before the call, by our clock: the clocks of two machines differ by that at
-most."""
+"""Lines are included from this long before the call, by our clock: the clocks of two
+machines differ by that at most."""
 _OTHER_CLOCK_NS = 60_000_000_000
 """Lines whose stamp is further than this from their receipt are stamped by another clock, such as simulated time."""
 _LISTENING_S = 1.0
@@ -34,8 +34,8 @@ _MOST_LINES = 3
 
 @dataclass(frozen=True, slots=True)
 class Complaints:
-    """The WARN and ERROR lines that are logged during an attempt: create it before the attempt, and call `said` after a
-    failure.
+    """The WARN and ERROR lines that are logged during an attempt: create it before the attempt,
+    and call `said` after a failure.
     """
 
     robot: Robot

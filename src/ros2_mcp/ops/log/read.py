@@ -324,8 +324,8 @@ def is_node(name: str, node: str) -> bool:
 
 
 def has_text(text: str, pattern: str) -> bool:
-    """Return whether a text contains the pattern, regardless of case; with `*` or `?` it is a glob for the whole
-    text.
+    """Return whether a text contains the pattern, regardless of case; with `*` or `?`
+    it is a glob for the whole text.
     """
     if any(sign in pattern for sign in "*?"):
         return fnmatchcase(text.lower(), pattern.lower())

@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 
 RECORDINGS = Path("~/ros2-mcp/recordings")
 _MOST_OPEN = 4
-"""The most bags that stay open with their index and types, some MB each: enough to compare two while two are
-recorded."""
+"""The most bags that stay open with their index and types, some MB each: enough to
+compare two while two are recorded."""
 _DEEPEST = 4
-"""How many levels of folders are searched for bags: robot/day/run and one more. A home folder has thousands of
-folders."""
+"""How many levels of folders are searched for bags: robot/day/run and one more. A home
+folder has thousands of folders."""
 BLACK_BOX = "black-box"
 """The name of the server's own black box among the bags."""
 _BLACK_BOX_WORDS = ("black box", "black_box", "blackbox")
@@ -35,8 +35,8 @@ _BLACK_BOX_WORDS = ("black box", "black_box", "blackbox")
 _MOST_FOREIGN = 5
 """The most recordings of ROS 1 that a list names."""
 _MOST_TOLD = 10
-"""The most lines about damage in one answer (ros2_bag_info has up to 50 for each file), and the most bags that a hint
-names."""
+"""The most lines about damage in one answer (ros2_bag_info has up to 50 for each file), and
+the most bags that a hint names."""
 _read_in_call: ContextVar[dict[Path, OpenedBag] | None] = ContextVar("_read_in_call", default=None)
 """The bags that are read on behalf of one call, in whatever task or thread, so that every reader reports damage."""
 
@@ -51,8 +51,8 @@ class OwnBag:
 
 
 class OpenedBag:
-    """A bag that stays open, with the name by which it was requested. Only the thread that holds the lock may read
-    it.
+    """A bag that stays open, with the name by which it was requested. Only the thread
+    that holds the lock may read it.
     """
 
     def __init__(self, name: str, path: Path) -> None:
@@ -67,8 +67,8 @@ class OpenedBag:
 
     @property
     def codec(self) -> RecordedCodec:
-        """The codec for the bag's messages. Types are compiled once and kept until the bag has another definition of
-        one of them.
+        """The codec for the bag's messages. Types are compiled once and kept until the bag has
+        another definition of one of them.
         """
         if self._codec is None:
             from ros2_mcp.values.definitions import Definitions
@@ -119,8 +119,8 @@ class BagStore:
         return self.subject.name if self.subject else ""
 
     def writes(self, folder: Path, is_growing: Callable[[], bool], now_ns: Callable[[], int] = time.time_ns) -> None:
-        """Register a bag that this server begins to write, with a function that says whether it still does, and its
-        clock.
+        """Register a bag that this server begins to write, with a function that says
+        whether it still does, and its clock.
 
         Of bags that have ended only the folder is kept, because `is_growing` keeps a whole recording in memory.
         """
@@ -146,8 +146,8 @@ class BagStore:
 
     @contextmanager
     def noting_damage(self) -> Generator[Callable[[], list[str]], None, None]:
-        """Register the bags that are read inside the context. The yielded function returns what is damaged or missing
-        in them.
+        """Register the bags that are read inside the context. The yielded function returns what
+        is damaged or missing in them.
 
         That is at most ten lines, and one with the number of others. It covers the known damage, which is all damage in
         the parts that were read.
@@ -200,8 +200,8 @@ class BagStore:
         return found
 
     def not_listed(self) -> str:
-        """Return sentences on recordings below the folders that cannot be read, and on folders that were not
-        searched.
+        """Return sentences on recordings below the folders that cannot be read, and on
+        folders that were not searched.
         """
         from ros2_mcp.bags.recordings import foreign_in
 
@@ -250,8 +250,8 @@ class BagStore:
         )
 
     def which(self) -> str:
-        """Return a hint: the names of the first bags that may be read, if there are any, and the tool that lists them
-        all.
+        """Return a hint: the names of the first bags that may be read, if there are any,
+        and the tool that lists them all.
         """
         first = listed(list(self.bag_names()), _MOST_TOLD)
         return f"{f'Bags: {first}. ' if first else ''}ros2_bag_list lists what can be read."

@@ -100,8 +100,8 @@ async def get_messages(
 
 
 async def _find(sources: Sources, topic: str, type_name: str, request: SourceRequest, selection: Selection) -> _Found:
-    """Return the messages of the first source that has some; if none has and none has failed, those of the first source
-    that knows the topic.
+    """Return the messages of the first source that has some; if none has and none has failed, those of the
+    first source that knows the topic.
     """
     filters = [path for path in selection.fields if "==" in path]
     all_of_them = replace(selection, fields=filters, every_n=1, message_limit=selection.message_limit or MAX_MESSAGES)

@@ -37,33 +37,33 @@ _SHORTEST_LOOP_S = 0.1
 _MATCH_S = 1.0
 """How long the bridge waits for subscribers that discovery may still be matching with our new publishers."""
 _READY_S = 5.0
-"""Time for the bridge to create a publisher: it creates a hundred within a second; one that is not there by then will
-not come."""
+"""Time for the bridge to create a publisher: it creates a hundred within a second; one that is
+not there by then will not come."""
 _DEPTH = 100
 """Messages queued for a slow subscriber: a second of a topic at 100 Hz."""
 _ANSWERED_S = 0.5
-"""Time for the answer about an ended publisher: the bridge sends it before it rejects a feed, so it has only to be
-read."""
+"""Time for the answer about an ended publisher: the bridge sends it before it rejects a
+feed, so it has only to be read."""
 _POLL_S = 0.02
 """Seconds between two checks of whether a publisher is ready, which takes milliseconds."""
 _DISCOVERED_S = 0.3
-"""Time for subscribers to discover our publishers, a little after these discover them; messages sent earlier arrive
-late."""
+"""Time for subscribers to discover our publishers, a little after these discover them;
+messages sent earlier arrive late."""
 _MOST_NAMED = 8
 """The most topics that a note names; a bag may have a hundred without subscribers."""
 _BATCH = 64
 _BATCH_BYTES = 4_000_000
-"""How much is read ahead of its time, in messages and bytes: enough that no message waits for the disk, and little
-memory with pictures."""
+"""How much is read ahead of its time, in messages and bytes: enough that no message waits for the disk,
+and little memory with pictures."""
 _TOGETHER_S = 0.002
-"""Messages that are due within this time are sent in one request: no subscriber can notice, and it saves round
-trips."""
+"""Messages that are due within this time are sent in one request: no subscriber can
+notice, and it saves round trips."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PlayRequest:
-    """The settings of a playback; `remaps` gives topics other names. With `force` it also publishes on topics that have
-    a publisher.
+    """The settings of a playback; `remaps` gives topics other names. With `force` it also publishes
+    on topics that have a publisher.
 
     `rate` is the speed, relative to the recording. `start` and `end` bound the part of the bag.
     """
@@ -166,8 +166,8 @@ class Playback(Job):
         return self._request.bag
 
     async def run(self) -> None:
-        """Open the publishers and play. The publishers are requests to the bridge that stay open: if one is lost, all
-        end.
+        """Open the publishers and play. The publishers are requests to the bridge that stay
+        open: if one is lost, all end.
         """
         try:
             async with anyio.create_task_group() as publishers:
@@ -192,8 +192,8 @@ class Playback(Job):
             self._bag.close()
 
     async def wind_down(self) -> None:
-        """Make the bridge end the publishers and answer with its last counts: messages that were just fed may have been
-        sent.
+        """Make the bridge end the publishers and answer with its last counts: messages that
+        were just fed may have been sent.
         """
         async with anyio.create_task_group() as group:
             for name in self._topics:
@@ -307,8 +307,8 @@ class Playback(Job):
         return ""
 
     async def _play_once(self, begun: float) -> None:
-        """Publish the messages of the span in their recorded rhythm, counted from `begun`. Late messages are sent at
-        once.
+        """Publish the messages of the span in their recorded rhythm, counted from `begun`.
+        Late messages are sent at once.
         """
         for topic, sample in await to_thread.run_sync(self._latched):
             self._published[topic] = await self._feed(topic, [sample.data])
@@ -329,8 +329,8 @@ class Playback(Job):
         self._progress = 1.0
 
     def _latched(self) -> list[tuple[str, Sample]]:
-        """Return the latched messages from before that part of the bag, which a late subscriber would have received at
-        its beginning.
+        """Return the latched messages from before that part of the bag, which a late subscriber would
+        have received at its beginning.
         """
         span = replace(self._span, start_ns=self._start_ns)
         return [(name, one) for name, topic in self._topics.items() for one in latched_before(self._bag, topic, span)]
@@ -395,8 +395,8 @@ async def stop(robot: Robot, playback_id: str = "") -> PlaybackState:
 
 
 def _prepare(store: BagStore, request: PlayRequest) -> tuple[PlayRequest, Bag, Span, dict[str, StoredTopic]]:
-    """Return the request with the topics' names as they are in the bag, the bag, the span to play, and the topics to
-    play by name.
+    """Return the request with the topics' names as they are in the bag, the bag, the span to play,
+    and the topics to play by name.
     """
     from ros2_mcp.bags.bag import Bag  # imports mcap and YAML, a tenth of the time that all tools take to import
 

@@ -51,8 +51,8 @@ MAX_BYTES = 10**13
 LARGEST_BYTES = 32_000
 """Larger messages (pictures, clouds) would push all others out of the ring: their topics are recorded only if named."""
 _TURN_S = 0.1
-"""Seconds between two writes of the queued samples: rare enough to cost nothing, and a crash loses no more than
-that."""
+"""Seconds between two writes of the queued samples: rare enough to cost nothing, and a
+crash loses no more than that."""
 _SHORT_TURN_S, _MUCH_BYTES = 0.02, 2_000_000
 """The shorter interval after a turn with so many bytes: a raw camera at full HD sends 19 MB in a tenth of a second."""
 _JOINED_POLL_S = 0.02
@@ -64,8 +64,8 @@ _JOINED_S = 2.0
 _LEFT_S = 3.0
 """How long the end waits for the last samples of subscriptions, which a busy bridge may delay."""
 _WAITING_BYTES = 128_000_000
-"""The most bytes that one topic may hold in memory while this server is busy: two bursts of large pictures (see
-`QUEUE_BYTES`)."""
+"""The most bytes that one topic may hold in memory while this server is busy: two bursts of
+large pictures (see `QUEUE_BYTES`)."""
 _TOLD = 3
 """The most topics with an error that the summary names, which is one line; the list of topics has all."""
 _MOST_NOTES = 20
@@ -256,8 +256,8 @@ class Recording(Job):
 
     @contextmanager
     def _with_calls(self, recorder: Recorder) -> Generator[None, None, None]:
-        """While the context is open, also record the audit's lines on this server's commands, which may explain an
-        incident.
+        """While the context is open, also record the audit's lines on this server's commands,
+        which may explain an incident.
         """
         auditing = self._robot.guard.audit
         log = auditing.log if isinstance(auditing, Auditing) else None
@@ -416,8 +416,8 @@ class Recording(Job):
                 return
 
     async def _record_once(self, name: str, joined: _Joined, recorder: Recorder) -> None:
-        """Record one subscription, until the recording ends, it has to be renewed, or the bridge is lost
-        (`LinkError`).
+        """Record one subscription, until the recording ends, it has to be renewed, or
+        the bridge is lost (`LinkError`).
         """
         joined.must_renew = False
         if joined.lost is None:
@@ -482,8 +482,8 @@ def _text_message(text: str) -> bytes:
 
 
 def drops_in_words(busy: int, slow: int, *, is_remote: bool = False) -> str:
-    """Return a phrase with the numbers of received messages that are not in the file, and why; empty if there are
-    none.
+    """Return a phrase with the numbers of received messages that are not in the file,
+    and why; empty if there are none.
     """
     who = "the link was too slow, or this server too busy" if is_remote else "this server was too busy"
     reasons = ((busy, f"dropped because {who}"), (slow, "dropped because they were not written fast enough"))
@@ -491,8 +491,8 @@ def drops_in_words(busy: int, slow: int, *, is_remote: bool = False) -> str:
 
 
 class BlackBox(Recording):
-    """The recording that the server starts by itself, in a ring of files: the oldest are deleted to make room for new
-    ones.
+    """The recording that the server starts by itself, in a ring of files: the oldest are
+    deleted to make room for new ones.
     """
 
     needs_no_id = False

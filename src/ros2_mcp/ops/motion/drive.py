@@ -38,13 +38,13 @@ _NOT_MOVED = frozenset({"silent", "stuck", "time_out", "missed", "nobody_listens
 BLIND_M = 1.0
 """A longer drive without any sensor is reported as blind; a shorter one ends where the caller has looked."""
 _SETTLES_S = 3.0
-"""The time that a drive has, after its time limit, to stop and be measured (`drive.STANDS_WITHIN_S`), before the bridge
-would end it."""
+"""The time that a drive has, after its time limit, to stop and be measured (`drive.STANDS_WITHIN_S`),
+before the bridge would end it."""
 _SETTLES_IN_POLICY_S = 1.0
 """The same if a policy bounds the total time: most robots stop within half of it, and more time is left for driving."""
 _PATIENCE = 1.5
-"""The time limit is the duration of the course at that speed times this factor, and `_ROOM_S` for ramps and
-corrections."""
+"""The time limit is the duration of the course at that speed times this factor, and
+`_ROOM_S` for ramps and corrections."""
 _ROOM_S = 15.0
 _PAUSES_S = 30.0
 """Pauses because a topic is late do not count towards the time limit, up to this total. Each is shorter than 0.5 s, and

@@ -16,8 +16,8 @@ from ros2_mcp.robot.resolution import Destination
 from ros2_mcp.world.transforms import Located
 
 DRIVEN_TYPES = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
-"""Types of command inputs that can turn in place, too. A robot that steers like a car needs its wheel base, which no
-topic reports."""
+"""Types of command inputs that can turn in place, too. A robot that steers like a car needs its
+wheel base, which no topic reports."""
 ODOMETRY = "nav_msgs/msg/Odometry"
 _INPUTS = ("cmd_vel",)
 _ODOMETRIES = ("odometry/filtered", "odom", "odometry", "odometry/wheels")
@@ -66,8 +66,8 @@ async def command_input(robot: Robot, given: str = "") -> Destination:
 
 
 async def odometry_of(robot: Robot, given: str = "", beside: str = "") -> Found:
-    """Return the odometry topic: the given one, or else the only one, or the one in the namespace of the command input
-    `beside`.
+    """Return the odometry topic: the given one, or else the only one, or the one in the namespace
+    of the command input `beside`.
 
     Raises:
         NotFound: if there is none.
@@ -101,15 +101,15 @@ async def located_on(robot: Robot, frame: str, base_frame: str) -> Located | Non
 
 
 async def base_frame_of(robot: Robot, odometry: Found) -> str:
-    """Return the frame whose motion the odometry reports, `base_link` if it names none. Raises `NotFound` if no message
-    arrives.
+    """Return the frame whose motion the odometry reports, `base_link` if it names none. Raises
+    `NotFound` if no message arrives.
     """
     return str((await first_message(robot, odometry)).get("child_frame_id", "")) or "base_link"
 
 
 async def first_decoded(robot: Robot, found: Found) -> Any:
-    """Return the next message of a topic, decoded and not rendered: it may be as large as a cloud. Raises `NotFound` if
-    none arrives.
+    """Return the next message of a topic, decoded and not rendered: it may be as large as a cloud.
+    Raises `NotFound` if none arrives.
     """
     async with robot.listen(found.topic, found.type, max_samples=2) as listening:
         async for sample in listening.samples(_FIRST_S):

@@ -41,8 +41,8 @@ class Sight:
 
 @dataclass(frozen=True, slots=True)
 class Guarding:
-    """The sensors by which a drive keeps `guard_m` free: `asked` are the settings for its controller, `note` a sentence
-    for the result.
+    """The sensors by which a drive keeps `guard_m` free: `asked` are the settings for its controller,
+    `note` a sentence for the result.
     """
 
     guard_m: float
@@ -137,8 +137,8 @@ async def _sight(robot: Robot, found: Found, base_frame: str, is_given: bool) ->
 
 
 def _is_carried(located: Located) -> bool:
-    """Return whether the base carries a frame. It does not carry a map, although the map's pose in the base is
-    known.
+    """Return whether the base carries a frame. It does not carry a map, although the
+    map's pose in the base is known.
     """
     return all(
         edge.child == frame or not edge.moving for frame, edge in zip(located.chain, located.edges, strict=False)

@@ -1,5 +1,5 @@
-"""Explain by the graph why a commanded robot may not move: obstacles near it, other publishers, velocity limits of
-0.
+"""Explain by the graph why a commanded robot may not move: obstacles near it, other
+publishers, velocity limits of 0.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ async def others_on(robot: Robot, topic: str) -> str:
 
 
 async def _past_a_monitor(robot: Robot, topic: str, publishers: Sequence[str]) -> str:
-    """Return a sentence if the topic is the output of Nav2's collision monitor, which does not check what other nodes
-    publish there; else "".
+    """Return a sentence if the topic is the output of Nav2's collision monitor, which does not check what
+    other nodes publish there; else "".
     """
     for node in publishers:
         if not node.endswith(_MONITOR):
@@ -63,8 +63,8 @@ def _is_velocity(types: Sequence[str]) -> bool:
 
 
 async def why_it_stands(robot: Robot, topic: str, odometry: Found, scan: str = "") -> Sequence[str]:
-    """Return sentences on what may hold a robot that was commanded on a topic: the nearest obstacle by its scan, and
-    velocity limits of 0.
+    """Return sentences on what may hold a robot that was commanded on a topic: the nearest obstacle by its
+    scan, and velocity limits of 0.
 
     `scan` is the topic of a scan; if it is empty, one is found. Anything that cannot be determined is left out.
     """

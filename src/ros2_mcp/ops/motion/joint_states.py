@@ -40,8 +40,8 @@ class JointStates:
     positions: dict[str, At] = field(default_factory=dict[str, At])
 
     async def wait_for(self, joints: Sequence[str], within_s: float = FIRST_S) -> None:
-        """Wait until all of these joints have been reported. Raises `NotFound`, with the joints that were, if some are
-        not.
+        """Wait until all of these joints have been reported. Raises `NotFound`, with the
+        joints that were, if some are not.
         """
         with anyio.move_on_after(within_s):
             while not self.positions.keys() >= set(joints):

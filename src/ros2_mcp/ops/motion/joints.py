@@ -67,8 +67,8 @@ _END_S = 3.0
 """Time to end what was started; a live bridge and controller need milliseconds."""
 _SETTLES_S = 1.0
 _RESULT_S = 0.2
-"""Time for the result of a goal whose joints were seen to arrive, or are no longer reported: it is mostly on its
-way."""
+"""Time for the result of a goal whose joints were seen to arrive, or are no longer
+reported: it is mostly on its way."""
 _RIVALS_S = 0.2
 """Time to read the goals that the controller has: its status is latched, and comes within milliseconds of matching."""
 _GOING = (1, 2, 3)

@@ -84,8 +84,8 @@ class MovedUntil:
 
     @property
     def has_failed(self) -> bool:
-        """Return whether something went wrong. A limit of time or distance that the caller gave, and a stop, are no
-        failures.
+        """Return whether something went wrong. A limit of time or distance that the caller
+        gave, and a stop, are no failures.
         """
         return self.outcome in ("silent", "nobody_listens", "refused")
 
@@ -159,8 +159,8 @@ async def move_until(robot: Robot, session: Session, request: UntilRequest, repo
 
 
 async def _turned(robot: Robot, topic: str, topic_type: str, text: str, odometry: Found | None) -> str:
-    """Return a sentence on the rotation of the scan's frame on the robot, if the condition uses angles and there is a
-    rotation; else nothing.
+    """Return a sentence on the rotation of the scan's frame on the robot, if the condition uses angles and
+    there is a rotation; else nothing.
     """
     if topic_type != LASER_SCAN or not odometry or not _ANGLES.search(text):
         return ""

@@ -24,8 +24,8 @@ from ros2_mcp_common.policy.verbs import SET_PARAMETERS, SET_PARAMETERS_ATOMICAL
 _DISCOVERY_S = 6.0
 """The age at which a bridge has discovered the services of every node: they come up to 3 s after the nodes."""
 _SHORT_BYTES = 1000
-"""As JSON. A value up to this size is always shown: there are hundreds of them at most. Of longer values, as many are
-shown as fit."""
+"""As JSON. A value up to this size is always shown: there are hundreds of them at most. Of longer
+values, as many are shown as fit."""
 _MAX_NAMED = 5
 """The most parameters that a summary names, which is one line."""
 _LONG_HINT = "left_out gives the length; ros2_parameter_get with its name and whole=true returns it."
@@ -201,8 +201,8 @@ def _cut(text: str) -> str:
 
 
 async def describe(robot: Robot, nodes: Sequence[str], pattern: str = "", limit: int = 200) -> ParameterList:
-    """Return parameters with values and descriptors, of several nodes at once; the `error` of one does not stop the
-    others.
+    """Return parameters with values and descriptors, of several nodes at once; the `error`
+    of one does not stop the others.
 
     Without nodes: of every node. Without a pattern, the parameters that every node has are left out if they are at
     their defaults, and all `qos_overrides.`.
@@ -249,8 +249,8 @@ def _is_usual(parameter: Parameter) -> bool:
 
 
 async def dump(robot: Robot, node: str, asked: Sequence[str] | None = None, *, whole: bool = False) -> Dump:
-    """Return parameters of a node, the requested ones or all, in a form that can be set back; long values only if
-    `whole`.
+    """Return parameters of a node, the requested ones or all, in a form that can be set
+    back; long values only if `whole`.
 
     Raises:
         NotFound: if the node does not exist, or a parameter is not declared.
@@ -377,8 +377,8 @@ async def _names(robot: Robot, node: str) -> list[str]:
 
 
 async def _read(robot: Robot, node: str, asked: Sequence[str], declared: Collection[str]) -> list[Parameter]:
-    """Return the requested parameters that the node knows. Those in `declared` are returned even if the node reports
-    nothing about them.
+    """Return the requested parameters that the node knows. Those in `declared` are returned even if the
+    node reports nothing about them.
     """
     if not asked:
         return []
@@ -416,8 +416,8 @@ async def _of_each(robot: Robot, node: str, kind: str, key: str, asked: Sequence
 def _parameter(
     name: str, value: Mapping[str, Any] | None, descriptor: Mapping[str, Any], type_code: int = 0
 ) -> Parameter:
-    """Return a parameter from its value and descriptor. If it is not set, `value` is None, and its type is that of its
-    declaration.
+    """Return a parameter from its value and descriptor. If it is not set, `value` is None, and its
+    type is that of its declaration.
     """
     value = value or {"type": 0}
     declared = parameters.type_name(int(value["type"]) or int(descriptor["type"]) or type_code)

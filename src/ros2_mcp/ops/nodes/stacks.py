@@ -34,8 +34,8 @@ class Stack:
         return f"{self.host}{_ENDING}"
 
     def of(self, node: str) -> str:
-        """Return a text on a node of the stack: its host, the consequence of changing it alone, and what to do
-        instead.
+        """Return a text on a node of the stack: its host, the consequence of changing it
+        alone, and what to do instead.
         """
         others = [one for one in self.nodes if one != node]
         return (

@@ -29,8 +29,8 @@ _SAFETY = re.compile(r"collision|safety|e_?stop|emergency|mux|smoother|watchdog|
 _OWN_LIMITS = re.compile(r"timeout|max.*(vel|speed)|(vel|speed).*max")
 """Matches names of parameters that bound how a base drives."""
 _JOINT = re.compile(r"[A-Za-z_][A-Za-z0-9_./-]{0,99}", re.ASCII)
-"""Matches a name that is plain text in YAML and in a sentence: a robot could otherwise write lines of its own into the
-draft."""
+"""Matches a name that is plain text in YAML and in a sentence: a robot could otherwise write
+lines of its own into the draft."""
 _ODOMETRY = "nav_msgs/msg/Odometry"
 _SEND_GOAL = "/_action/send_goal"
 _ACKERMANN = "ackermann_msgs/"

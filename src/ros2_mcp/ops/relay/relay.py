@@ -254,8 +254,8 @@ class Relay(Job):
     # ── the bridge's part ──────────────────────────────────────────────────────────────────────────────────────
 
     def _choose_qos(self, source: TopicEndpoints, destination: TopicEndpoints) -> None:
-        """Choose the destination's QoS: latched if the source is, or a subscriber asks for it, with room for what every
-        publisher keeps.
+        """Choose the destination's QoS: latched if the source is, or a subscriber asks for it, with room
+        for what every publisher keeps.
         """
         publishers = [publisher for publisher in source.publishers if publisher.type == self._types[0]]
         subscribers = [subscriber for subscriber in destination.subscribers if subscriber.type == self._types[1]]
@@ -423,8 +423,8 @@ async def stop(robot: Robot, relay_id: str = "") -> RelayState:
 
 
 def way(relays: Iterable[tuple[str, str]], start: str, end: str) -> list[str]:
-    """Return the topics along relays (source, destination) from one topic to another; empty if no chain of relays leads
-    there.
+    """Return the topics along relays (source, destination) from one topic to another; empty if
+    no chain of relays leads there.
     """
     pairs = list(relays)
     ways = deque([[start]])

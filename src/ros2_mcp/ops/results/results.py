@@ -45,8 +45,8 @@ ALWAYS = {"always": True}
 """Metadata of a field that is empty by default, but that structured content always has, because it was requested."""
 
 SAID = {"said": True}
-"""Metadata of a result's field that its summary contains: the text begins with the summary, and does not repeat the
-field."""
+"""Metadata of a result's field that its summary contains: the text begins with the summary,
+and does not repeat the field."""
 
 EXACT = {"exact": True}
 """Metadata of a field with a value that can be sent back: the text has it as JSON, with its numbers unrounded."""
@@ -56,15 +56,15 @@ LINES = {"lines": True}
 
 
 def beside(name: str) -> dict[str, str]:
-    """Return metadata of a list with one value for each element of the list `name`: the text shows both as one
-    table.
+    """Return metadata of a list with one value for each element of the list `name`:
+    the text shows both as one table.
     """
     return {"beside": name}
 
 
 def four_digits(measured: float | None) -> float | None:
-    """Return a measured figure, such as a rate, to four significant digits: further digits are noise. None stays
-    None.
+    """Return a measured figure, such as a rate, to four significant digits: further
+    digits are noise. None stays None.
     """
     return None if measured is None else float(f"{measured:.4g}")
 
@@ -92,8 +92,8 @@ async def silent(_done: float, _whole: float, _line: str) -> None:
 
 
 async def or_error(work: Awaitable[R], failed: Callable[..., R]) -> R:
-    """Return the result of the work, or `failed(error=...)` if it fails: the error of one topic must not stop the
-    others.
+    """Return the result of the work, or `failed(error=...)` if it fails: the error of one
+    topic must not stop the others.
     """
     try:
         return await work
@@ -131,8 +131,8 @@ def lines_of(summary: str | list[str]) -> list[str]:
 
 
 def list_note(matching: int, limit: int, settled: bool = True, absence: str = "") -> str:
-    """Return the note of a list that is shortened, or not yet complete, after the `absence` of a robot; empty if it is
-    complete.
+    """Return the note of a list that is shortened, or not yet complete, after the `absence` of a
+    robot; empty if it is complete.
     """
     notes = [absence] if absence else []
     if matching > limit:
@@ -144,8 +144,8 @@ def list_note(matching: int, limit: int, settled: bool = True, absence: str = ""
 
 @asynccontextmanager
 async def reporting(report: Report, whole_s: float, line: str | Callable[[], str]) -> AsyncGenerator[None, None]:
-    """Report once a second, while the block runs, how long it has run. If `line` is a function, it is called for each
-    report.
+    """Report once a second, while the block runs, how long it has run. If `line` is a
+    function, it is called for each report.
     """
     started = monotonic()
 
@@ -235,8 +235,8 @@ def _shown_fields(kind: type[Any]) -> tuple[tuple[str, bool, bool], ...]:
 
 
 def exact_time(unix_ns: int) -> str:
-    """Return a time as `iso_time` does, with nanoseconds: as an argument it separates a message from the one before
-    it.
+    """Return a time as `iso_time` does, with nanoseconds: as an argument it separates a
+    message from the one before it.
     """
     return f"{iso_time(unix_ns)[:-1]}{unix_ns % 1000:03d}Z"
 
@@ -253,8 +253,8 @@ def in_words(values: Mapping[str, Any]) -> str:
 
 
 def told_values(values: Mapping[str, Any]) -> str:
-    """Return the values that a condition used as a readable line: `nearest(-20, 20) = 0.5853`; numbers to four
-    digits.
+    """Return the values that a condition used as a readable line: `nearest(-20, 20) =
+    0.5853`; numbers to four digits.
     """
     shown = (
         f"{path} = {value:.4g}" if isinstance(value, float) else f"{path} = {in_quotes(value)}"

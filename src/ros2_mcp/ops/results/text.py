@@ -57,8 +57,8 @@ class _Part:
         return sum(len(text) + 1 for text in self.lines)
 
     def drop(self, excess: int) -> int:
-        """Leave out last rows until `excess` characters are saved, but keep one row. Return the number of characters
-        saved.
+        """Leave out last rows until `excess` characters are saved, but keep one row. Return
+        the number of characters saved.
         """
         dropped = 0
         while dropped < excess and self.rows > 1:

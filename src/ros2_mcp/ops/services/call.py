@@ -21,8 +21,8 @@ from ros2_mcp_common.policy.verbs import only_reads
 from ros2_mcp_common.wire.limits import MAX_DURATION_S
 
 _LEAST_TIMEOUT_S = 0.01
-"""Ten times the duration of a service call on one machine (0.9 ms at the 99th percentile): a shorter time-out is a
-mistake."""
+"""Ten times the duration of a service call on one machine (0.9 ms at the 99th percentile): a
+shorter time-out is a mistake."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

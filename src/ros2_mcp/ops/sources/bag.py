@@ -54,8 +54,7 @@ if TYPE_CHECKING:
 
 _BATCH = 256
 _BATCH_BYTES = 8_000_000
-"""The size of a batch, which is read in another thread: large enough that starting it costs little, small enough to be
-cancelled soon."""
+"""The size of a batch, read in another thread: large enough to start rarely, small enough to be cancelled soon."""
 _WAITING_BYTES = 100_000
 """Bytes of one topic that are collected before its messages are passed on together; for 60 topics these are 6 MB."""
 _TO_DISK_NS = 1_000_000_000
@@ -175,9 +174,7 @@ class BagSource(Source):
         return replace(self, span=replace(self.span, start_ns=min(self.covers[0], self.span.start_ns)))
 
     async def name_of(self, topic: str) -> str:
-        """Return the name of a topic as it is in the bag. A name that the bag does not have is returned without spaces
-        around it.
-        """
+        """Return the name of a topic as it is in the bag; an unknown name is returned, without surrounding spaces."""
 
         def find() -> str:
             with self.opened.reading() as bag:
@@ -222,9 +219,7 @@ class BagSource(Source):
         *,
         times_only: bool = False,  # noqa: ARG002 - reading the bytes is what finds damage
     ) -> Sequence[Capture[K] | Missing]:
-        """Read all topics in one pass through the bag, however large it is: only what `keep` makes of the messages is
-        kept.
-        """
+        """Read all topics in one pass through a bag of any size: only what `keep` makes of the messages is kept."""
         found: list[_Part[K] | Missing] = []
         for topic in topics:
             try:
@@ -367,8 +362,7 @@ async def open_bag(
 ) -> BagSource:
     """Open a bag, or the part of it between two times (as `times.span_of` reads them), as a `Source`.
 
-    Without a start, or with `from_end`, a limit means the last messages. `names` are the names of the caller's
-    arguments for both times.
+    Without a start, or with `from_end`, a limit means the last messages. `names` are the caller's two arguments.
 
     Raises:
         NotFound: if there is no such bag.
@@ -408,9 +402,7 @@ class Bags(SourceKind):
     """The bags of this server as a kind of source: its own recordings, its black box among them, and all others."""
 
     async def named(self, robot: Robot, store: BagStore, request: SourceRequest) -> Source | None:
-        """Return the bag with the request's name; without a name, the recording that stands for the robot, or, if times
-        are given, the black box. Return None if neither a name nor a time is given.
-        """
+        """Return the bag of that name, else the recording that stands for the robot, else, for times, the black box."""
         name = request.name or store.subject_name
         if not name and (request.start or request.end):
             if BLACK_BOX not in store.own:
@@ -425,8 +417,7 @@ class Bags(SourceKind):
     async def kept(
         self, robot: Robot, store: BagStore, request: SourceRequest
     ) -> Sequence[Callable[[], Awaitable[Source]]]:
-        """Return functions that open this server's recordings, the bag that stands for the robot, and the opened bags,
-        each group with the last one first.
+        """Return functions that open this server's recordings, the robot's recording, and opened bags, last ones first.
 
         The black box comes first while it is recorded. Recordings of former servers are not included.
         """
@@ -454,8 +445,8 @@ class Bags(SourceKind):
 
 
 async def learn(definitions: Definitions, topic: StoredTopic, robot: Robot | None) -> None:
-    """Learn the definition of a topic's type, with all types that it refers to. If a definition is unknown, register
-    the error: it is raised when values are requested, while times and sizes can still be measured.
+    """Learn the definition of a topic's type and the types in it. An unknown one is noted as an error, raised when
+    values are requested; times and sizes can still be measured.
     """
     try:
         definitions.add(await definitions_of(topic, robot))
@@ -545,8 +536,7 @@ def span_in(store: BagStore, bag: Bag, start: str, end: str) -> Span:
 
 
 def times_of(store: BagStore, bag: Bag) -> tuple[int, int]:
-    """Return the Unix times in nanoseconds of a bag's beginning and end. The end is its last message, or now while it
-    is being recorded.
+    """Return a bag's beginning and end (Unix times, ns); the end is the last message, or now while it is recorded.
 
     As messages need up to a second to reach the disk, now means a second ago, unless there is a later message.
     """
@@ -568,9 +558,7 @@ def end_note(source: Source, *texts: str) -> str:
 
 
 def _taken(samples: Iterable[Sample], limit: int, every_n: int) -> tuple[list[Sample], int, Sample | None]:
-    """Return every n-th sample up to the limit and `MAX_BYTES`, but at least one; the number of samples read; and the
-    next sample, if there is one.
-    """
+    """Return every n-th sample up to limit and `MAX_BYTES`, at least one; the number read; and the next one, if any."""
     found: list[Sample] = []
     size = passed = 0
     for passed, sample in enumerate(samples):

@@ -25,8 +25,8 @@ class FromBefore:
 
     @classmethod
     def of(cls, count: int, newest_ns: int, now_ns: int) -> FromBefore:
-        """Return a value for `count` messages that are all from before. `newest_ns` is when the newest was sent (0:
-        unknown).
+        """Return a value for `count` messages that are all from before. `newest_ns` is when
+        the newest was sent (0: unknown).
         """
         return cls(count, count, max((now_ns - newest_ns) / 1e9, 0.0) if newest_ns else None)
 
@@ -54,8 +54,8 @@ class FromBefore:
 
 
 def from_before(source: Source, stream: Stream, samples: Sequence[Sample]) -> FromBefore:
-    """Return which of some samples of a live stream are from before; none for a recording, which is never called
-    live.
+    """Return which of some samples of a live stream are from before; none for a
+    recording, which is never called live.
     """
     if not source.is_live:
         return FromBefore()

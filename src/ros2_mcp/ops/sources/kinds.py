@@ -53,8 +53,8 @@ class Sources:
         raise NotFound(f"There is no source {name!r}.", "ros2_bag_list lists what can be read.")
 
     async def of_the_past(self, request: SourceRequest) -> AsyncGenerator[Source | RobotError, None]:
-        """Yield the sources that may have earlier messages, one after the other; for a source that cannot be opened,
-        the error.
+        """Yield the sources that may have earlier messages, one after the other; for a source
+        that cannot be opened, the error.
         """
         for kind in self.kinds:
             try:

@@ -46,11 +46,11 @@ _MATCHING_S = 0.5
 _PROMPT_S = 0.002
 """The delay of messages in the bridge for prompt readers: as short as the bridge allows."""
 _BURST_NS = 1_000_000_000
-"""The messages that publishers keep for late subscribers come at once when they match; even large maps within a
-second."""
+"""The messages that publishers keep for late subscribers come at once when they match;
+even large maps within a second."""
 _STREAM_MESSAGES, _STREAM_NS = 5, 1_500_000_000
-"""A topic with so many messages over such a time is a stream, whose silence later in the session is reported; one press
-of a button is not."""
+"""A topic with so many messages over such a time is a stream, whose silence later in the session is
+reported; one press of a button is not."""
 _TURN_S = 1.0
 """The longest single wait for samples; the empty batch after it shows that the stream is alive."""
 _APPEARING_S = 1.0
@@ -59,14 +59,14 @@ _QUESTION = "rcl_interfaces/srv/GetParameterTypes"
 _ANSWER_S = 1.0
 """Time-out of a question to a node: one that spins answers within milliseconds, also over a wireless network."""
 _REPAIRED_S = 4.0
-"""Discovery repairs within 3 s what it lost of a node that has just started, its answer and its messages; then the
-bridge asks again."""
+"""Discovery repairs within 3 s what it lost of a node that has just started, its answer and its
+messages; then the bridge asks again."""
 _ASKED_NODES, _AT_A_TIME = 20, 5
 """The most nodes that are asked, and how many at a time: one answer is enough, and the questions should not load the
 robot. Some nodes never answer, because nothing spins them; but not that many."""
 MAX_BYTES = 192_000_000
-"""The most bytes of all topics that are measured together: a minute of a raw camera at 3 MB/s, and affordable on a
-robot's computer."""
+"""The most bytes of all topics that are measured together: a minute of a raw camera at 3 MB/s, and
+affordable on a robot's computer."""
 MAX_SAMPLES = 200_000
 """The most samples of one topic: an IMU at 1 kHz for three minutes."""
 _TURN_SAMPLES = 200
@@ -99,8 +99,8 @@ class _LiveStream(Stream):
     _count: int = field(default=0, init=False)
 
     def look_at(self, samples: Sequence[Sample]) -> Sequence[Sample]:
-        """Learn from samples the offset of the publisher's clock from ours, and whether the topic is a stream. Return
-        the samples.
+        """Learn from samples the offset of the publisher's clock from ours, and whether the topic
+        is a stream. Return the samples.
         """
         if samples and not self.thinned:
             self._note_flow(samples)
@@ -242,8 +242,8 @@ class Live(Source):
         return Live(self._robot, live_s, whole=whole, waits=waits, judges=self._judges, report=self._report)
 
     def judging(self) -> Live:
-        """Return the same source, but `follow` omits all but the newest of the messages that a latched topic
-        replays.
+        """Return the same source, but `follow` omits all but the newest of the
+        messages that a latched topic replays.
         """
         return Live(
             self._robot, self.duration_s, whole=self._whole, waits=self._waits, judges=True, report=self._report
@@ -354,8 +354,8 @@ class Live(Source):
                 yield stream
 
     async def lightest(self, topic: str) -> str:
-        """Return, over a network, the topic with the compressed pictures of a camera, if it has a publisher; else the
-        topic.
+        """Return, over a network, the topic with the compressed pictures of a camera, if it
+        has a publisher; else the topic.
         """
         full = names.absolute(topic)
         if not self._robot.graph.is_remote:
@@ -367,8 +367,8 @@ class Live(Source):
         return compressed.topic if has_both else topic
 
     async def publishing(self, *types: str) -> list[str]:
-        """Return the published topics with one of these types, as `Source.publishing`. Only topics with such a type are
-        looked up.
+        """Return the published topics with one of these types, as `Source.publishing`. Only topics
+        with such a type are looked up.
         """
         graph = self._robot.graph
         rows = [row.name for row in await graph.topics() if not set(types).isdisjoint(row.types)]
@@ -411,8 +411,8 @@ class Live(Source):
         )
 
     async def hung(self, nodes: Sequence[str]) -> Sequence[str]:
-        """Return some of these nodes if not one of them answers: the graph shows killed or disconnected nodes for
-        another 20 s.
+        """Return some of these nodes if not one of them answers: the graph shows killed or
+        disconnected nodes for another 20 s.
         """
         offered = {row.name for row in await self._robot.graph.services()}
         asked = [node for node in dict.fromkeys(nodes) if is_of_robot(node) and service_of(node, _QUESTION) in offered]
@@ -432,8 +432,8 @@ class Live(Source):
         return () if any(await asyncio.gather(*again)) else asked
 
     async def _absent(self, present: TopicEndpoints) -> None:
-        """Report similar names for a topic that does not exist: as an error, or as the first progress of a wait for
-        it.
+        """Report similar names for a topic that does not exist: as an error, or as the
+        first progress of a wait for it.
         """
         graph, topic = self._robot.graph, present.topic
         near = await graph.near_topic(topic)
@@ -475,8 +475,8 @@ class Live(Source):
 
 
 def mixed(type_name: str, publishers: Sequence[Endpoint]) -> str:
-    """Return a sentence on the publishers whose messages are mixed; empty for one publisher, and for types that many
-    nodes usually publish.
+    """Return a sentence on the publishers whose messages are mixed; empty for one publisher, and for types
+    that many nodes usually publish.
 
     This server's own publishers are not counted: it keeps some that are silent.
     """

@@ -16,8 +16,8 @@ from ros2_mcp.robot.kept import Kept
 from ros2_mcp.robot.listening import Listening
 
 _IDLE_S = 5.0
-"""How long a subscription stays after the last read: readers read several times a second, and a page that was closed
-must cost nothing."""
+"""How long a subscription stays after the last read: readers read several times a second, and a page
+that was closed must cost nothing."""
 _TURN_S = 1.0
 """Seconds between two checks of whether a subscription is still needed, if no message arrives."""
 _AGAIN_S = 2.0

@@ -1,5 +1,5 @@
-"""Read messages whose definition has changed: a recording without definitions is read with those of the distribution
-that wrote it.
+"""Read messages whose definition has changed: a recording without definitions is read with those of
+the distribution that wrote it.
 
 Range, Marker and SolidPrimitive have more fields since Humble or Iron; the definitions are those of `rosbags`.
 """
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from ros2_mcp.values.cdr import Codec
 
 _TRIED = 5
-"""How many messages of a topic without a definition are decoded, to see whether the newest definition of its type
-fits."""
+"""How many messages of a topic without a definition are decoded, to see whether the
+newest definition of its type fits."""
 
 _OLDER = ("jazzy", "iron", "humble", "galactic", "foxy", "eloquent", "dashing")
 """The newest first: if several definitions fit, the newest is the most likely."""

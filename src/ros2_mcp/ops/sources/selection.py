@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from ros2_mcp.values.definitions import Definitions
 
 FIRST_MESSAGE_S = 5.0
-"""How long to wait for the next message if no limit is given: longer than the periods of the slowest usual topics (1
-s)."""
+"""How long to wait for the next message if no limit is given: longer than the periods of
+the slowest usual topics (1 s)."""
 LIMITED_S = 20.0
 """How long to wait for a number of messages without a duration: some clients give up a call after 30 s."""
 MAX_MESSAGES = 100_000
@@ -82,8 +82,8 @@ class Selection:
             parse_fields(definitions, type_name, self.fields)
 
     def fitting(self, definitions: Definitions, type_name: str) -> tuple[Selection, str]:
-        """Return the selection with those of its shared fields that the type has, and a sentence on the fields that it
-        lacks.
+        """Return the selection with those of its shared fields that the type has, and a
+        sentence on the fields that it lacks.
 
         Raises:
             BadValue: for a field that the type does not have; for shared fields only if it has none of them.
@@ -112,8 +112,8 @@ class Selection:
         return any("==" in path for path in self.fields)
 
     def wanted(self, codec: Codec, type_name: str, samples: Sequence[Sample]) -> Sequence[Sample]:
-        """Return the samples that pass its filters. Samples that cannot be decoded pass, and are counted when they are
-        shown.
+        """Return the samples that pass its filters. Samples that cannot be decoded pass, and
+        are counted when they are shown.
         """
         from ros2_mcp.values.select import parse_fields
 
@@ -131,8 +131,8 @@ class Selection:
 
 @dataclass(kw_only=True, eq=False)
 class Collector:
-    """Samples within bounds on their number and bytes: the oldest are discarded and counted as `dropped`; `seen` counts
-    all.
+    """Samples within bounds on their number and bytes: the oldest are discarded and counted
+    as `dropped`; `seen` counts all.
 
     All collectors share `MAX_BYTES_IN_TOTAL`: one that exceeds its share discards samples.
 

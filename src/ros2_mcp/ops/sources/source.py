@@ -46,8 +46,8 @@ Keep: TypeAlias = "Callable[[Stream], K]"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Capture(Generic[K]):
-    """The result of capturing one topic: what was `kept` of its messages between two times, and what is needed to
-    interpret it.
+    """The result of capturing one topic: what was `kept` of its messages between two times, and
+    what is needed to interpret it.
 
     `start_ns` and `end_ns` are Unix times by the receiver's clock; only a latched message may be older. `received`
     counts all messages of that time, of which `dropped` were discarded because of memory bounds; `lost` never arrived,
@@ -132,8 +132,8 @@ class Stream:
 
     @property
     def mixed(self) -> str:
-        """A sentence on the publishers whose messages are mixed although one is expected; only live streams know
-        publishers.
+        """A sentence on the publishers whose messages are mixed although one is expected;
+        only live streams know publishers.
         """
         return ""
 
@@ -169,14 +169,14 @@ class Stream:
 
     @property
     def tells_replayed(self) -> bool:
-        """Return whether enough samples have come for `is_replayed` to be certain; at the end it is as certain as it
-        can be.
+        """Return whether enough samples have come for `is_replayed` to be certain; at the end
+        it is as certain as it can be.
         """
         return True
 
     def is_replayed(self, sample: Sample) -> bool:
-        """Return whether a sample was sent before the source's time, and came only because late subscribers get it,
-        too.
+        """Return whether a sample was sent before the source's time, and came only
+        because late subscribers get it, too.
         """
         return sample.received_ns < self.start_ns or 0 < sample.source_ns < self.asked_ns
 
@@ -234,8 +234,8 @@ class Source(ABC):
     duration_s: float
     """The length of its time in s."""
     began_ns: int | None = None
-    """When a recording began (Unix time, ns), from which `12 s in` counts (`model/times.recorded_time`); None if it has
-    no fixed beginning."""
+    """When a recording began (Unix time, ns), from which `12 s in` counts (`model/times.recorded_time`);
+    None if it has no fixed beginning."""
     is_live: bool = False
     """Whether its messages have yet to come. Stored messages need no waiting."""
     from_end: bool = False
@@ -289,8 +289,8 @@ class Source(ABC):
         """
 
     def lasting(self, live_s: float, *, recorded_s: float | None = None, whole: bool = False) -> Source:  # noqa: ARG002
-        """Return the source limited in time: live for `live_s` from now on, of a recording at most `recorded_s` (None:
-        all of it).
+        """Return the source limited in time: live for `live_s` from now on, of a recording at most
+        `recorded_s` (None: all of it).
 
         `recorded_s` is the caller's argument, if given: live, a topic that does not exist is then awaited. Of a longer
         part of a recording, the beginning is used if a start was given, else the end. `whole`: the time counts from
@@ -302,14 +302,14 @@ class Source(ABC):
         return self
 
     def part(self, start_ns: int, end_ns: int) -> Source:  # noqa: ARG002 - what is live has no other time
-        """Return the part between two Unix times of receipt, as far as the source has them; a live source returns
-        itself.
+        """Return the part between two Unix times of receipt, as far as the source has
+        them; a live source returns itself.
         """
         return self
 
     def from_beginning(self) -> Source:
-        """Return the same source with all earlier messages, for values that hold since they were published; a live
-        source returns itself.
+        """Return the same source with all earlier messages, for values that hold since they were
+        published; a live source returns itself.
         """
         return self
 
@@ -334,8 +334,8 @@ class Source(ABC):
         return self
 
     async def lightest(self, topic: str) -> str:
-        """Return the topic with the same pictures that is smallest to read; the topic itself if there is no such
-        difference.
+        """Return the topic with the same pictures that is smallest to read; the topic itself
+        if there is no such difference.
         """
         return topic
 
@@ -400,8 +400,8 @@ class SourceKind:
         store: BagStore,  # noqa: ARG002
         request: SourceRequest,  # noqa: ARG002
     ) -> Sequence[Callable[[], Awaitable[Source]]]:
-        """Return a function for each source that may have earlier messages, which opens it; the likeliest source
-        first.
+        """Return a function for each source that may have earlier messages, which opens
+        it; the likeliest source first.
         """
         return ()
 

@@ -44,8 +44,8 @@ def span_of(
     *,
     within: bool = False,
 ) -> Span:
-    """Return the span between two times of a recording from `first_ns` to `last_ns`; an empty time is its beginning or
-    end.
+    """Return the span between two times of a recording from `first_ns` to `last_ns`; an
+    empty time is its beginning or end.
 
     `last 30 s` and `30 s ago` count back from the recording's end; `2 min in` is the time two minutes after its
     beginning, and so is `first 2 min`. An end that names a moment is part of the span: the whole microsecond of an
@@ -109,8 +109,8 @@ def _is_small(text: str) -> bool:
 
 
 def last_ns_of(text: str, at_ns: int) -> int:
-    """Return the last nanosecond that a text names: for a time the end of its microsecond, unless it is written more
-    exactly.
+    """Return the last nanosecond that a text names: for a time the end of its microsecond,
+    unless it is written more exactly.
 
     For `12.3 s in` it is the end of the millisecond, the unit of such times; other relative times name a single
     nanosecond.

@@ -1,5 +1,5 @@
-"""Judge which messages were published after a stop, and whether they show that the robot moves. Pure: no clock and no
-ROS.
+"""Judge which messages were published after a stop, and whether they show that the robot
+moves. Pure: no clock and no ROS.
 
 An acknowledged zero does not prove that the robot is stationary, nor does a message from before the zero. A late
 subscriber to a transient_local publisher gets such a message, and a driver that has lost its hardware may publish its
@@ -23,17 +23,17 @@ _AHEAD_NS = 100_000_000
 """If a source timestamp is ahead of its receipt by more than this, the publisher's clock is ahead: clocks kept by
 chrony or PTP agree better."""
 _SAME_CLOCK_NS = 60_000_000_000
-"""If a header stamp differs from the time of sending by more than this, it is from another clock: pipelines lag by
-seconds at most."""
+"""If a header stamp differs from the time of sending by more than this, it is from another clock:
+pipelines lag by seconds at most."""
 _OWN_CLOCK_NS = 946_684_800_000_000_000
 """The year 2000. An earlier stamp is from a clock that starts at zero, such as that of a simulation, or of a controller
 without a real-time clock."""
 JOINT_WINDOW_S, JOINT_STANDS = 0.4, 0.002
-"""A joint is stationary if it moves by at most `JOINT_STANDS` (rad or m) within `JOINT_WINDOW_S`: a 12-bit encoder
-flickers by 0.0015 rad."""
+"""A joint is stationary if it moves by at most `JOINT_STANDS` (rad or m) within `JOINT_WINDOW_S`: a 12-bit
+encoder flickers by 0.0015 rad."""
 _POSE_NOISE_M, _POSE_NOISE_RAD = 0.002, 0.005
-"""By how much noise may change the pose of a stationary robot, on top of the speed that counts as stationary. Not
-measured."""
+"""By how much noise may change the pose of a stationary robot, on top of the speed that
+counts as stationary. Not measured."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -37,7 +37,8 @@ _KINDS: Mapping[str, int] = {ODOMETRY: 4, JOINT_STATE: 8}
 """The types that report motion, and how many topics of each are read: wheel, fused and visual odometry; arms, grippers,
 wheels. All of them must show that the robot is stationary."""
 _MOST_INPUTS = 5
-"""Command topics that are looked up if no topic reports the motion that they cause: a base, its multiplexer, a servo.
+"""Command topics that are looked up if no topic reports the motion that they cause: a
+base, its multiplexer, a servo.
 """
 _SETTLED_S = 2.0
 """Time for discovery to settle, which takes about a second after the start of a bridge."""
@@ -48,8 +49,8 @@ _FIRST_S = 2.5
 _RESTS_S = 1.5
 """Time for joints to come to rest: a hold arrives within tenths of a second, and the arm then brakes."""
 _BRAKED_S = 3.0
-"""Time to brake from 5 m/s at the 2.5 m/s² at which ArduCopter brakes by default, and a second until the mode takes
-effect."""
+"""Time to brake from 5 m/s at the 2.5 m/s² at which ArduCopter brakes by default, and a
+second until the mode takes effect."""
 _BEGINS_S = 0.5
 """Time for subscribing, in addition to the time that the robot has to come to rest."""
 _TAKE_S = 0.1
@@ -61,8 +62,8 @@ _MOST_NOTED = 1000
 
 
 class _Reported(Kept):
-    """The joints that each topic of joint states has reported in this session, so that a joint which is no longer
-    reported is noticed.
+    """The joints that each topic of joint states has reported in this session, so that a joint which is
+    no longer reported is noticed.
     """
 
     def __init__(self) -> None:
@@ -108,8 +109,8 @@ async def observe_still(robot: Robot, *, hovers: bool = False) -> Observation:
 
 
 async def _sources(robot: Robot, hovers: bool) -> tuple[Sequence[_Source], Sequence[str], Sequence[str]]:
-    """Return the topics to read; phrases about what should report motion and does not; phrases about what no topic
-    reports.
+    """Return the topics to read; phrases about what should report motion and does not;
+    phrases about what no topic reports.
     """
     rows = await robot.graph.topics(_SETTLED_S)
     found = {kind: sorted(row.name for row in rows if kind in row.types and row.publishers) for kind in _KINDS}
@@ -206,8 +207,8 @@ async def _account(robot: Robot, source: _Source, began_ns: int) -> Account:
 
 
 def reading_of(message: Mapping[str, Any], sample: Sample, path: str | None) -> Reading:
-    """Return the motion that a message reports: the velocity at a path and the pose beside it, or the joints if the
-    path is None.
+    """Return the motion that a message reports: the velocity at a path and the pose beside it, or
+    the joints if the path is None.
     """
     seconds, nanoseconds = _at(message, "header.stamp.sec") or 0, _at(message, "header.stamp.nanosec") or 0
     is_base = path is not None

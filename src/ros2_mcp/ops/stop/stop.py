@@ -30,34 +30,37 @@ from ros2_mcp_common.wire.protocol import StoppedTopic as Zero
 from ros2_mcp_common.wire.protocol import StopReply
 
 ENDED_S = 3.0
-"""Time for a cancelled goal to end. A live action server ends it within its control period; the stop must answer soon.
+"""Time for a cancelled goal to end. A live action server ends it within its control
+period; the stop must answer soon.
 """
 _BRIDGE_S = 5.0
-"""Time for a bridge that is starting, and again for the successor of a lost one: the stop must answer soon, confirmed
-or not."""
+"""Time for a bridge that is starting, and again for the successor of a lost one: the stop must
+answer soon, confirmed or not."""
 _OTHERS_S = 1.0
-"""Time to look up other publishers and running goals: the bridge has them at once, unless discovery is still under way.
+"""Time to look up other publishers and running goals: the bridge has them at once,
+unless discovery is still under way.
 """
 _OUT_OF_REACH_S = 2.3
 """After a silence of this length, the link lease of a remote robot (2 s) has lapsed there, and what this server drove
 has stopped (required: within 0.3 s of that). More waiting would change nothing for the robot."""
 LATCHED_S = 0.5
-"""A stop waits at least this long, even for a robot that is out of reach: longer than `_LATCH_S`, so that its latch is
-written by then."""
+"""A stop waits at least this long, even for a robot that is out of reach: longer than `_LATCH_S`, so
+that its latch is written by then."""
 _LOOK_S = 0.05
 """Seconds between two checks of whether a robot is out of reach."""
 _LATCH_S = 0.2
-"""Time that the bridge gets before the latch is written: a live one has ended what moves, and sent its zeros, within a
-tenth of that."""
+"""Time that the bridge gets before the latch is written: a live one has ended what moves, and sent its
+zeros, within a tenth of that."""
 _UNANSWERED_S = 0.5
-"""Time-out for an action server that did not answer the last stop, so that a dead one does not cost each stop the full
-time."""
+"""Time-out for an action server that did not answer the last stop, so that a dead one does
+not cost each stop the full time."""
 _MOST_RUNNING = 4
 """Goals of other clients that the note names with the call that ends each; the result has all."""
 _MOST_NAMED = 20
 """The most names of each kind, so that the result stays short."""
 _MOST_GONE = 3
-"""The most nodes in the sentence about nodes that took commands and left the graph: a base, its multiplexer, a logger.
+"""The most nodes in the sentence about nodes that took commands and left the graph: a
+base, its multiplexer, a logger.
 """
 _going_on: set[asyncio.Task[Stopped]] = set()
 """Stops that continue after their answer. The set keeps a reference to each task, which asyncio does not."""
@@ -129,8 +132,8 @@ class Stopped:
     is_doubted: bool = field(default=False, metadata=HIDDEN)
 
     def summary(self) -> str:
-        """Return one line: first what is confirmed of the things this server knows how to stop, then what it cannot
-        judge.
+        """Return one line: first what is confirmed of the things this server knows how to
+        stop, then what it cannot judge.
         """
         verdict = "NOT confirmed" if self.is_doubted else "Stopped" if self.confirmed else "Stopped, partly confirmed"
         ended = (self.repeats_stopped, self.relays_stopped, self.topics, self.goals, self.flights, self.dropped)
@@ -157,8 +160,8 @@ class Stopped:
 
 
 async def stop(robot: Robot, by: str = "", *, client: str = LOCAL.name) -> Stopped:
-    """Stop everything that this server has set in motion, and return what of it was confirmed. Never raises a
-    `RobotError`.
+    """Stop everything that this server has set in motion, and return what of it was
+    confirmed. Never raises a `RobotError`.
 
     From the beginning of this call, nothing that was accepted before it is sent. Repeats, relays and playbacks end,
     every driven velocity topic gets its zero, and every goal is cancelled.
@@ -250,8 +253,8 @@ def not_stopped(note: str, *, is_latched: bool = False) -> Stopped:
 
 
 def _begin(robot: Robot, by: str) -> None:
-    """Raise the stop epoch, so that nothing accepted before is sent, and hold the latch for a person's stop or under a
-    policy.
+    """Raise the stop epoch, so that nothing accepted before is sent, and hold the latch for a
+    person's stop or under a policy.
 
     Must be called before anything is awaited.
     """
@@ -320,8 +323,8 @@ async def _stop(robot: Robot) -> Stopped:
 
 
 async def _write_latch(robot: Robot, has_asked: anyio.Event) -> str:
-    """Write a latch that is held, once the bridge has had time to send the zeros. Return why it could not be written,
-    or nothing.
+    """Write a latch that is held, once the bridge has had time to send the zeros. Return why it
+    could not be written, or nothing.
 
     The bridge watches the latch's file, too. If it saw the latch first, it would report the latch, instead of the stop,
     as the cause of all that it ends.
@@ -515,8 +518,8 @@ def _facts(
 
 
 def _dropped(ended: StopReply) -> list[str]:
-    """Return the publications and calls that had not been sent. Messages that had not been fed to a relay are counted
-    by the relay.
+    """Return the publications and calls that had not been sent. Messages that had not been fed to a
+    relay are counted by the relay.
     """
     words = {"publish": "publishing on", "call": "calling"}
     return [f"{words[op]} {name}" for op, name in ended["dropped"] if op in words]

@@ -19,8 +19,8 @@ OLD_S = 1.0
 All messages of a span must be so, so that one moment in which a machine hung is not reported as a fault of the sensor.
 """
 _OTHER_CLOCK_S = 1e6
-"""A stamp further than this (eleven days) from the time of receipt is from another clock: simulated time begins at
-zero."""
+"""A stamp further than this (eleven days) from the time of receipt is from another clock:
+simulated time begins at zero."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,8 +86,8 @@ class AgedArrivals(Arrivals):
 
     @property
     def goes_back(self) -> str:
-        """A sentence on where the stamps of the only publisher go back; empty if they do not, or there are several
-        publishers.
+        """A sentence on where the stamps of the only publisher go back; empty if they do not,
+        or there are several publishers.
         """
         if not self.stamp_backs or len(self.publishers) > 1:
             return ""

@@ -55,8 +55,8 @@ class TopicList:
 
 
 def is_internal(name: str, types: Sequence[str]) -> bool:
-    """Return whether a topic is internal to nodes or for debugging, like dozens of topics of Nav2 and its lifecycle
-    nodes.
+    """Return whether a topic is internal to nodes or for debugging, like dozens of topics
+    of Nav2 and its lifecycle nodes.
     """
     return not _INTERNAL_TYPES.isdisjoint(types) or name.rpartition("/")[2] in _INTERNAL_NAMES
 

@@ -31,8 +31,8 @@ just started within this time, so that it does not miss the message."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PublishRequest:
-    """What to publish, and where: once, or at `frequency` in Hz for `duration` in seconds. An empty type means the
-    topic's.
+    """What to publish, and where: once, or at `frequency` in Hz for `duration` in seconds.
+    An empty type means the topic's.
     """
 
     topic_name: str
@@ -172,11 +172,11 @@ class Repetition(Job):
 
     kind = "repeat"
     most_running = 256
-    """More topics than a client publishes on at once; `ros2_publish_multiple_topics` counts one for each of its
-    topics."""
+    """More topics than a client publishes on at once; `ros2_publish_multiple_topics`
+    counts one for each of its topics."""
     patience_s = 1.0
-    """`ros2_stop` ends repeats in the bridge first and the jobs afterwards; the bridge's answer is on its way by
-    then."""
+    """`ros2_stop` ends repeats in the bridge first and the jobs afterwards; the
+    bridge's answer is on its way by then."""
 
     def __init__(self, robot: Robot, session: Session, command: Repeat | Move) -> None:
         super().__init__(owner=command.principal, moves=[command.name])
@@ -193,8 +193,8 @@ class Repetition(Job):
         self.sent = await self._robot.do(self._command, self._session)
 
     async def stop_for(self, reason: str) -> None:
-        """Make the bridge end the repeat with its zero; the result gives the reason. Raises the same errors as
-        `Graph.ask` and `stop`.
+        """Make the bridge end the repeat with its zero; the result gives the reason. Raises the same
+        errors as `Graph.ask` and `stop`.
         """
         self.stop_reason, self.is_stopping = reason, True
         try:

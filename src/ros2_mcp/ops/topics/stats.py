@@ -131,8 +131,8 @@ class Stats:
     is_live: bool = field(default=True, metadata=HIDDEN)
 
     def summary(self) -> list[str]:
-        """Return a line for each topic, after one that names the recording; and one that names the least regular
-        topic.
+        """Return a line for each topic, after one that names the recording; and one that
+        names the least regular topic.
         """
         lines = [*(topic.summary() for topic in self.topics), *([self.note] if self.note else [])]
         worst = max(self.topics, key=lambda topic: topic.irregularity, default=None)
@@ -174,8 +174,8 @@ async def measure(source: Source, topics: Sequence[str] | None = None, report: R
 def _with_publishers(
     results: Sequence[TopicStats], full: Mapping[str, str], graph: GraphSnapshot
 ) -> Sequence[TopicStats]:
-    """Return the results; those with an error get the topic's types and publishers, which may explain it, for instance
-    several types.
+    """Return the results; those with an error get the topic's types and publishers, which may explain
+    it, for instance several types.
     """
 
     def known(found: TopicStats) -> TopicStats:

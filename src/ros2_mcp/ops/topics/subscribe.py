@@ -59,8 +59,8 @@ MAX_PICTURES = 4
 _TRIED = 32
 """How many messages of a recording are tried to find one that can be decoded; undecodable ones are rare."""
 _LEAST_BYTES = 1000
-"""The least bytes of the result for one of several topics: two messages at the 500 bytes below which a message says
-nothing."""
+"""The least bytes of the result for one of several topics: two messages at the 500 bytes
+below which a message says nothing."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -184,8 +184,8 @@ async def collect(
     latched: bool = True,
     names: tuple[str, str] = ("start", "end"),
 ) -> Collected:
-    """Return the samples of one topic that the selection asks for; `names` are the arguments by which a caller reads
-    on.
+    """Return the samples of one topic that the selection asks for; `names` are the
+    arguments by which a caller reads on.
 
     Raises:
         NotFound: if the topic does not exist and its type is not given.
@@ -290,8 +290,8 @@ async def read(source: Source, topic: str, type_name: str, selection: Selection,
 async def read_several(
     source: Source, topics: Sequence[tuple[str, str, Selection]], report: Report = silent
 ) -> Readings:
-    """Return messages of several topics (name, type or "", selection), read at the same time; the `error` of one does
-    not stop the others.
+    """Return messages of several topics (name, type or "", selection), read at the same time; the `error`
+    of one does not stop the others.
 
     Raises:
         BadInput: if there are no topics.
@@ -358,8 +358,8 @@ def _told(reading: Reading, *, as_asked: bool) -> Reading:
 
 
 def _first_readable(collected: Collected) -> tuple[Sample | None, str]:
-    """Return the first sample that can be decoded (the last, if the last ones were requested), and a note on the
-    skipped ones.
+    """Return the first sample that can be decoded (the last, if the last ones were requested),
+    and a note on the skipped ones.
     """
     stream, trouble = collected.stream, ""
     ordered = collected.samples[::-1] if stream.from_end else collected.samples
@@ -432,8 +432,8 @@ async def _shown(source: Source, collected: Collected, selection: Selection) -> 
 
 
 def pictures_of(type_name: str, fitted: Fitted) -> tuple[list[Picture], str]:
-    """Return pictures of the shown messages, from the decoded ones, and a note on which messages they show, or why
-    there are none.
+    """Return pictures of the shown messages, from the decoded ones, and a note on which messages
+    they show, or why there are none.
     """
     from ros2_mcp.pictures.messages import picture_of  # numpy: not at the start of the server
 

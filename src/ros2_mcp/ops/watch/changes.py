@@ -72,8 +72,8 @@ class TopicSamples:
 
 @dataclass(frozen=True, slots=True)
 class GraphParts:
-    """Parts of the graph: `nodes`, `topics`, `services`. The subscribers of a topic do not count, as this server is
-    one.
+    """Parts of the graph: `nodes`, `topics`, `services`. The subscribers of a topic do
+    not count, as this server is one.
     """
 
     parts: Sequence[str]
@@ -118,8 +118,8 @@ class WorseDiagnostics:
     """The components that report on /diagnostics."""
 
     async def changes(self, robot: Robot) -> AsyncGenerator[DiagnosticTable, None]:
-        """Yield the table of all components, which stays up to date, at the beginning and whenever a component's level
-        worsens.
+        """Yield the table of all components, which stays up to date, at the beginning and
+        whenever a component's level worsens.
         """
         table = DiagnosticTable()
         async with aclosing(_samples(robot, DIAGNOSTICS, "all")) as arrivals:

@@ -51,8 +51,8 @@ class Watcher:
         self._watches: dict[Subject, _Watch] = {}
 
     def watch(self, subject: Subject, changed: Changed) -> Callable[[], None]:
-        """Call `changed` on every change of the subject from now on. Return a function that ends this, safe to call
-        twice.
+        """Call `changed` on every change of the subject from now on. Return a function that
+        ends this, safe to call twice.
 
         `changed` must neither block nor raise.
         """
