@@ -1,1 +1,1 @@
-"""What operations that act share: values filled in, orders to vehicles, how an act ended."""
+"""Shared by the operations that act: default values, orders to vehicles, and how an act ended."""

@@ -1,4 +1,4 @@
-"""What was sent although nobody gave it: the fields that a value leaves out, with the defaults that they got."""
+"""List the fields that a value leaves out, with the defaults that were sent for them."""
 
 from __future__ import annotations
 
@@ -12,11 +12,13 @@ if TYPE_CHECKING:
     from ros2_mcp.values.definitions import Definitions
 
 _MOST_NAMED = 6
-"""Fields: a line. A whole message has hundreds, and who leaves so many out knows it."""
+"""Fields that fill a line. A whole message has hundreds, and a client that leaves so many out knows it."""
 
 
 def left_at_default(definitions: Definitions, type_name: str, value: Mapping[str, Any]) -> str:
-    """In words, the fields of a known type that a value leaves out, with their values; empty where it has all."""
+    """Return a sentence on the fields of a known type that a value leaves out, with their
+    defaults; empty if it has all.
+    """
     from ros2_mcp.values.render import example_of  # with numpy: not before it is needed
 
     given = value

@@ -1,4 +1,4 @@
-"""Flights: what MAVROS answered to an order, in words, and what became of the vehicles after a stop."""
+"""Flights: MAVROS' answers to orders in words, and the state of the vehicles after a stop."""
 
 from __future__ import annotations
 
@@ -30,16 +30,17 @@ RESULTS: Mapping[int, str] = {
 }
 """MAV_RESULT of MAVLink (https://mavlink.io/en/messages/common.html), without its prefix."""
 _MODE_S = 2.0
-"""For a new mode to be told: with a change at once, with the next heartbeat of the autopilot within a second."""
+"""Time for a new mode to be reported: at once on a change, or with the autopilot's next heartbeat within a second."""
 _TEXT_S = 1.0
-"""For the autopilot's words on a refusal: within milliseconds, in a log that is drained ten times a second."""
+"""Time for the autopilot's text about a refusal: it comes within milliseconds, in a log that
+is drained ten times a second."""
 _LOOK_S = 0.05
-"""Between looks at the log, which is drained ten times a second."""
+"""Seconds between two reads of the log, which is drained ten times a second."""
 _WARNING = 30
-"""Of rcl_interfaces/msg/Log."""
+"""The level WARN of rcl_interfaces/msg/Log."""
 _MOST_TEXTS = 3
 _SPOKEN = "FCU: "
-"""What MAVROS writes before the words of the autopilot in its log."""
+"""The prefix that MAVROS writes before the texts of the autopilot in its log."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +57,7 @@ class StoppedFlight:
 
     @property
     def sentence(self) -> str:
-        """What is to be said of it."""
+        """The state of the vehicle, as a sentence."""
         if self.error:
             return f"{named(self.vehicle)} was NOT seen to stand: {quoted(self.error)}"
         if self.armed is False:
@@ -65,7 +66,7 @@ class StoppedFlight:
 
 
 async def brake_flights(robot: Robot) -> list[StoppedFlight]:
-    """Makes every vehicle stand that this server has given an order to; what became of each."""
+    """Brake every vehicle to which this server has given an order. Return the outcome of each."""
 
     async def brake(flight: Flight) -> StoppedFlight:
         braked = await flight.brake()
@@ -75,7 +76,7 @@ async def brake_flights(robot: Robot) -> list[StoppedFlight]:
 
 
 def is_order(service: str, service_type: str, request: Mapping[str, Any]) -> bool:
-    """Whether a call of a service is an order to a vehicle."""
+    """Return whether a service call is an order to a vehicle."""
     return bool(vehicle_of(service, service_type)) and not only_asks(service_type, request)
 
 
@@ -87,9 +88,9 @@ async def outcome(
     response: Mapping[str, Any],
     since_ns: int,
 ) -> str:
-    """What became of an order, in sentences: whether it was followed, else why not, as far as the vehicle says it.
+    """Return the outcome of an order in sentences: whether it was followed or why not, as far as the vehicle reports.
 
-    `since_ns` is when it was sent, by the robot's clock.
+    `since_ns` is when the order was sent, by the robot's clock.
     """
     vehicle = vehicle_of(service, service_type)
     flight = flight_of(robot, vehicle)
@@ -117,7 +118,7 @@ async def _outcome_of_mode(
 
 
 async def _reasons(robot: Robot, vehicle: str, flight: Flight | None, since_ns: int) -> str:
-    """The autopilot's own words, and its state."""
+    """Return the autopilot's texts and the vehicle's state, as sentences."""
     texts = await _words(robot, vehicle, since_ns)
     said = f"The autopilot says: {'; '.join(quoted(text) for text in texts)}." if texts else ""
     return " ".join(part for part in (said, _state(flight)) if part)
@@ -130,9 +131,9 @@ def _state(flight: Flight | None) -> str:
 
 
 async def _words(robot: Robot, vehicle: str, since_ns: int) -> Sequence[str]:
-    """What the autopilot has said since then, the last words last: MAVROS writes them into the robot's log.
+    """Return the autopilot's texts since `since_ns`, the newest last: MAVROS writes them into the robot's log.
 
-    Warnings and errors are waited for: what it only tells may still be about the order before.
+    Wait up to 1 s for warnings and errors: a text of a lower level may still be about the previous order.
     """
     try:
         await robot.values.learn(LOG_TYPE)

@@ -13,15 +13,16 @@ from ros2_mcp.ops.space.controllers import LIST_CONTROLLERS
 from ros2_mcp.robot import MOTION_TYPES, Robot
 
 COMMAND_TYPES = frozenset((*MOTION_TYPES, "std_msgs/msg/Float64MultiArray", "control_msgs/msg/MultiDOFCommand"))
-"""What controllers of ros2_control listen to: the others are not asked about."""
+"""Command types to which controllers of ros2_control subscribe. For other types no controller manager is asked."""
 _LIST = "controller_manager_msgs/srv/ListControllers"
 _HARDWARE, _LIST_HARDWARE = "/list_hardware_components", "controller_manager_msgs/srv/ListHardwareComponents"
 _STATE, _GET_STATE = "/get_state", "lifecycle_msgs/srv/GetState"
 _PARAMETERS, _GET_PARAMETERS = "/get_parameters", "rcl_interfaces/srv/GetParameters"
 _ANSWER_S = 0.7
-"""One that is alive answers within milliseconds, the first time after 0.1 s of discovery."""
+"""Time-out of each question: a live node answers within milliseconds, the first time after 0.1 s of discovery."""
 _MOST_NODES = 4
-"""That are asked: who listens to a command is one base, perhaps a recorder and a filter."""
+"""The most nodes that are asked for a sign of life: the subscribers of a command are a base,
+perhaps a recorder and a filter."""
 _ACTIVE = "active"
 
 
@@ -32,8 +33,11 @@ async def why_idle(
     server of an action from acting: their controllers and hardware, by each controller manager, and lifecycle nodes
     that are not active; empty where nothing does, or nobody knows.
 
-    `is_in_doubt` where something did not move: then also nodes that no manager knows are asked for a sign of life.
-    Takes up to some tenths of a second, 1.5 s where one is frozen. Raises no `RobotError`.
+    The nodes in question are the subscribers of the topic `commands`, the publishers of the topic `feedback`, and the
+    server of `action`.
+
+    `is_in_doubt`: something did not move. Then nodes on which no controller manager reports are asked for a sign of
+    life, too. Takes up to some tenths of a second, 1.5 s if a node is frozen. Raises no `RobotError`.
     """
     try:
         rows = await robot.graph.services()
@@ -56,13 +60,13 @@ async def why_idle(
 async def with_reason(
     robot: Robot, error: NotFound | TimedOut, commands: str = "", feedback: str = "", action: str = ""
 ) -> RobotError:
-    """The same error with what keeps those from acting whose answer did not come."""
+    """Return the same error with a reason added: why the nodes that did not answer cannot act."""
     why = await why_idle(robot, commands, feedback, action, is_in_doubt=True)
     return type(error)(f"{error.message} {why}".rstrip(), error.hint)
 
 
 async def _nodes(robot: Robot, commands: str, feedback: str, action: str) -> set[str]:
-    """Who is commanded, and who reports."""
+    """Return the nodes that are commanded, and those that report."""
     found: set[str] = set()
     if commands:
         found |= {one.node for one in (await robot.graph.endpoints(commands)).subscribers if not one.ours}
@@ -72,7 +76,7 @@ async def _nodes(robot: Robot, commands: str, feedback: str, action: str) -> set
 
 
 async def _by_its_list(robot: Robot, host: str, nodes: set[str], services: set[str]) -> str:
-    """What a controller manager, the node `host`, says of the controllers that are among these nodes."""
+    """Return what a controller manager, the node `host`, reports of the controllers among these nodes, as sentences."""
     try:
         answer = await _asked(robot, f"{host}{LIST_CONTROLLERS}", _LIST)
     except TimedOut:
@@ -111,16 +115,18 @@ async def _by_its_list(robot: Robot, host: str, nodes: set[str], services: set[s
 
 
 def _below(controllers: Mapping[str, Mapping[str, Any]], meant: Sequence[str]) -> Sequence[str]:
-    """These controllers, and those that they command (chained ones): an interface of such a one has its name."""
+    """Return these controllers and the chained ones below them. An interface of a chained
+    controller begins with its name.
+    """
     found = list(meant)
-    for name in found:  # grows while it is gone through
+    for name in found:  # grows during the iteration
         through = {interface.partition("/")[0] for interface in _interfaces(controllers[name])}
         found += [other for other in controllers if other in through and other not in found]
     return found
 
 
 def _interfaces(controller: Mapping[str, Any]) -> Sequence[str]:
-    """What a controller commands: claimed while it is active, required always."""
+    """Return the interfaces that a controller commands: those claimed while it is active, and those always required."""
     return [*controller["claimed_interfaces"], *controller["required_command_interfaces"]]
 
 
@@ -136,7 +142,7 @@ async def _by_its_state(robot: Robot, node: str) -> str:
 
 
 async def _sign_of_life(robot: Robot, node: str, services: set[str]) -> str:
-    """A sentence where a node does not answer the question that every node answers."""
+    """Return a sentence if a node does not answer get_parameters, which every node serves; else nothing."""
     service = f"{node}{_PARAMETERS}"
     if service not in services:
         return ""
@@ -150,7 +156,7 @@ async def _sign_of_life(robot: Robot, node: str, services: set[str]) -> str:
 
 
 async def _asked(robot: Robot, service: str, service_type: str, request: Mapping[str, Any] | None = None) -> Any:
-    """The answer of a service that reads something; raises `TimedOut` also where discovery takes too long."""
+    """Return the answer of a service that only reads. Raises `TimedOut`, also if discovery takes too long."""
     try:
         asked = robot.ask_service(service, service_type, request or {}, timeout_s=_ANSWER_S)
         return await robot.fields_of(await asyncio.wait_for(asked, 2 * _ANSWER_S))

@@ -1,4 +1,4 @@
-"""Who would carry out an order: a service or an action that several nodes serve is carried out by each of them."""
+"""Find the nodes that would carry out an order. If several nodes serve a service or an action, each carries it out."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from ros2_mcp.robot import Robot
 from ros2_mcp.robot.graph import Graph
 
 _KNOWN_S = 2.0
-"""So long it is taken that one node serves a service: who calls again and again asks the graph once in that time."""
+"""How long a service is assumed to have one server after that was seen: repeated calls ask the graph only once."""
 _MOST_KNOWN = 256
 _MOST_NAMED = 4
 
 _alone: WeakKeyDictionary[Graph, dict[str, float]] = WeakKeyDictionary()
-"""Of each robot: when a service was last seen to have one server (monotonic, in s)."""
+"""For each robot: service → when it was last seen to have one server (monotonic, in s)."""
 
 
 async def servers_of(robot: Robot, service: str) -> Sequence[str]:
-    """The nodes that serve a service, where there are several; else empty. Raises no `RobotError`.
+    """Return the nodes that serve a service if there are several, else none. Raises no `RobotError`.
 
-    Nodes of one name count as one: a node that was killed and started again is listed twice until its lease is over.
+    Nodes with the same name count as one: a node that was killed and restarted is listed twice until its lease expires.
     """
     known = _alone.setdefault(robot.graph, {})
     if monotonic() - known.get(service, -_KNOWN_S) < _KNOWN_S:
         return ()
     try:
         found = await robot.graph.servers(service)
-    except RobotError:  # the call itself tells what is wrong
+    except RobotError:  # the call itself will report what is wrong
         return ()
     if len(set(found)) > 1:
         return found
@@ -42,16 +42,16 @@ async def servers_of(robot: Robot, service: str) -> Sequence[str]:
 
 
 async def servers_of_action(robot: Robot, action: str) -> Sequence[str]:
-    """The same of an action."""
+    """Return the nodes that serve an action if there are several, else none. Raises no `RobotError`."""
     return await servers_of(robot, f"{action}/_action/send_goal")
 
 
 def in_words(name: str, servers: Sequence[str]) -> str:
-    """That several nodes serve a service or an action, as a sentence without its end."""
+    """Return the clause "N nodes serve NAME (their names)", without a full stop."""
     return f"{counted(len(servers), 'node')} serve {named(name)} ({listed(sorted(servers), _MOST_NAMED)})"
 
 
 async def check_one_server(robot: Robot, action: str, hint: str) -> None:
-    """Raises `BadInput` where several nodes would carry out a goal."""
+    """Raise `BadInput` if several nodes would carry out a goal."""
     if servers := await servers_of_action(robot, action):
         raise BadInput(f"{in_words(action, servers)}: each would carry out the goal. Nothing was sent.", hint)

@@ -1,1 +1,1 @@
-"""Actions: which there are, their goals, and what becomes of them."""
+"""Actions: list them, send, follow and cancel goals, and get their results."""

@@ -21,7 +21,7 @@ _NOTES: Mapping[int, str] = {
     UNKNOWN_GOAL: "The server does not know this goal.",
     3: "The goal had already ended.",
 }
-"""What the codes of refusals mean."""
+"""The meaning of each code of a refusal."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +43,7 @@ class Cancellation:
     note: str = field(metadata=IF_ANY)
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         refused = f"{self.return_code_text}: " if self.return_code else ""
         return f"{refused}Cancelling {counted(len(self.goals_canceling), 'goal')}. {self.note}".rstrip()
 
@@ -58,11 +58,11 @@ async def cancel(
     stamp: Mapping[str, int] | None = None,
     timeout_s: float = 3.0,
 ) -> Cancellation:
-    """Asks the server to cancel one goal, all goals, or all that were accepted up to a stamp.
+    """Ask the action server to cancel one goal, all goals, or all that were accepted up to a stamp.
 
     Raises:
-        BadValue: if there is neither a goal id nor `cancel_all`, or what is given is no goal id.
-        NotFound: if no such action is there.
+        BadValue: if neither a goal id nor `cancel_all` is given, or the goal id is malformed.
+        NotFound: if there is no such action.
         TimedOut: if the server did not answer.
     """
     action = names.absolute(action, "action")
@@ -92,10 +92,10 @@ def _cancellation(service: str, response: Mapping[str, Any], *, cancel_all: bool
 
 
 async def cancel_sent(goal: Goal, within_s: float) -> Cancellation:
-    """Cancels a goal of ours, as `Goal.request_cancel` does.
+    """Cancel a goal that this server sent, as `Goal.request_cancel` does.
 
     Raises:
-        NotFound: if no such action is there.
+        NotFound: if there is no such action.
         TimedOut: if the server did not answer.
     """
     return _cancellation(f"{goal.action}/_action/cancel_goal", await goal.request_cancel(within_s))

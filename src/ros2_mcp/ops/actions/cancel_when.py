@@ -1,4 +1,4 @@
-"""Goals that are cancelled as soon as a condition holds, which the bridge asks beside the robot."""
+"""Cancel goals as soon as a condition holds. The bridge evaluates it on the robot's side."""
 
 from __future__ import annotations
 
@@ -18,20 +18,22 @@ from ros2_mcp.robot.jobs import Job
 
 _TOPIC = re.compile(r"\s*(?P<topic>/[\w/]+)\s*:(?P<condition>.*)", re.DOTALL | re.ASCII)
 _BEGUN_POLL_S = 0.01
-"""The bridge says within milliseconds that it asks; a goal is not sent before."""
+"""Seconds between two checks of whether the bridge evaluates the condition. It does within
+milliseconds; the goal is not sent before."""
 _BEGUN_S = 10.0
-"""For a bridge that loads the type of a topic: mostly milliseconds, a second where its package is large."""
+"""Time for the bridge to load the type of a topic: mostly milliseconds, a second if its package is large."""
 
 
 class ConditionalCancel(Job):
-    """A condition that is asked while a goal runs; its id is that of the goal with a prefix. `met` once it was met.
+    """A condition that is evaluated while a goal runs; its id is that of the goal with a prefix. `met` is
+    set once the condition was met.
 
-    It moves nothing: what the goal moves is stopped with the goal.
+    The job itself moves nothing: the motion of the goal is stopped with the goal.
     """
 
     kind = "cancel_when"
     most_running = 100
-    """As many goals as one client may follow at once, several times over."""
+    """Several times as many goals as one client may follow at once."""
 
     def __init__(self, robot: Robot, owner: Principal, asked: CancelWhen) -> None:
         super().__init__(owner=owner, job_id=job_id(asked.goal_id))
@@ -41,11 +43,11 @@ class ConditionalCancel(Job):
         self.problem = ""
 
     def doing(self) -> str:
-        """Of which goal."""
+        """Name the goal."""
         return f"of goal {self.asked.goal_id}"
 
     async def run(self) -> None:
-        """Has the bridge ask until the condition is met or the goal has ended."""
+        """Make the bridge evaluate the condition until it is met or the goal has ended."""
         async with anyio.create_task_group() as group:
             group.start_soon(self._ask)
             while self._robot.graph.repeat_begun_at(self.id) is None and not self.met:
@@ -64,10 +66,10 @@ class ConditionalCancel(Job):
                 raise
             self.problem = str(error)
             if goal := self._robot.jobs.get(Goal, self.asked.goal_id):
-                await goal.request_cancel(CANCELLED_S)  # nobody asks the condition any more
+                await goal.request_cancel(CANCELLED_S)  # the condition is no longer evaluated
 
     def note(self) -> str:
-        """What became of it, as a sentence; empty while it was not met."""
+        """Return whether the condition cancelled the goal, as a sentence; empty if it was not met."""
         if self.problem:
             return f"It was cancelled because its condition could no longer be checked: {quoted(self.problem)}."
         if not self.met:
@@ -78,17 +80,17 @@ class ConditionalCancel(Job):
 
 
 def job_id(goal_id: str) -> str:
-    """The id of the job that asks a condition for this goal."""
+    """Return the id of the job that evaluates a condition for this goal."""
     return f"{ConditionalCancel.kind}_{goal_id}"
 
 
 async def asked_for(robot: Robot, action: str, action_type: str, goal_id: str, text: str) -> CancelWhen:
-    """What `cancel_when` asks for: a condition on the goal's feedback, or `/topic: condition` on any other topic.
+    """Parse the argument `cancel_when`: a condition on the goal's feedback, or `/topic: condition` on any other topic.
 
     Raises:
-        BadInput: if it is no condition.
-        BadValue: for a field that is not there, with the nearest that is.
-        NotFound: if nobody publishes on that topic.
+        BadInput: if the text is not a condition.
+        BadValue: if a field does not exist, with the nearest that does.
+        NotFound: if that topic has no publisher.
     """
     found = _TOPIC.fullmatch(text)
     if found is None:
@@ -121,11 +123,11 @@ async def asked_for(robot: Robot, action: str, action_type: str, goal_id: str, t
 
 
 async def begin(robot: Robot, owner: Principal, asked: CancelWhen) -> ConditionalCancel:
-    """Begins to ask, and returns when the bridge asks: the goal is to be sent then.
+    """Start to evaluate the condition, and return once the bridge does: the goal is to be sent only then.
 
     Raises:
         TimedOut: if the bridge has not begun in time.
-        RobotError: whatever keeps it from asking, such as a type that is not installed there.
+        RobotError: if it cannot evaluate the condition, for example because a type is not installed there.
     """
     job = ConditionalCancel(robot, owner, asked)
     await robot.jobs.start(job, within_s=_BEGUN_S)
@@ -139,6 +141,6 @@ async def begin(robot: Robot, owner: Principal, asked: CancelWhen) -> Conditiona
 
 
 def note_on(robot: Robot, goal_id: str) -> str:
-    """What became of the condition of a goal, as a sentence; empty where it has none, or it was not met."""
+    """Return whether a condition cancelled this goal, as a sentence; empty if none did."""
     job = robot.jobs.get(ConditionalCancel, job_id(goal_id))
     return job.note() if job else ""

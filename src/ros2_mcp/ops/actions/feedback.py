@@ -1,4 +1,4 @@
-"""`ros2_action_subscribe_feedback`: what the servers of an action publish on how its goals proceed."""
+"""`ros2_action_subscribe_feedback`: the feedback that action servers publish about the progress of goals."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class FeedbackMessages:
     note: str = field(metadata=IF_ANY)
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         return f"{counted(len(self.messages), 'feedback message')} in {self.duration_sec:.2f} s. {self.note}".rstrip()
 
 
@@ -54,11 +54,12 @@ async def follow_feedback(
     max_bytes: int,
     report: Report = silent,
 ) -> FeedbackMessages:
-    """The feedback of an action's goals for some seconds, as JSON of at most `max_bytes` (but at least one message).
+    """Return the feedback of an action's goals over some seconds, as JSON of at most
+    `max_bytes` (but at least one message).
 
     Raises:
-        NotFound: if no such action is there.
-        BadValue: if the goal id is not one.
+        NotFound: if there is no such action.
+        BadValue: if the goal id is malformed.
     """
     only_goal = goal_id_hex(goal_id_bytes(goal_id)) if goal_id else None
     bounded("duration_sec", duration_s, 0.0, MAX_DURATION_S, "s")

@@ -29,12 +29,12 @@ class ActionList:
     note: str = ""
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         return f"{counted(len(self.actions), 'action')}. {self.note}".rstrip()
 
 
 async def list_actions(robot: Robot, pattern: str = "") -> ActionList:
-    """The actions whose names or types match, with the fields of their goals."""
+    """Return the actions whose names or types match, with the fields of their goals."""
     types, absence = await asyncio.gather(robot.types.actions(), robot.graph.absence())
     chosen = names.matching(sorted(types), pattern, types.__getitem__)
     fields, unknown = await robot.values.fields_of((types[name][0] for name in chosen), "_Goal")

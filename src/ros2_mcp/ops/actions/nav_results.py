@@ -1,4 +1,4 @@
-"""What the results of Nav2's actions say besides the state of the goal: waypoints that were missed, and error codes."""
+"""Describe results of Nav2's actions beyond the state of the goal: missed waypoints, and error codes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,9 @@ _NOT_REACHED = {2: "skipped", 3: "failed"}
 
 
 def told_by_result(action_type: str, result: Mapping[str, Any] | None) -> str:
-    """What a result of Nav2 says in a sentence: what it missed first; "" for others, and where all went well."""
+    """Return a sentence on a result of Nav2: missed waypoints first, then its error code. Empty for other
+    actions, and if all went well.
+    """
     if not result or not action_type.startswith(_OF_NAV2):
         return ""
     missed = _missed(result)
@@ -30,14 +32,14 @@ def told_by_result(action_type: str, result: Mapping[str, Any] | None) -> str:
 
 
 def _missed(result: Mapping[str, Any]) -> list[str]:
-    """The waypoints that were not reached, by their number from 0, each with its code where there is one."""
+    """Return the waypoints that were not reached, by index from 0, each with its error code if there is one."""
     found: list[str] = []
     for one in cast("Sequence[Any]", result.get("missed_waypoints") or ()):
         if isinstance(one, Mapping):
             entry = cast("Mapping[str, Any]", one)
             code = in_words(int(entry.get("error_code") or 0))
             found.append(f"number {entry.get('index')}{f' ({code})' if code else ''}")
-        else:  # Humble: the numbers alone
+        else:  # Humble: only the indices
             found.append(f"number {one}")
     for one in cast("Sequence[Any]", result.get("waypoint_statuses") or ()):
         entry: Mapping[str, Any] = cast("Mapping[str, Any]", one) if isinstance(one, Mapping) else {}

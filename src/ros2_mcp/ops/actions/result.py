@@ -1,4 +1,4 @@
-"""`ros2_action_request_result`: the result of a goal, whoever sent it."""
+"""`ros2_action_request_result`: the result of a goal, whichever client sent it."""
 
 from __future__ import annotations
 
@@ -23,9 +23,10 @@ from ros2_mcp_common.wire.limits import MAX_DURATION_S
 STATUS_AFTER_S = 1.0
 """Answers come within milliseconds; after this the action's status is read, in case the answer was lost."""
 _STATUS_EVERY_S = 3.0
-"""Reading it costs a subscription each time; a result whose answer was lost comes that much later."""
+"""Seconds between two reads of the status, each of which costs a subscription. A result whose answer
+was lost comes that much later."""
 _AT_LEAST_S = 0.1
-"""A service call needs some time even if none is left, so that a result that is there comes."""
+"""The least time-out of a service call, so that a result that is ready arrives even if no time is left."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +43,7 @@ class GoalResult:
     note: str = ""
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         return f"goal {self.goal_id}: {self.status}. {self.note}".rstrip()
 
 
@@ -57,12 +58,12 @@ async def request_result(
     waits: bool = True,
     report: Report = silent,
 ) -> GoalResult:
-    """Waits for the result of a goal, whoever sent it, and if it `waits` for its server too. A time-out does not cancel
-    the goal.
+    """Wait for the result of a goal, whichever client sent it; if it `waits`, wait for its server to appear, too. A
+    time-out does not cancel the goal.
 
     Raises:
-        NotFound: if no such action is there, or its server left before the goal ended.
-        BadValue: if the goal id is not one.
+        NotFound: if there is no such action, or its server left before the goal ended.
+        BadValue: if the goal id is malformed.
     """
     action = names.absolute(action, "action")
     wait_s = MAX_DURATION_S if timeout_s is None else bounded("timeout_sec", timeout_s, 0.0, MAX_DURATION_S, "s")
@@ -71,7 +72,7 @@ async def request_result(
     if is_awaited:
         near = await robot.types.near_action(action)
         await report(0.0, wait_s, f"Waiting for the action {action}. {near}")
-        action_type = await robot.types.full_name(action_type, "action")  # its server may still have to appear
+        action_type = await robot.types.full_name(action_type, "action")  # its server may not have appeared yet
     known = known_of(robot, action, goal_id)
     try:
         if not is_awaited:
@@ -86,7 +87,7 @@ async def request_result(
 
 
 def known_of(robot: Robot, action: str, goal_id: str) -> str:
-    """What this server knows of a goal that it sent, as a sentence; empty of any other."""
+    """Return a sentence on a goal that this server sent; empty for any other goal."""
     goal = robot.jobs.get(Goal, goal_id)
     if goal is None or goal.action != action:
         return ""
@@ -104,10 +105,10 @@ async def result_of(
     timeout_s: float | None,
     wait_for_service_s: float = SERVER_S,
 ) -> GoalResult:
-    """The same for resolved names. Raises `NotFound` if the server left before the goal ended.
+    """Wait for the result of a goal, given resolved names. Raises `NotFound` if the server left before the goal ended.
 
-    The server answers `get_result` when the goal ends. An answer that is lost on its way (the server had not discovered
-    our client yet) never comes again, so the action's status is read meanwhile, and a lost answer is requested anew.
+    The action server answers `get_result` when the goal ends. A lost answer (the server had not discovered our client
+    yet) is never sent again. So the action's status is read meanwhile, and a lost result is requested again.
     """
     service, service_type = f"{action}/_action/get_result", f"{action_type}_GetResult"
     request = {"goal_id": {"uuid": goal_id_bytes(goal_id)}}
@@ -151,7 +152,7 @@ async def result_of(
 
 
 async def _is_lost(robot: Robot, action: str, goal_id: str, asking: asyncio.Future[Answer]) -> bool:
-    """Waits for the answer; true where it does not come although the action's status says that the goal has ended."""
+    """Wait for the answer. Return True if none comes although the action's status says that the goal has ended."""
     while not (await asyncio.wait({asking}, timeout=_STATUS_EVERY_S))[0]:
         ended = {state.goal_id for state in await states_now(robot, action) if state.status_code in TERMINAL}
         if goal_id in ended:

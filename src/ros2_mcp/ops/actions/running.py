@@ -1,4 +1,4 @@
-"""Which goals run now, on every action and whoever sent them, by the status that action servers publish."""
+"""Find the goals that run now, on every action and from any client, by the status that action servers publish."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ros2_mcp.robot import Robot
 from ros2_mcp.robot.goals import Goal
 
 _MOST_ACTIONS = 60
-"""That are looked at: three times as many as Nav2 and MoveIt have together."""
+"""The most actions that are checked: three times as many as Nav2 and MoveIt have together."""
 _MOST_NAMED = 3
 
 
@@ -35,12 +35,12 @@ class RunningGoal:
 
     @property
     def ended_by(self) -> str:
-        """The one call that ends it."""
+        """The tool call that ends the goal."""
         return f'ros2_cancel_action_goal(action_name="{self.action_name}", goal_id_hex="{self.goal_id}")'
 
     @property
     def sentence(self) -> str:
-        """In words, with that call."""
+        """A sentence about the goal, with the call that ends it."""
         through = f", carried out by {listed(self.carried_by, _MOST_NAMED)}" if self.carried_by else ""
         whose = "this server's own" if self.ours else "another client's"
         return (
@@ -52,9 +52,10 @@ class RunningGoal:
 async def running_goals(
     robot: Robot, actions: Mapping[str, Sequence[str]] | None = None, *, beside: Collection[str] = ()
 ) -> list[RunningGoal]:
-    """Those of these actions, or of every one, that can move a robot; without the goals whose ids are in `beside`.
+    """Return the running goals of these actions, or of all actions, that can move a robot, except
+    those whose ids are in `beside`.
 
-    Takes half a second where a server has had no goal yet. A server that is dead says nothing. Raises as
+    Takes half a second if a server has had no goal yet. A dead server reports nothing. Raises the same errors as
     `Resolution.actions`.
     """
     known = await robot.types.actions() if actions is None else actions
@@ -83,7 +84,9 @@ def _is_ours(robot: Robot, action: str, goal_id: str) -> bool:
 
 
 def from_above(goals: Sequence[RunningGoal]) -> list[RunningGoal]:
-    """The same, those of Nav2's servers told with the goal that they are carried out for, which ends them, too."""
+    """Return the goals without those that Nav2's servers carry out for another goal in the list. That goal names them
+    in `carried_by`; ending it ends them, too.
+    """
     carried: dict[str, list[str]] = {}
     for goal in goals:
         if above := next((one for one in goals if _is_above(one, goal)), None):
@@ -97,7 +100,7 @@ def from_above(goals: Sequence[RunningGoal]) -> list[RunningGoal]:
 
 
 def _is_above(one: RunningGoal, goal: RunningGoal) -> bool:
-    """Whether one navigator's goal is what the other one is carried out for."""
+    """Return whether the goal `goal` is carried out for the goal `one`."""
     if one.action_name.rpartition("/")[0] != goal.action_name.rpartition("/")[0]:
         return False
     if one.action_type == FOLLOW_WAYPOINTS:

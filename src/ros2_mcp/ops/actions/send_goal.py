@@ -1,4 +1,4 @@
-"""`ros2_send_action_goal`: sends a goal, and waits for its result if that is asked for."""
+"""`ros2_send_action_goal`: send a goal, and wait for its result if asked to."""
 
 from __future__ import annotations
 
@@ -29,17 +29,18 @@ from ros2_mcp.robot.session import Session
 from ros2_mcp_common.wire.limits import MAX_DURATION_S
 
 ACCEPT_S = 10.0
-"""A server that is alive says at once whether it takes a goal. With one that takes longer the call fails."""
+"""A live server accepts or rejects a goal at once. If it takes longer than this, the call fails."""
 _LAST_FEEDBACK_S = 0.02
-"""Feedback and result come on different ways: what was sent before the result may arrive a little after it."""
+"""Feedback and result take different paths: feedback that was sent before the result may arrive a little after it."""
 
 _AGAIN_S = 0.2
-"""Between two attempts to follow a goal whose bridge was lost: the next one is there within a second."""
+"""Seconds between two attempts to follow a goal whose bridge was lost: the next bridge is there within a second."""
 _REDISCOVERED_S = 10.0
-"""For the next bridge to discover an action's server: two participants may need several seconds on a busy machine."""
+"""Time for the next bridge to discover an action's server: discovery may take several seconds on a busy machine."""
 _WENT_ON = "The bridge was lost meanwhile: the robot went on with the goal, and the next bridge saw it end."
 _ANNOUNCED_S = 0.1
-"""Announcements take milliseconds; a server that has had no goal has no latched message, and its first one waits."""
+"""Time for an announcement, which takes milliseconds. A server that has had no goal yet has no latched message, so its
+first goal is delayed by this."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,11 +66,13 @@ class GoalOutcome:
 
     @property
     def has_failed(self) -> bool:
-        """Whether its server did not accept it, or gave it up; one that goes on, or was cancelled, is no failure."""
+        """Return whether the server rejected or aborted the goal. A goal that continues, or
+        was cancelled, has not failed.
+        """
         return not self.accepted or self.status == "ABORTED"
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         return f"{self.action_name} goal {self.goal_id}: {self.status}. {self.note}".rstrip()
 
 
@@ -86,17 +89,17 @@ async def send_goal(
     timeout_s: float = 60.0,
     report: Report = silent,
 ) -> GoalOutcome:
-    """Sends a goal, and waits for its result if asked to, reporting its feedback as progress.
+    """Send a goal, and wait for its result if asked to, reporting its feedback as progress.
 
-    A waiting that times out leaves the goal running; a waiting that is cancelled cancels the goal. With `cancel_when`
-    the bridge cancels it as soon as that condition holds (see `asked_for`), also when nobody waits. Where several nodes
-    serve the action, it is sent only with `force`.
+    If the wait times out, the goal continues; if the wait is cancelled, the goal is cancelled. With `cancel_when` the
+    bridge cancels the goal as soon as that condition holds (see `asked_for`), even if no call waits for the result. If
+    several nodes serve the action, the goal is sent only with `force`.
 
     Raises:
         BadInput: if several nodes serve the action.
-        NotFound: if no such action is there, or its server left.
-        BadValue: naming the path of a value that does not fit; nothing is sent.
-        TimedOut: if the server did not say whether it accepts.
+        NotFound: if there is no such action, or its server left.
+        BadValue: if a value does not fit; it names the path, and nothing is sent.
+        TimedOut: if the server neither accepted nor rejected the goal.
     """
     bounded("timeout_sec", timeout_s, 0.0, MAX_DURATION_S, "s")
     action = names.absolute(action, "action")
@@ -126,7 +129,7 @@ async def send_goal(
         async with robot.listen(
             f"{action}/_action/feedback", f"{action_type}_FeedbackMessage", wait_s=SERVER_S
         ) as listening:
-            # A goal can overtake the announcement of that subscription, and its feedback is then sent to nobody: all of
+            # A goal can overtake the announcement of that subscription, and its feedback is then not sent to us: all of
             # it, for 1 in 300 goals that publish at once, on a busy machine. A server takes in announcements in their
             # order: when a later subscription has its latched message, the server knows this one too.
             await states_now(robot, action, _ANNOUNCED_S)
@@ -149,11 +152,11 @@ def _with_note(sent: GoalOutcome, note: str) -> GoalOutcome:
 
 
 Heard = Callable[[Mapping[str, Any]], None]
-"""Is told each feedback of a goal, as JSON."""
+"""Called with each feedback of a goal, as JSON."""
 
 
 async def follow(robot: Robot, goal: Goal, report: Report = silent, heard: Heard = lambda _: None) -> GoalOutcome:
-    """Waits for the end of a goal that was sent, at most an hour, reporting its feedback as progress.
+    """Wait for the end of a goal that was sent, at most an hour, reporting its feedback as progress.
 
     Raises:
         NotFound: if its server left.
@@ -172,7 +175,9 @@ async def _through_losses(
     *,
     was_lost: bool = False,
 ) -> GoalOutcome:
-    """Waits for the end of a goal; a bridge that is lost leaves it to the next one, as the robot goes on with it."""
+    """Wait for the end of a goal. If the bridge is lost, continue with its successor, as the
+    robot continues with the goal.
+    """
     topic, kind = f"{sent.action_name}/_action/feedback", f"{sent.action_type}_FeedbackMessage"
     while True:
         left_s = max(0.0, deadline - monotonic())
@@ -191,7 +196,7 @@ async def _through_losses(
 
 
 async def _submit(robot: Robot, session: Session, command: SendGoal, goal: Mapping[str, Any]) -> GoalOutcome:
-    """Sends the goal; returns when its server has said whether it accepts it."""
+    """Send the goal, and return when its server has accepted or rejected it."""
     await robot.values.learn(command.type)
     complaints = complaints_from_now(robot)
     calling = asyncio.ensure_future(robot.do(command, session))
@@ -225,9 +230,10 @@ async def _submit(robot: Robot, session: Session, command: SendGoal, goal: Mappi
 async def _accepted_meanwhile(
     robot: Robot, command: SendGoal, calling: asyncio.Future[Answer]
 ) -> dict[str, Any] | None:
-    """When the goal was accepted, if the action's status says so while there is no answer; None when there is one.
+    """Return the stamp of acceptance if the action's status has it before the answer arrives;
+    None once the answer is there.
 
-    A server that has not discovered its client yet throws its answer away, and goes on with the goal.
+    A server that has not discovered its client yet drops its answer, and continues with the goal.
     """
     while not (await asyncio.wait({calling}, timeout=STATUS_AFTER_S))[0]:
         for state in await states_now(robot, command.name):
@@ -244,7 +250,7 @@ async def _ending(
     report: Report,
     heard: Heard = lambda _: None,
 ) -> GoalOutcome:
-    """Waits for the result of an accepted goal; takes its feedback meanwhile, and reports the newest."""
+    """Wait for the result of an accepted goal; meanwhile count its feedback, and report the newest."""
     count, last = 0, None
 
     async def take_feedback(first_within_s: float) -> bool:
@@ -287,7 +293,7 @@ async def _ending(
 
 
 async def _give_up(robot: Robot, command: SendGoal) -> None:
-    """Cancels the goal, if it was sent and has not ended."""
+    """Cancel the goal, if it was sent and has not ended."""
     goal = robot.jobs.get(Goal, command.goal_id)
     if goal and goal.is_running:
         with suppress(RobotError):

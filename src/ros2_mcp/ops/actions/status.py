@@ -20,13 +20,16 @@ from ros2_mcp.robot.goals import Goal
 from ros2_mcp_common.wire.limits import MAX_DURATION_S
 
 SERVER_S = 3.0
-"""For an action server that is coming up: its services are discovered one after the other, within 3 s of each other."""
+"""Time for an action server that is starting: its services are discovered one after the
+other, within 3 s of each other."""
 MAX_MESSAGES = 1000
-"""Of one call that follows states or feedback. Chosen: more than a model reads, and a bound on what is collected."""
+"""The most messages of one call that follows states or feedback: more than a model reads,
+and a bound on what is collected."""
 _LATCHED_S = 0.5
-"""The latched message comes with the matching, within milliseconds; a server that has had no goal has none."""
+"""Time for the latched message, which comes with the matching, within milliseconds. A server
+that has had no goal has none."""
 _OTHER_CLOCK_S = 1e8
-"""Three years: a stamp so far from now is of a clock that began at zero, as in a simulation."""
+"""Three years: a stamp further than this from now is from a clock that began at zero, as in a simulation."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +60,7 @@ class StatusFrames:
     note: str = field(metadata=IF_ANY)
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         return f"{counted(len(self.frames), 'status message')} in {self.duration_sec:.2f} s. {self.note}".rstrip()
 
 
@@ -89,7 +92,7 @@ class KnownGoals:
 
 
 async def states_now(robot: Robot, action: str, within_s: float = _LATCHED_S) -> list[GoalState]:
-    """The newest states; none where the server has not published any."""
+    """Return the newest states of an action's goals; none if the server has not published any."""
     try:
         async with robot.listen(f"{action}/_action/status", STATUS_TYPE, keep="latest") as listening:
             samples = await listening.take(within_s)
@@ -99,7 +102,7 @@ async def states_now(robot: Robot, action: str, within_s: float = _LATCHED_S) ->
 
 
 async def states_in(robot: Robot, sample: Sample) -> list[GoalState]:
-    """The states in one message of the topic."""
+    """Return the states in one status message."""
     message: Mapping[str, Any] = await robot.values.in_full(STATUS_TYPE, sample.data)
     return [
         GoalState(
@@ -115,10 +118,10 @@ async def states_in(robot: Robot, sample: Sample) -> list[GoalState]:
 async def follow_status(
     robot: Robot, action: str, *, duration_s: float = 5.0, max_messages: int = 100, report: Report = silent
 ) -> StatusFrames:
-    """The states of an action's goals for some seconds; the last known states come first.
+    """Return the states of an action's goals over some seconds; the last known states come first.
 
     Raises:
-        NotFound: if no such action is there.
+        NotFound: if there is no such action.
     """
     bounded("duration_sec", duration_s, 0.0, MAX_DURATION_S, "s")
     bounded("max_messages", max_messages, 1, MAX_MESSAGES, "messages")
@@ -139,7 +142,7 @@ async def follow_status(
 
 
 async def all_goals(robot: Robot) -> KnownGoals:
-    """Every goal whose state an action server publishes, with state and age."""
+    """Return every goal whose state an action server publishes, with state and age."""
     actions = sorted(await robot.types.actions())
     goals: list[KnownGoal] = []
     states_by_action = await asyncio.gather(*(states_now(robot, action) for action in actions))

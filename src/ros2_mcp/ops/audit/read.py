@@ -1,4 +1,4 @@
-"""Reading the audit: what a client did, what was refused, and what became of it."""
+"""Read the audit: a client's commands, refusals, and their outcomes."""
 
 from __future__ import annotations
 
@@ -19,12 +19,13 @@ from ros2_mcp.robot import Robot
 from ros2_mcp.robot.session import Session
 
 MOST = 500
-"""Acts in one answer."""
+"""The most acts in one answer."""
 _LINES = 20
-"""Acts that a summary tells; all are in the values."""
+"""The most acts in a summary; the values have all."""
 _SHOWN = ("act", "waits", "refused", "goal ended")
 _MOST_LINES = 100_000
-"""Of the audit, that are searched for the acts of one client among those of others: they are read in a second."""
+"""The most lines of the audit that are searched for the acts of one client among those of
+others: they are read in a second."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,7 +51,7 @@ class AuditedAct:
     value: Mapping[str, Any] | None = None
 
     def in_words(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         outcome = quoted(self.outcome or self.reason) if self.outcome or self.reason else "no outcome known"
         return f"{self.number} {self.time} {self.verb} {named(self.name)}: {outcome}"
 
@@ -72,7 +73,7 @@ class AuditExcerpt:
 
 
 async def read(robot: Robot, session: Session, limit: int = 50) -> AuditExcerpt:
-    """The newest acts of the client that asks.
+    """Return the newest acts of the client that asks.
 
     Raises:
         BadValue: if the limit is out of range.
@@ -81,7 +82,7 @@ async def read(robot: Robot, session: Session, limit: int = 50) -> AuditExcerpt:
     auditing = robot.guard.audit
     if not isinstance(auditing, Auditing) or auditing.log.path is None:
         return AuditExcerpt(acts=(), head="", failed="", note="This server keeps no audit.")
-    await auditing.log.written()  # what this client has just done is among it
+    await auditing.log.written()  # it then has what this client has just done
     acts = await to_thread.run_sync(_acts, auditing.log.path, session.principal.name, limit)
     return AuditExcerpt(
         acts=acts,

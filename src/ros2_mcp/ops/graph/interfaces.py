@@ -1,4 +1,4 @@
-"""Listing interfaces and showing their definitions, as `ros2 interface list` and `ros2 interface show` do."""
+"""List interfaces and show their definitions, as `ros2 interface list` and `ros2 interface show` do."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class InterfaceList:
     note: str = field(metadata=IF_ANY)
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         return f"{len(self.interfaces)} of {self.total} interfaces. {self.note}".rstrip()
 
 
@@ -42,14 +42,14 @@ class Definition:
     hash: str
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         return f"{self.message_type} ({self.kind})"
 
 
 async def list_interfaces(
     robot: Robot, pattern: str = "", kind: str = "", package: str = "", limit: int = 200
 ) -> InterfaceList:
-    """The interfaces installed where the bridge runs; of a recording those that it has."""
+    """Return the interfaces that are installed where the bridge runs; for a recording, those that it has."""
     if kind and kind not in names.KINDS:
         raise BadName(f"{kind!r} is not a kind of interface.", f"Give one of {', '.join(names.KINDS)}.")
     installed = [name for name in await robot.graph.interfaces() if not names.is_derived(name)]
@@ -62,10 +62,10 @@ async def list_interfaces(
 
 
 async def define(robot: Robot, type_name: str) -> Definition:
-    """The definition of a message, service or action; `pkg/Name` and `Name` find the rest by themselves.
+    """Return the definition of a message, service or action. `pkg/Name` and `Name` are completed to the full name.
 
     Raises:
-        TypeConflict: if several have this name.
+        TypeConflict: if several interfaces have this name.
         UnknownInterface: if it is not installed where the bridge runs.
     """
     full = await robot.types.full_name(type_name)

@@ -1,4 +1,4 @@
-"""Names of the graph as it is now, quickly or not at all: for completions, and for prompts that name topics."""
+"""Names of the present graph, or none if they take too long: for completions, and for prompts that name topics."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from ros2_mcp.robot import Robot
 from ros2_mcp.robot.resolution import is_infrastructure
 
 PATIENCE_S = 1.0
-"""A completion that comes later than this is of no use to somebody who types."""
+"""A completion that arrives later is of no use to a person who types."""
 _ACTION_SERVICE = "/_action/send_goal"
-"""What the name of an action's service ends with; every action has exactly one."""
+"""The suffix of the name of an action's service; every action has exactly one."""
 
 
 async def live_names(robot: Robot, kind: str, within_s: float = PATIENCE_S) -> list[str]:
-    """The names of a kind, sorted: the robot's own names come before names that every ROS system has.
+    """Return the names of a kind, sorted: the robot's own names before those that every ROS system has.
 
     Args:
         robot: the robot.
@@ -27,7 +27,7 @@ async def live_names(robot: Robot, kind: str, within_s: float = PATIENCE_S) -> l
         within_s: how long to wait for the robot, and for discovery to settle.
 
     Returns:
-        Nothing for another kind, or where the robot does not answer in time.
+        Nothing for another kind, or if the robot does not answer in time.
     """
     if kind not in _LISTS:
         return []
@@ -35,11 +35,11 @@ async def live_names(robot: Robot, kind: str, within_s: float = PATIENCE_S) -> l
         found = await asyncio.wait_for(_LISTS[kind](robot, within_s), within_s)
     except (TimeoutError, asyncio.TimeoutError, RobotError):  # two time-out types until Python 3.11
         return []
-    return [name for name in found if is_name(name)]  # a recording may have others, which no tool takes
+    return [name for name in found if is_name(name)]  # a recording may have other names, which no tool accepts
 
 
 async def topic_types(robot: Robot, topic: str) -> list[str]:
-    """The types of one topic; nothing where it is not known within `PATIENCE_S`."""
+    """Return the types of one topic; none if it is not known within `PATIENCE_S`."""
     try:
         found = await asyncio.wait_for(robot.graph.topics(PATIENCE_S), PATIENCE_S)
         full_name = await robot.graph.name_of(topic)
@@ -49,7 +49,7 @@ async def topic_types(robot: Robot, topic: str) -> list[str]:
 
 
 def is_of_every_node(topic: str) -> bool:
-    """Whether every ROS system has the topic, such as /rosout, so that it says nothing about this robot."""
+    """Return whether every ROS system has the topic, such as /rosout, so that it says nothing about this robot."""
     return topic in OF_EVERY_NODE
 
 
@@ -74,7 +74,7 @@ async def _actions(robot: Robot, within_s: float) -> list[str]:
 
 
 async def _message_types(robot: Robot, within_s: float) -> list[str]:
-    """The types that the topics have, then every other message type that is installed."""
+    """Return the types of the topics, then every other message type that is installed."""
     in_use = sorted({kind for row in await robot.graph.topics(within_s) for kind in row.types})
     in_use = [name for name in in_use if not names.is_derived(name)]
     installed = [name for name in await robot.graph.interfaces(within_s) if "/msg/" in name]
@@ -89,4 +89,4 @@ _LISTS: Mapping[str, Callable[[Robot, float], Awaitable[list[str]]]] = {
     "message_type": _message_types,
     "interface": lambda robot, within_s: robot.graph.interfaces(within_s),
 }
-"""Kind of name → the function that lists them, within a time in seconds."""
+"""Kind of name → the function that lists the names of that kind, within a time in seconds."""

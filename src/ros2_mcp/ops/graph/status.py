@@ -1,4 +1,4 @@
-"""The state of the server and its bridge: versions, health, and what is not possible here."""
+"""The state of the server and its bridge: versions, health, and limitations."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ from ros2_mcp.robot import Robot
 
 NO_POLICY = "none is in force; every valid command is sent"
 _OTHER_CLOCK_S = 0.5
-"""Less matters to nobody: tf2 and people wait for tenths of a second. Far above what a long way leaves uncertain."""
+"""A smaller offset of the clocks does not matter: tf2 and people wait for tenths of a second. It is far above the
+uncertainty of a slow link."""
 _LAST_RESTARTS = 5
-"""The reasons of the last ones are enough to see a pattern; `bridge_starts` counts all."""
+"""The reasons of the last restarts are enough to see a pattern; `bridge_starts` counts all."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,17 +64,18 @@ class Status:
     limitations: Sequence[str]
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         ros = f"ROS 2 {self.distro} with {self.rmw}, domain {self.domain_id}; bridge {self.bridge_node} is up."
         strength = f" ({self.policy_strength})" if self.policy_strength else ""
         return f"{ros} Policy: {self.policy}{strength}. {self.note}".rstrip()
 
 
 async def status(robot: Robot, limitations: Sequence[str] = ()) -> Status:
-    """The state of the server and its bridge; `limitations` are those of the server that the robot does not know.
+    """Return the state of the server and its bridge; `limitations` are those of the server,
+    which the robot does not know.
 
     Raises:
-        LinkError: saying what is missing, if there is no bridge.
+        LinkError: if there is no bridge; it says what is missing.
     """
     bridge, absence = await asyncio.gather(robot.graph.bridge_status(), robot.graph.absence())
     found = list(limitations)
@@ -129,7 +131,7 @@ async def status(robot: Robot, limitations: Sequence[str] = ()) -> Status:
 
 
 def _other_clock(offset_s: float | None) -> str:
-    """In words, that the clocks of robot and server differ; empty where that matters to nobody."""
+    """Return a sentence if the clocks of robot and server differ; empty if the difference does not matter."""
     if offset_s is None or abs(offset_s) < _OTHER_CLOCK_S:
         return ""
     return (

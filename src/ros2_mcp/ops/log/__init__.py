@@ -1,1 +1,1 @@
-"""Reading the log of the robot's nodes."""
+"""Read the log of the robot's nodes."""

@@ -1,4 +1,6 @@
-"""What the robot's nodes warned of while something was tried: the reason of a failure is mostly in their own words."""
+"""Collect the warnings and errors that the robot's nodes log during an attempt: they
+mostly give the reason of a failure.
+"""
 
 from __future__ import annotations
 
@@ -17,28 +19,31 @@ from ros2_mcp.robot.log import LOG_TYPE, level_of
 
 _WARN = 30
 _BEFORE_NS = 500_000_000
-"""A node may log the reason before the call's time by our clock: the clocks of two machines differ by that at most."""
+"""Lines are included from this long before the call, by our clock: the clocks of two
+machines differ by that at most."""
 _OTHER_CLOCK_NS = 60_000_000_000
-"""Lines whose stamp is so far from their receipt are stamped by another clock, such as simulated time."""
+"""Lines whose stamp is further than this from their receipt are stamped by another clock, such as simulated time."""
 _LISTENING_S = 1.0
-"""Until /rosout is subscribed; nodes then send what they logged in the last ten seconds."""
+"""Time to subscribe to /rosout; nodes then send the lines that they logged in the last ten seconds."""
 _LATE_S = 0.4
-"""For a line that is still on its way: the log is drained several times a second."""
+"""Time for a line that is still on its way: the log is drained several times a second."""
 _LOOK_S = 0.05
 _MOST_LINES = 3
-"""In a sentence; ros2_log_read has the rest."""
+"""The most lines in a sentence; ros2_log_read has the rest."""
 
 
 @dataclass(frozen=True, slots=True)
 class Complaints:
-    """The WARN and ERROR lines from something on that is tried: made before it, asked after it has failed."""
+    """The WARN and ERROR lines that are logged during an attempt: create it before the attempt,
+    and call `said` after a failure.
+    """
 
     robot: Robot
     since_ns: int
 
     async def said(self, *nodes: str) -> str:
-        """A sentence with the WARN and ERROR lines since then, of these nodes alone if any are given; empty where there
-        are none. Takes up to 1.5 s; raises no `RobotError`.
+        """Return a sentence with the WARN and ERROR lines since then, only of these nodes if any are given; empty if
+        there are none. Takes up to 1.5 s; raises no `RobotError`.
         """
         try:
             await self.robot.values.learn(LOG_TYPE)
@@ -53,7 +58,7 @@ class Complaints:
         return f"The robot logged meanwhile: {told}." if told else ""
 
     def _lines(self, nodes: Sequence[str]) -> list[LogLine]:
-        """Each text of a node once, where it was said last."""
+        """Return the lines; a text that a node repeats is listed once, at its last place."""
         found: dict[tuple[str, str], LogLine] = {}
         for sample in self.robot.log.lines:
             if level_of(sample.data) < _WARN:
@@ -71,6 +76,6 @@ class Complaints:
 
 
 def complaints_from_now(robot: Robot) -> Complaints:
-    """From now on; the log is listened to, if it was not yet."""
+    """Return the warnings and errors logged from now on. Subscribes to /rosout if needed."""
     robot.log.start()
     return Complaints(robot, robot.now_ns())

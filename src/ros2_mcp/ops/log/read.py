@@ -30,15 +30,15 @@ if TYPE_CHECKING:
     from ros2_mcp.values.cdr import Codec
 
 LEVELS: Mapping[str, int] = {"debug": 10, "info": 20, "warn": 30, "error": 40, "fatal": 50}
-# Characters of one line: a node that logs whole messages must not take the room of all others.
+# The most characters of one line: a node that logs whole messages must not take the room of all others.
 MAX_TEXT = 2000
-# Nodes send their last lines (`TRANSIENT_LOCAL`) as soon as they have matched, which takes them up to a second.
+# Nodes send their last lines (`TRANSIENT_LOCAL`) once they have matched, which takes up to a second.
 _HISTORY_S = 1.0
-# Where they had none, as they keep them for ten seconds: the next one of a robot that says something now and then.
+# Nodes keep lines for ten seconds. If they had none, this is the wait for the next line.
 _FIRST_S = 2.0
-# As long as a bridge may take to start.
+# The longest time in which a bridge may start.
 _READY_S = 20.0
-# Of a line beside its texts: time, level, and the names of the fields.
+# Bytes of a line besides its texts: time, level, and the names of the fields.
 _LINE_BYTES = 100
 _SINCE_HINT = "Give seconds ago, such as 30, or a time, such as 2030-01-31T12:00:00Z."
 _NAMES = {number: name.upper() for name, number in LEVELS.items()}
@@ -80,14 +80,14 @@ class Log:
     seconds_in: Sequence[float] = field(default=(), metadata=beside("lines"))
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         of = f"{self.kept} kept" if self.source == "live" else f"{self.kept} in {self.source}"
         return f"{len(self.lines)} of {counted(self.matched, 'line')}, {of}. {self.note}".rstrip()
 
 
 @dataclass(frozen=True, slots=True)
 class LogRequest:
-    """Which lines: since and up to when (seconds ago or ISO 8601), of which node, level and text."""
+    """The requested lines: since and up to when (seconds ago or ISO 8601), of which node, level and text."""
 
     since: str = ""
     until: str = ""
@@ -98,14 +98,14 @@ class LogRequest:
 
 
 async def read(robot: Robot, request: LogRequest, max_bytes: int = 32_000) -> Log:
-    """Lines that are kept; the first call of a server that has not listened yet waits for the nodes' last lines.
+    """Return the lines in memory. The first call of a server waits for the nodes' last lines.
 
     Raises:
-        BadInput: for a level, time or limit that cannot be.
+        BadInput: for an invalid level, time or limit.
         LinkError: if there is no bridge to listen with.
     """
     least, asked_at = level_number(request.level), monotonic()
-    _span_ns(request, robot.now_ns())  # raises before anything is waited for
+    _span_ns(request, robot.now_ns())  # raises before any wait
     bounded("limit", request.limit, 1, MAX_LINES, "lines")
     robot.log.start()
     await robot.graph.ready()
@@ -117,7 +117,7 @@ async def read(robot: Robot, request: LogRequest, max_bytes: int = 32_000) -> Lo
     await _first_line(robot, _FIRST_S - _listened_s(robot))
     await robot.values.learn(LOG_TYPE)
     kept = robot.log.lines
-    # the level is read from the bytes: most lines of a talkative robot need not be decoded
+    # the level is read from the bytes, so that most lines need not be decoded
     found = _Matching(robot.values.codec, LOG_TYPE, request, since_ns, until_ns)
     found.add([sample for sample in kept if level_of(sample.data) >= least])
     lines, matched = _fitting(found.messages, max_bytes), found.matched
@@ -152,10 +152,10 @@ async def read(robot: Robot, request: LogRequest, max_bytes: int = 32_000) -> Lo
 
 
 def _span_ns(request: LogRequest, now_ns: int) -> tuple[int, int]:
-    """The times between which lines are asked for, if it is that time for the robot."""
+    """Return the beginning and the end of the requested lines, as Unix times in ns, if `now_ns` is the robot's time."""
     if not request.until:
         return since(request.since, now_ns), FOREVER
-    # all of the microsecond that is shown
+    # until the end of the microsecond that is shown
     return since(request.since, now_ns), last_ns_of(request.until, since(request.until, now_ns, "end"))
 
 
@@ -164,7 +164,7 @@ def _listened_s(robot: Robot) -> float:
 
 
 async def _first_line(robot: Robot, within_s: float) -> None:
-    """Waits for a line where there is none yet."""
+    """Wait for a line if there is none yet."""
     has_come = asyncio.Event()
     end = robot.log.on_line(lambda _level, _line: has_come.set())
     with anyio.move_on_after(0 if robot.log.lines else within_s):
@@ -173,10 +173,10 @@ async def _first_line(robot: Robot, within_s: float) -> None:
 
 
 async def read_recorded(source: Source, request: LogRequest, max_bytes: int) -> Log:
-    """Lines of /rosout that a recording has in the source's time; `since` has no meaning there.
+    """Return the lines of /rosout that a recording has in the source's time; `since` is ignored.
 
     Raises:
-        BadInput: for a level or limit that cannot be.
+        BadInput: for an invalid level or limit.
         NotFound: if /rosout was not recorded.
     """
     level_number(request.level)  # raises before anything is read
@@ -201,7 +201,7 @@ async def read_recorded(source: Source, request: LogRequest, max_bytes: int) -> 
 
 
 class _Matching:
-    """The newest messages that are meant, at most the limit of the request; `matched` counts all."""
+    """The newest messages that match the request, at most its limit; `matched` counts all that match."""
 
     def __init__(
         self, codec: Codec, type_name: str, request: LogRequest, since_ns: int = 0, until_ns: int = FOREVER
@@ -217,7 +217,7 @@ class _Matching:
         self._span_ns = since_ns, until_ns
 
     def add(self, samples: Sequence[Sample]) -> None:
-        """Takes in messages, in the order of time."""
+        """Add messages, in the order of time."""
         for sample in samples:
             try:
                 message: Any = self._codec.decode(self._type, sample.data)
@@ -232,7 +232,7 @@ class _Matching:
 
     @property
     def skipped(self) -> str:
-        """In words, how many could not be decoded; empty where all could."""
+        """A sentence with the number of lines that could not be decoded; empty if all could."""
         return undecodable(self._undecodable, self._trouble) if self._undecodable else ""
 
     def _is_meant(self, message: Any) -> bool:
@@ -245,9 +245,9 @@ class _Matching:
 
 
 def _fitting(messages: Sequence[Any], max_bytes: int) -> list[LogLine]:
-    """The newest of the lines, as many as fit, the oldest first.
+    """Return the newest lines that fit, the oldest first.
 
-    Not evenly spread, as `ops/sources/selection.fit` does: what a log says last is what matters.
+    They are not evenly spread, as by `ops/sources/selection.fit`, because the last lines of a log matter most.
     """
     lines: list[LogLine] = []
     for message in reversed(messages):
@@ -262,7 +262,7 @@ def _fitting(messages: Sequence[Any], max_bytes: int) -> list[LogLine]:
 
 
 def line_of(robot: Robot, sample: Sample) -> LogLine:
-    """A line of /rosout whose type has been learnt."""
+    """Return a line of /rosout. Its type must have been learnt."""
     return _line(robot.values.decode(LOG_TYPE, sample))
 
 
@@ -288,7 +288,7 @@ def _stamp_ns(message: Any) -> int:
 
 
 def level_number(name: str) -> int:
-    """The number of a level's name; empty is every level. Raises `BadInput` for another word."""
+    """Return the number of a level's name; an empty name is every level. Raises `BadInput` for another word."""
     word = {"warning": "warn", "critical": "fatal"}.get(name.strip().lower(), name.strip().lower())
     if word and word not in LEVELS:
         raise BadInput(f"There is no level {name!r}.", did_you_mean(word, list(LEVELS), f"Give {', '.join(LEVELS)}."))
@@ -296,7 +296,7 @@ def level_number(name: str) -> int:
 
 
 def since(text: str, now_ns: int, name: str = "since") -> int:
-    """A Unix time in nanoseconds out of seconds ago, `2 min ago`, a UNIX time or an ISO 8601 time; empty is 0.
+    """Return the Unix time in nanoseconds for seconds ago, `2 min ago`, a UNIX time or an ISO 8601 time; 0 if empty.
 
     Raises:
         BadValue: for anything else.
@@ -311,8 +311,8 @@ def since(text: str, now_ns: int, name: str = "since") -> int:
 
 
 def is_node(name: str, node: str) -> bool:
-    """Whether a logger (`ns.node` or `/ns/node`, or its child `ns.node.part`) is of the node: its name in either form,
-    a part of it or a glob.
+    """Return whether a logger (`ns.node` or `/ns/node`, or its child `ns.node.part`) belongs to the node. `node` is its
+    name in either form, a part of it or a glob.
     """
     name = name.strip("/").replace("/", ".")
     dotted = node.strip().strip("/").replace("/", ".")
@@ -324,7 +324,9 @@ def is_node(name: str, node: str) -> bool:
 
 
 def has_text(text: str, pattern: str) -> bool:
-    """Whether a text contains the pattern, whatever its case; with `*` or `?` it is a glob for the whole text."""
+    """Return whether a text contains the pattern, regardless of case; with `*` or `?`
+    it is a glob for the whole text.
+    """
     if any(sign in pattern for sign in "*?"):
         return fnmatchcase(text.lower(), pattern.lower())
     return pattern.lower() in text.lower()

@@ -1,1 +1,1 @@
-"""The past: recordings, bags, playbacks, and messages that were kept."""
+"""The past: recordings, bags, playbacks, and stored messages."""

@@ -1,4 +1,4 @@
-"""The bags of one server: the folders that it may write and read, and the bags that are open."""
+"""The bags of one server: the folders that it may write and read, and the open bags."""
 
 from __future__ import annotations
 
@@ -22,25 +22,28 @@ if TYPE_CHECKING:
 
 RECORDINGS = Path("~/ros2-mcp/recordings")
 _MOST_OPEN = 4
-"""Bags that stay open with their index and types, some MB each: enough to compare two while two are recorded."""
+"""The most bags that stay open with their index and types, some MB each: enough to
+compare two while two are recorded."""
 _DEEPEST = 4
-"""How many levels of folders are searched for bags: robot/day/run and one more; a home folder has thousands."""
+"""How many levels of folders are searched for bags: robot/day/run and one more. A home
+folder has thousands of folders."""
 BLACK_BOX = "black-box"
 """The name of the server's own black box among the bags."""
 _BLACK_BOX_WORDS = ("black box", "black_box", "blackbox")
 
 
 _MOST_FOREIGN = 5
-"""Recordings of ROS 1 that a list names."""
+"""The most recordings of ROS 1 that a list names."""
 _MOST_TOLD = 10
-"""Lines about damage in one answer, of which ros2_bag_info has up to 50 of each file; bags that a hint names."""
+"""The most lines about damage in one answer (ros2_bag_info has up to 50 for each file), and
+the most bags that a hint names."""
 _read_in_call: ContextVar[dict[Path, OpenedBag] | None] = ContextVar("_read_in_call", default=None)
-"""The bags that are read on behalf of one call, in whatever task or thread: so that no reader can forget damage."""
+"""The bags that are read on behalf of one call, in whatever task or thread, so that every reader reports damage."""
 
 
 @dataclass(frozen=True, slots=True)
 class OwnBag:
-    """A bag that this server writes, or wrote."""
+    """A bag that this server writes, or has written."""
 
     folder: Path
     is_growing: Callable[[], bool]
@@ -48,7 +51,9 @@ class OwnBag:
 
 
 class OpenedBag:
-    """A bag that stays open, with the name by which it was asked for; only the thread that has the lock may read it."""
+    """A bag that stays open, with the name by which it was requested. Only the thread
+    that holds the lock may read it.
+    """
 
     def __init__(self, name: str, path: Path) -> None:
         self.name = name
@@ -58,11 +63,13 @@ class OpenedBag:
         self._mark: tuple[int, int] | None = None
         self._codec: RecordedCodec | None = None
         self.read_as: dict[str, str] = {}
-        """The older distribution whose definition was taken for a type."""
+        """For each type read by an older definition: the distribution that defines it."""
 
     @property
     def codec(self) -> RecordedCodec:
-        """Reads its messages. Types are compiled once and kept until the bag has another definition of one of them."""
+        """The codec for the bag's messages. Types are compiled once and kept until the bag has
+        another definition of one of them.
+        """
         if self._codec is None:
             from ros2_mcp.values.definitions import Definitions
             from ros2_mcp.values.json_messages import RecordedCodec
@@ -73,9 +80,9 @@ class OpenedBag:
 
     @contextmanager
     def reading(self) -> Generator[Bag, None, None]:
-        """The bag as it is now, for one thread to read; raises as `Bag`.
+        """Return the bag in its present state, for one thread to read. Raises the same errors as `Bag`.
 
-        It is opened anew when its files have changed; those files that have not are then not read again.
+        The bag is opened again when its files have changed; unchanged files are not read again.
         """
         from ros2_mcp.bags.bag import Bag  # imports mcap and YAML, a tenth of the time that all tools take to import
 
@@ -94,8 +101,8 @@ class OpenedBag:
 class BagStore:
     """The folders that may be written (`record_dir`) and read (`bag_dir`, and what was recorded).
 
-    `subject` is the recording that stands for the robot, if one does; it may be read wherever it is.
-    `own` are the bags that this server writes or wrote, by their names, in the order in which they were begun.
+    `subject` is the recording that stands for the robot, if there is one; it may be read wherever it is. `own` are the
+    bags that this server writes or has written, by name, in the order of their beginnings.
     """
 
     def __init__(self, record_dir: Path = RECORDINGS, bag_dir: Path | None = None, subject: Path | None = None) -> None:
@@ -108,13 +115,14 @@ class BagStore:
 
     @property
     def subject_name(self) -> str:
-        """The name of the recording that stands for the robot; empty where there is none."""
+        """The name of the recording that stands for the robot; empty if there is none."""
         return self.subject.name if self.subject else ""
 
     def writes(self, folder: Path, is_growing: Callable[[], bool], now_ns: Callable[[], int] = time.time_ns) -> None:
-        """Notes a bag that this server begins to write, what tells whether it still does, and whose clock it has.
+        """Register a bag that this server begins to write, with a function that says
+        whether it still does, and its clock.
 
-        Of those that have ended nothing but the folder is kept: what tells it holds a whole recording.
+        Of bags that have ended only the folder is kept, because `is_growing` keeps a whole recording in memory.
         """
         for name, one in self.own.items():
             if not one.is_growing():
@@ -122,10 +130,10 @@ class BagStore:
         self.own[folder.name] = OwnBag(folder, is_growing, now_ns)
 
     async def close(self) -> None:
-        """Closes the bags that are open; what is being recorded goes on.
+        """Close the open bags. Recordings in progress continue.
 
-        A bag that a thread reads, whose call may be long over, is left to the end of the process: a descriptor that is
-        closed meanwhile may be that of another file when it is read.
+        A bag that a thread is reading, perhaps for a call that is over, is left to the end of the process: a descriptor
+        that is closed meanwhile may belong to another file when it is read.
         """
         for opened in self._opened.values():
             if opened.lock.acquire(blocking=False):
@@ -138,9 +146,11 @@ class BagStore:
 
     @contextmanager
     def noting_damage(self) -> Generator[Callable[[], list[str]], None, None]:
-        """While it is entered, the bags that are read are noted; what it gives says what of them is damaged or missing.
+        """Register the bags that are read inside the context. The yielded function returns what
+        is damaged or missing in them.
 
-        It has at most ten lines. Damage is told as far as it is known, which is all in the part that was read.
+        That is at most ten lines, and one with the number of others. It covers the known damage, which is all damage in
+        the parts that were read.
         """
         noted: dict[Path, OpenedBag] = {}
         token = _read_in_call.set(noted)
@@ -156,19 +166,19 @@ class BagStore:
             _read_in_call.reset(token)
 
     def is_growing(self, bag: Bag) -> bool:
-        """Whether this server is recording it."""
+        """Return whether this server is recording the bag."""
         return self.recorded_until_ns(bag) is not None
 
     def recorded_until_ns(self, bag: Bag) -> int | None:
-        """Now, by the clock of the bag's times, if this server is recording it; else None."""
-        own = list(self.own.values())  # at once: this is a thread, and recordings begin in another
+        """Return the present time, by the clock of the bag, if this server is recording it; else None."""
+        own = list(self.own.values())  # a copy: this is a thread, and another one may begin a recording
         for written in own:
             if written.is_growing() and bag.path.resolve().is_relative_to(written.folder.resolve()):
                 return written.now_ns()
         return None
 
     def problems_of(self, bag: Bag) -> list[str]:
-        """What is damaged or missing; that the end is not written yet is no damage while it is being recorded."""
+        """Return what is damaged or missing in a bag. A missing end is no damage while the bag is being recorded."""
         problems = bag.problems
         if self.is_growing(bag):
             unfinished = set(bag.unfinished)
@@ -176,7 +186,7 @@ class BagStore:
         return problems
 
     def bag_names(self) -> dict[str, Path]:
-        """Every bag that may be read, by its name: its path below the folder."""
+        """Return every bag that may be read, by its name, which is its path below the folder."""
         from ros2_mcp.bags.recordings import recordings_in
 
         found: dict[str, Path] = {self.subject.name: self.subject} if self.subject else {}
@@ -190,7 +200,9 @@ class BagStore:
         return found
 
     def not_listed(self) -> str:
-        """In words, what below the folders is no bag that can be read, and where nobody looked for any."""
+        """Return sentences on recordings below the folders that cannot be read, and on
+        folders that were not searched.
+        """
         from ros2_mcp.bags.recordings import foreign_in
 
         foreign: dict[str, None] = {}
@@ -209,7 +221,7 @@ class BagStore:
         return " ".join(told)
 
     def find_bag(self, name: str) -> Path:
-        """The path of a bag that may be read.
+        """Return the path of a bag that may be read.
 
         Raises:
             NotFound: if there is no bag of that name below the folders.
@@ -219,7 +231,7 @@ class BagStore:
             return self.subject
         from ros2_mcp.bags.recordings import is_recording  # imports YAML
 
-        if "\0" in name:  # no name of a file has it, and `pathlib` would fail
+        if "\0" in name:  # no file name contains it, and `pathlib` would fail
             raise BadInput(
                 f"{name!r} is not the name of a bag: it contains a NUL character.", "ros2_bag_list shows the names."
             )
@@ -238,23 +250,25 @@ class BagStore:
         )
 
     def which(self) -> str:
-        """A hint: the names of the first bags that may be read, if there are any, and what lists them all."""
+        """Return a hint: the names of the first bags that may be read, if there are any,
+        and the tool that lists them all.
+        """
         first = listed(list(self.bag_names()), _MOST_TOLD)
         return f"{f'Bags: {first}. ' if first else ''}ros2_bag_list lists what can be read."
 
     def opened_names(self) -> list[str]:
-        """The bags that are open, by the names that `reading` takes, the last one first."""
+        """Return the names of the open bags, as `reading` takes them, the last one first."""
         with self._looking_up:
             return [opened.name for opened in self._opened.values() if opened.bag][::-1]
 
     @contextmanager
     def reading(self, name: str) -> Generator[Bag, None, None]:
-        """A bag for one thread to read; it stays open for the next time, unless it changes meanwhile."""
+        """Return a bag for one thread to read. It stays open for the next time, unless it changes meanwhile."""
         with self.opened(name).reading() as bag:
             yield bag
 
     def opened(self, name: str) -> OpenedBag:
-        """A bag that is opened when it is read; raises as `find_bag`."""
+        """Return a bag that will be opened when it is read. Raises the same errors as `find_bag`."""
         path = self.find_bag(name)
         with self._looking_up:
             opened = self._opened[path] = self._opened.pop(path, None) or OpenedBag(name, path)
@@ -264,13 +278,13 @@ class BagStore:
 
     @property
     def _roots(self) -> Sequence[Path]:
-        """The folders that may be read; where both have a bag of the same name, it is the one recorded here."""
+        """The folders that may be read. If both have a bag of the same name, the one recorded here is used."""
         return list(dict.fromkeys((self.record_dir, self.bag_dir)))
 
 
 def _below(root: Path) -> tuple[list[Path], list[Path]]:
-    """The folder itself and the folders below it, none that is hidden or cannot be read; and those that have folders
-    which are too deep to be searched.
+    """Return the folder itself and the readable folders below it, without hidden ones; and the folders whose subfolders
+    are too deep to be searched.
     """
     searched: list[Path] = []
     deeper: list[Path] = []
@@ -291,7 +305,7 @@ def _schemas(bag: Bag) -> dict[str, tuple[str, str]]:
 
 
 def _mark(path: Path) -> tuple[int, int]:
-    """Size and newest time of the files, which differ whenever the files do."""
+    """Return the total size and the newest modification time (ns) of the files, which differ whenever the files do."""
     from ros2_mcp.bags.recordings import files_of
 
     size = newest_ns = 0
@@ -299,7 +313,7 @@ def _mark(path: Path) -> tuple[int, int]:
     with suppress(RobotError):
         files = files or files_of(path)
     for file in files:
-        with suppress(OSError):  # a ring drops its oldest file at any time; reading the bag tells what cannot be read
+        with suppress(OSError):  # a ring drops its oldest file at any time; reading the bag reports missing files
             if file.is_file():
                 facts = file.stat()
                 size, newest_ns = size + facts.st_size, max(newest_ns, facts.st_mtime_ns)

@@ -1,4 +1,4 @@
-"""Bags: which there are, what is in them, and their messages."""
+"""Bags: list them, and read their contents and messages."""
 
 from __future__ import annotations
 
@@ -26,12 +26,13 @@ if TYPE_CHECKING:
     from ros2_mcp.bags.bag import Bag
 
 _CHECK_S = 2.0
-"""How long a bag is looked through for damage: some 150 MB of compressed pictures, or half a million small messages
-(measured on a busy machine). Chosen: who asks what is in a bag does not wait longer; who reads it is told of damage."""
+"""How long a bag is checked for damage: some 150 MB of compressed pictures, or half a million small messages (measured
+on a busy machine). A request for the contents of a bag should not take longer; reading the messages reports damage,
+too."""
 _CHECK_TURN_S = 0.2
-"""For so long nobody else can read the bag."""
+"""How long one turn of the check lasts, in which no other thread can read the bag."""
 MAX_MESSAGES = 10_000
-"""Of one call: more than that cannot be shown in any result."""
+"""The most messages of one call: more cannot be shown in any result."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +54,7 @@ class BagList:
     note: str = field(default="", metadata={**IF_ANY, **SAID})
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         return f"{len(self.bags)} of {self.total} bags in {self.folder}. {self.note}".rstrip()
 
 
@@ -89,7 +90,7 @@ class BagInfo:
     note: str = field(metadata=IF_ANY)
 
     def summary(self) -> list[str]:
-        """One line, and one for each problem."""
+        """Return one line, and one for each problem."""
         line = f"{named(self.bag)}: {self.messages} messages of {len(self.topics)} topics in {self.duration_s:.3f} s"
         when = f", from {self.start} to {self.end}" if self.start else ""
         return [f"{line}{when}. {self.note}", *self.problems]
@@ -116,14 +117,14 @@ class BagMessages:
     meaning: Meaning | None = field(default=None, metadata={**ON_REQUEST, **SAID})
 
     def summary(self) -> list[str]:
-        """One line, and one for each problem."""
+        """Return one line, and one for each problem."""
         said = f"{self.note} {self.meaning or ''}".strip()
         line = f"{named(self.bag)} {named(self.topic_name)}: {counted(self.count, 'message')}. {said}"
         return [line.rstrip(), *self.problems]
 
 
 async def list_bags(store: BagStore, pattern: str = "", limit: int = 200) -> BagList:
-    """The bags whose names match the pattern, the newest first."""
+    """Return the bags whose names match the pattern, the newest first."""
 
     from ros2_mcp.bags.recordings import files_of  # imports YAML
 
@@ -141,7 +142,7 @@ async def list_bags(store: BagStore, pattern: str = "", limit: int = 200) -> Bag
 
 
 async def info(store: BagStore, bag: str) -> BagInfo:
-    """What is in a bag.
+    """Return the contents of a bag: times, topics, numbers of messages, and damage.
 
     Raises:
         NotFound: if there is no such bag.
@@ -182,11 +183,11 @@ async def info(store: BagStore, bag: str) -> BagInfo:
 async def read(
     robot: Robot, store: BagStore, bag: str, topic: str, selection: Selection, start: str = "", end: str = ""
 ) -> BagMessages:
-    """Messages of one topic of a bag: with a `start` the first ones from there on, else the last ones.
+    """Return messages of one topic of a bag: with a `start` the first ones from there on, else the last ones.
 
     Raises:
         NotFound: if there is no such bag or topic.
-        UnknownInterface: if nobody knows the type's definition.
+        UnknownInterface: if the definition of the type is unknown.
         BadValue: if a limit or a time is out of range, or a field is not in the type.
     """
 

@@ -1,4 +1,4 @@
-"""Messages of the past: those of a topic from the first source that has kept some."""
+"""Messages of the past: those of a topic, from the first source that has some."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from ros2_mcp.ops.space.meaning import meaning_of_newest
 from ros2_mcp.ops.topics.subscribe import Collected, collect
 
 _ANY = "any"
-"""Callers who know WiseVision's own tool give this where they mean no type."""
+"""Callers that know WiseVision's own tool give this if they mean no type."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,7 +51,7 @@ class StoredMessages:
     meaning: Meaning | None = field(default=None, metadata={**ON_REQUEST, **SAID})
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         said = f"{self.note} {self.meaning or ''}".strip()
         return (
             f"{self.topic_name}: {self.count} of {counted(self.found, 'message')} from {self.source}. {said}".rstrip()
@@ -60,7 +60,7 @@ class StoredMessages:
 
 @dataclass(frozen=True, slots=True)
 class _Found:
-    """What a source has, and the errors of those that were asked before it."""
+    """The messages of a source, and the errors of the sources before it."""
 
     source: Source
     collected: Collected
@@ -75,19 +75,19 @@ async def get_messages(
     selection: Selection,
     report: Report = silent,
 ) -> StoredMessages:
-    """The last messages of the past in a span of time, from the first source that has some.
+    """Return the last messages in a time span of the past, from the first source that has some.
 
-    The selection's `message_limit` is how many (None: all). If they do not fit, they are evenly thinned.
+    The selection's `message_limit` is the number of messages (None: all). If they do not fit, they are evenly thinned.
 
     Raises:
-        NotFound: if no source knows the topic.
+        NotFound: if no source has the topic.
         BadValue: if a limit or a time is out of range, or a field is not in the type.
-        BadData: if no message is what the type says.
-        RobotError: with the words of a source that failed, where no other has the messages.
+        BadData: if no message can be decoded as its type.
+        RobotError: the error of a source that failed, if no other source has the messages.
     """
     bounded("number_of_messages", selection.message_limit or 0, 0, MAX_MESSAGES, "messages")
     selection.check()
-    with suppress(BadName):  # a recording may have others
+    with suppress(BadName):  # a recording may have other names
         topic = names.absolute(topic)
     type_name = "" if type_name in ("", _ANY) else await sources.robot.types.full_name(type_name, "msg")
     async with reporting(report, ANSWER_S, f"looking for earlier messages of {topic}"):
@@ -100,7 +100,9 @@ async def get_messages(
 
 
 async def _find(sources: Sources, topic: str, type_name: str, request: SourceRequest, selection: Selection) -> _Found:
-    """What the first source has that has messages; else, where none has failed, what the first says that has none."""
+    """Return the messages of the first source that has some; if none has and none has failed, those of the
+    first source that knows the topic.
+    """
     filters = [path for path in selection.fields if "==" in path]
     all_of_them = replace(selection, fields=filters, every_n=1, message_limit=selection.message_limit or MAX_MESSAGES)
     empty: _Found | None = None
@@ -112,7 +114,7 @@ async def _find(sources: Sources, topic: str, type_name: str, request: SourceReq
                     raise source
                 expected = "" if source.keeps_types else type_name
                 collected = await collect(source, topic, expected, all_of_them, latched=False, names=request.names)
-                if collected.samples:  # another source may have what can be read
+                if collected.samples:  # if it cannot be decoded, another source may have readable messages
                     collected.stream.codec.definitions.structure(collected.stream.type)
             except (BadName, BadValue):
                 raise
@@ -125,7 +127,7 @@ async def _find(sources: Sources, topic: str, type_name: str, request: SourceReq
             if collected.samples:
                 return found
             empty = empty or found
-    if failed:  # whoever has failed may have the messages
+    if failed:  # the source that failed may have the messages
         raise failed[0]
     if empty:
         return empty
@@ -136,7 +138,7 @@ async def _find(sources: Sources, topic: str, type_name: str, request: SourceReq
 
 
 def _how_to_keep(store: BagStore) -> str:
-    """How there would be messages to find, as far as it is not so already."""
+    """Return a hint on how to keep messages of a topic for later."""
     more = "Record with ros2_record_start, or open a bag with ros2_bag_info."
     if BLACK_BOX not in store.own:
         return f"The option --black-box keeps the last hours of chosen topics. {more}"
@@ -156,7 +158,7 @@ def _show(
     start, times_s = message_times(found.source, fitted.samples) if of_recording else ("", [])
     notes = [f"Another source failed: {error.message}" for error in found.failed]
     notes += [stream.note, stream.odd_times, end_note(found.source, request.start, request.end)]
-    if len(samples) != selection.message_limit:  # who asks for the last two need not be told that there are others
+    if len(samples) != selection.message_limit:  # a request for the last two needs no note that there are others
         notes.append(found.collected.more)
     if type_name not in ("", stream.type):
         notes.append(f"The messages are {stream.type}, not {type_name}.")

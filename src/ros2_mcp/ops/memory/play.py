@@ -1,4 +1,4 @@
-"""Playing a bag: its bytes are published again in the rhythm in which they came."""
+"""Play a bag: publish its bytes again in the recorded rhythm."""
 
 from __future__ import annotations
 
@@ -33,33 +33,39 @@ if TYPE_CHECKING:
     from ros2_mcp.bags.bag import Bag
 
 _SHORTEST_LOOP_S = 0.1
-"""A bag of a single message, looped, would otherwise be published as fast as the processor can."""
+"""The least duration of a loop: a bag of a single message would otherwise be published as fast as the processor can."""
 _MATCH_S = 1.0
 """How long the bridge waits for subscribers that discovery may still be matching with our new publishers."""
 _READY_S = 5.0
-"""A bridge makes a hundred publishers within a second; one that has not by then will not."""
+"""Time for the bridge to create a publisher: it creates a hundred within a second; one that is
+not there by then will not come."""
 _DEPTH = 100
-"""Messages that wait for a slow listener: a second of a topic at 100 Hz."""
+"""Messages queued for a slow subscriber: a second of a topic at 100 Hz."""
 _ANSWERED_S = 0.5
-"""The answer to what has ended comes before a feed finds nothing: it has only to be read."""
+"""Time for the answer about an ended publisher: the bridge sends it before it rejects a
+feed, so it has only to be read."""
 _POLL_S = 0.02
-"""A publisher is made within milliseconds; this is by how much a start is longer than it needs to be."""
+"""Seconds between two checks of whether a publisher is ready, which takes milliseconds."""
 _DISCOVERED_S = 0.3
-"""Subscribers discover our publishers a little later than these discover them; what comes before arrives late."""
+"""Time for subscribers to discover our publishers, a little after these discover them;
+messages sent earlier arrive late."""
 _MOST_NAMED = 8
-"""Topics that a note names; a bag may have a hundred that nobody listens to."""
+"""The most topics that a note names; a bag may have a hundred without subscribers."""
 _BATCH = 64
 _BATCH_BYTES = 4_000_000
-"""What is read ahead of its time: enough that no message waits for the disk, and little memory with pictures."""
+"""How much is read ahead of its time, in messages and bytes: enough that no message waits for the disk,
+and little memory with pictures."""
 _TOGETHER_S = 0.002
-"""Messages that are due within this time are sent in one request: no listener can tell, and it saves round trips."""
+"""Messages that are due within this time are sent in one request: no subscriber can
+notice, and it saves round trips."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PlayRequest:
-    """What to play; `remaps` gives topics other names. With `force` also onto topics that have a publisher.
+    """The settings of a playback; `remaps` gives topics other names. With `force` it also publishes
+    on topics that have a publisher.
 
-    `rate` is the speed, 1 that of the recording. `start` and `end` bound the part of the bag.
+    `rate` is the speed, relative to the recording. `start` and `end` bound the part of the bag.
     """
 
     bag: str
@@ -92,7 +98,7 @@ class PlaybackState:
     note: str = field(metadata=IF_ANY)
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         what = f"{sum(self.published.values())} messages, {self.progress:.0%} of {named(self.bag)}, at {self.at}"
         what += f" ({self.seconds_in:g} s in)" if self.seconds_in is not None else ""
         return f"{self.playback_id} {self.state}: {what}. {self.note}".rstrip()
@@ -105,7 +111,7 @@ class PlaybackStates:
     playbacks: Sequence[PlaybackState]
 
     def summary(self) -> list[str]:
-        """A line for each."""
+        """Return a line for each."""
         return [playback.summary() for playback in self.playbacks] or ["Nothing has been played."]
 
 
@@ -147,9 +153,9 @@ class Playback(Job):
             self._left_out.setdefault(why, []).append(topic.name)
         self._fed = dict.fromkeys(topics, 0)
         self._published = dict.fromkeys(topics, 0)
-        """Of the messages that were fed to the bridge, those that it has published."""
+        """The number of published messages of each topic, as far as the bridge has reported it."""
         self._ended: dict[str, RelayCounts] = {}
-        """The bridge's last counts of the publishers that it has ended, which a feed under way does not know."""
+        """The bridge's last counts of the publishers that it has ended, which a feed in progress does not return."""
         self._note = ""
         self._guarded = ""
         self._progress = 0.0
@@ -162,7 +168,9 @@ class Playback(Job):
         return self._request.bag
 
     async def run(self) -> None:
-        """Opens the publishers and plays. They are requests to the bridge that stay open: losing one ends it all."""
+        """Open the publishers and play. The publishers are requests to the bridge that stay
+        open: if one is lost, all end.
+        """
         try:
             async with anyio.create_task_group() as publishers:
                 for name, topic in self._topics.items():
@@ -186,7 +194,9 @@ class Playback(Job):
             self._bag.close()
 
     async def wind_down(self) -> None:
-        """Lets the bridge end the publishers and answer with its last counts: what was just fed may have left."""
+        """Make the bridge end the publishers and answer with its last counts: messages that
+        were just fed may have been sent.
+        """
         async with anyio.create_task_group() as group:
             for name in self._topics:
                 group.start_soon(self._robot.end_relay, self._relay_id(name))
@@ -195,7 +205,7 @@ class Playback(Job):
         self.cancel()
 
     def report(self) -> PlaybackState:
-        """How it stands."""
+        """Return the current state of the playback."""
         note = self._note
         if not self.has_begun and not self.is_running:
             note = "It did not begin."
@@ -230,11 +240,11 @@ class Playback(Job):
         )
 
     def _relay_id(self, topic: str) -> str:
-        """The id of the bridge's part that publishes a topic of the bag."""
+        """Return the id of the bridge's part that publishes a topic of the bag."""
         return f"{self.id}{topic}"
 
     def _counts_at_end(self, topic: str) -> RelayCounts | None:
-        """The bridge's last counts of a topic's publisher; None while it goes on."""
+        """Return the bridge's last counts of a topic's publisher; None while it is open."""
         return self._ended.get(topic) or self._robot.graph.relay_ended(self._relay_id(topic))
 
     async def _open(self, name: str, topic: StoredTopic) -> None:
@@ -257,7 +267,7 @@ class Playback(Job):
         self._ended[name] = await self._robot.do(play, self._session)
 
     async def _until_ready(self, name: str) -> None:
-        """Returns when the topic's publisher can be fed; only a feed, even of no message, tells that."""
+        """Return when the topic's publisher can be fed; only a feed, even without messages, shows that."""
         deadline = monotonic() + _READY_S
         while True:
             try:
@@ -283,13 +293,13 @@ class Playback(Job):
                 await anyio.sleep(max(0.0, begun + loop_s - monotonic()))
         except Stopped as stopped:
             self.outcome, self.stop_reason = "stopped", self.stop_reason or stopped.reason
-        except NotFound:  # the bridge has ended its publishers, and has answered that
+        except NotFound:  # the bridge has ended its publishers, and has reported that
             self.outcome = "stopped"
             if not self.is_stopping:
                 self.stop_reason = await self._ended_by() or "the bridge"
 
     async def _ended_by(self) -> str:
-        """What has ended a publisher, as soon as the bridge has told it; empty where it has not."""
+        """Return what ended a publisher, as soon as the bridge has reported it; empty if it has not."""
         with anyio.move_on_after(_ANSWERED_S):
             while True:
                 for counts in self._ended.values():
@@ -299,7 +309,9 @@ class Playback(Job):
         return ""
 
     async def _play_once(self, begun: float) -> None:
-        """The messages of the span, in their recorded rhythm counted from `begun`; what is late is not waited for."""
+        """Publish the messages of the span in their recorded rhythm, counted from `begun`.
+        Late messages are sent at once.
+        """
         for topic, sample in await to_thread.run_sync(self._latched):
             self._published[topic] = await self._feed(topic, [sample.data])
             self._fed[topic] += 1
@@ -319,12 +331,14 @@ class Playback(Job):
         self._progress = 1.0
 
     def _latched(self) -> list[tuple[str, Sample]]:
-        """What a late subscriber would still have got at the beginning: it was latched before that part of the bag."""
+        """Return the latched messages from before that part of the bag, which a late subscriber would
+        have received at its beginning.
+        """
         span = replace(self._span, start_ns=self._start_ns)
         return [(name, one) for name, topic in self._topics.items() for one in latched_before(self._bag, topic, span)]
 
     async def _feed(self, topic: str, messages: Sequence[bytes]) -> int:
-        """Hands messages to the bridge; how many it has published so far on that topic."""
+        """Send messages to the bridge. Return how many it has published so far on that topic."""
         feed = Feed(
             principal=self.owner,
             name=self._destinations[topic],
@@ -343,11 +357,11 @@ async def play(
     wait_s: float = 40.0,
     report: Report = silent,
 ) -> PlaybackState:
-    """Plays a bag, or a part of it; after `wait_s` it goes on by itself. Where the call is cancelled, it stops.
+    """Play a bag, or a part of it. After `wait_s` the playback continues by itself; if the call is cancelled, it stops.
 
     Raises:
         Refused: if this server is read-only, or too many playbacks run; without `force`, if a topic has a live
-            publisher, or somebody listens to a velocity command.
+            publisher, or a velocity topic has a subscriber.
         NotFound: if there is no such bag, or it has no such topic.
         TypeConflict: if a topic is there with another type.
         UnknownInterface: if the robot does not know the type of a topic that was asked for, or of any.
@@ -367,7 +381,7 @@ async def play(
         span = replace(span, topics=frozenset(topics))
         playback = Playback(robot, session, request, store=store, bag=bag, span=span, topics=topics, unknown=unknown)
         await robot.jobs.start(playback)
-    except BaseException:  # also where the call is cancelled
+    except BaseException:  # also if the call is cancelled
         bag.close()
         raise
     await robot.jobs.wait(playback, wait_s, every_second=tell)
@@ -375,17 +389,19 @@ async def play(
 
 
 async def status(robot: Robot, playback_id: str = "") -> PlaybackStates:
-    """How playbacks stand: the one of that id, or all that run and the last that ended."""
+    """Return the state of playbacks: the one with that id, or all that run and the last that ended."""
     return PlaybackStates([playback.report() for playback in robot.jobs.chosen(Playback, playback_id)])
 
 
 async def stop(robot: Robot, playback_id: str = "") -> PlaybackState:
-    """Stops a playback; raises as `Jobs.one`."""
+    """Stop a playback. Raises the same errors as `Jobs.one`."""
     return (await robot.jobs.stop(Playback, playback_id)).report()
 
 
 def _prepare(store: BagStore, request: PlayRequest) -> tuple[PlayRequest, Bag, Span, dict[str, StoredTopic]]:
-    """The request with the names of topics as they stand in the bag, what of it is played, and where each goes to."""
+    """Return the request with the topics' names as they are in the bag, the bag, the span to play,
+    and the topics to play by name.
+    """
     from ros2_mcp.bags.bag import Bag  # imports mcap and YAML, a tenth of the time that all tools take to import
 
     bag = Bag(store.find_bag(request.bag))
@@ -393,7 +409,7 @@ def _prepare(store: BagStore, request: PlayRequest) -> tuple[PlayRequest, Bag, S
         remaps = {_name_in(bag, recorded): name for recorded, name in request.remaps.items()}
         chosen = [find_topic(bag, name) for name in request.topics]
         for topic in chosen:
-            if (why := _why_not(topic, remaps)) and why != _OF_ACTION:  # what is asked for by name is played
+            if (why := _why_not(topic, remaps)) and why != _OF_ACTION:  # a topic requested by name is played
                 raise BadInput(f"{named(topic.name)} cannot be played: {why}.", _REMAP if topic.form == "ros2" else "")
         chosen = chosen or [topic for topic in bag.topics.values() if not _why_not(topic, remaps)]
         topics = {topic.name: topic for topic in chosen}
@@ -421,7 +437,7 @@ def _prepare(store: BagStore, request: PlayRequest) -> tuple[PlayRequest, Bag, S
 
 
 def _name_in(bag: Bag, name: str) -> str:
-    """The name of a topic as it stands in the bag; another one as it is given."""
+    """Return the name of a topic as it is in the bag; a name that the bag does not have is returned unchanged."""
     try:
         return find_topic(bag, name).name
     except NotFound:
@@ -429,7 +445,7 @@ def _name_in(bag: Bag, name: str) -> str:
 
 
 def _why_not(topic: StoredTopic, remaps: Mapping[str, str]) -> str:
-    """In words, why a topic cannot be played; empty where it can."""
+    """Return a phrase that says why a topic cannot be played; empty if it can."""
     if topic.form != "ros2":
         return f"its messages are {topic.type.partition(':')[0]}, not of ROS 2"
     if names.is_of_action(topic.name) and topic.name not in remaps:
@@ -502,7 +518,7 @@ def _next_batch(messages: Iterator[tuple[str, Sample]]) -> list[tuple[str, Sampl
 
 
 def _together(batch: Sequence[tuple[str, Sample]], rate: float) -> Iterator[list[tuple[str, Sample]]]:
-    """Groups of messages that are due within `_TOGETHER_S`."""
+    """Yield groups of messages that are due within `_TOGETHER_S`."""
     group: list[tuple[str, Sample]] = []
     for message in batch:
         if group and message[1].received_ns - group[0][1].received_ns > _TOGETHER_S * 1e9 * rate:

@@ -1,7 +1,7 @@
-"""Recording topics: bytes go from the robot to the disk, never decoded, and topics that appear later join in.
+"""Record topics: bytes go from the robot to the disk without being decoded, and topics that appear later are added.
 
-The black box is a recording like any other, which the server begins by itself, in a ring of files, with no database
-and no other node.
+The black box is a recording like any other, which the server starts by itself, in a ring of files, with no database and
+no other node.
 """
 
 from __future__ import annotations
@@ -45,39 +45,40 @@ if TYPE_CHECKING:
     from ros2_mcp.settings import Settings
 
 MAX_DURATION_S = 7 * 86_400.0
-"""A week; the disk's floor ends most recordings before."""
+"""A week; most recordings end before, because of the disk space that must stay free."""
 MAX_BYTES = 10**13
 """10 TB: more than the disk of any robot."""
 LARGEST_BYTES = 32_000
-"""Larger messages (pictures, clouds) would push all others out of the ring: their topics are kept only by name."""
+"""Larger messages (pictures, clouds) would push all others out of the ring: their topics are recorded only if named."""
 _TURN_S = 0.1
-"""How often waiting samples are handed to the disk: rarely enough to cost nothing, and no more is lost at a crash."""
+"""Seconds between two writes of the queued samples: rare enough to cost nothing, and a
+crash loses no more than that."""
 _SHORT_TURN_S, _MUCH_BYTES = 0.02, 2_000_000
-"""Where so much came in a turn: a raw camera at full HD sends 19 MB in a tenth of a second."""
+"""The shorter interval after a turn with so many bytes: a raw camera at full HD sends 19 MB in a tenth of a second."""
 _JOINED_POLL_S = 0.02
-"""A subscription takes some milliseconds; this is by how much a start is longer than it needs to be."""
+"""Seconds between two checks of whether the subscriptions have begun, which takes some milliseconds."""
 _LOOK_S = 1.0
 """How often new topics are looked for, as the tool's description promises."""
 _JOINED_S = 2.0
-"""How long a start waits for the subscriptions of topics that are there; discovery takes up to that long."""
+"""How long the start waits for the subscriptions of present topics; discovery takes up to that long."""
 _LEFT_S = 3.0
-"""How long an end waits for the last samples of subscriptions, which a busy bridge may withhold."""
+"""How long the end waits for the last samples of subscriptions, which a busy bridge may delay."""
 _WAITING_BYTES = 128_000_000
-"""What one topic may hold in memory while this server is busy: two bursts of large pictures (see
-`QUEUE_BYTES`)."""
+"""The most bytes that one topic may hold in memory while this server is busy: two bursts of
+large pictures (see `QUEUE_BYTES`)."""
 _TOLD = 3
-"""Topics that cannot be recorded and are told in the summary, which is one line; all are among the topics."""
+"""The most topics with an error that the summary names, which is one line; the list of topics has all."""
 _MOST_NOTES = 20
-"""Each topic may fail in its own way, and a result with hundreds of notes is read by nobody."""
+"""The most notes: each topic may fail in its own way, and hundreds of notes are not read."""
 CALLS = "/agent/calls"
-"""The topic of a recording in which the lines of the audit stand, as JSON. Nobody publishes it."""
+"""The topic of a recording that has the lines of the audit, as JSON. No node publishes it."""
 _TEXT = "std_msgs/msg/String"
 _logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RecordRequest:
-    """What to record; without topics and patterns, everything that is not hidden.
+    """The settings of a recording; without topics and patterns, everything that is not hidden is recorded.
 
     A topic is left out as soon as it has a message larger than `largest` bytes (0: never), unless it is latched.
     """
@@ -91,7 +92,7 @@ class RecordRequest:
     largest: int = 0
 
     def chooses(self, topic: str) -> bool:
-        """Whether a topic of the graph is recorded."""
+        """Return whether a topic of the graph is to be recorded."""
         if topic in self.topics:
             return True
         if names.is_hidden(topic):
@@ -119,7 +120,7 @@ class TopicCounts:
     other_types: Sequence[str] = ()
 
     def trouble(self) -> str:
-        """The sentence that says why not all, or nothing, of it is in the file; empty where it is recorded."""
+        """Return a sentence that says why a topic is not recorded, or not completely; empty if it is recorded."""
         name = named(self.topic_name)
         if not self.error:
             others = ", ".join(map(named, self.other_types))
@@ -146,7 +147,7 @@ class RecordingState:
     why_dropped: str = field(default="", metadata=HIDDEN)
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         lost = f", {self.why_dropped}" if self.why_dropped else ""
         troubles = [trouble for topic in self.topics if (trouble := topic.trouble())]
         recorded = sum(bool(topic.written or not topic.error) for topic in self.topics)
@@ -166,16 +167,16 @@ class RecordingStates:
     recordings: Sequence[RecordingState]
 
     def summary(self) -> list[str]:
-        """A line for each."""
+        """Return a line for each."""
         return [recording.summary() for recording in self.recordings] or ["Nothing has been recorded."]
 
 
 @dataclass(slots=True)
 class _Joined:
-    """A topic that is being recorded. `former` are the counts of the subscriptions that it has had before.
+    """A topic that is being recorded. `former` are the counts of its former subscriptions.
 
-    `lost` is the subscription that ended with its bridge, to be made anew; `must_renew` says that the one that runs no
-    longer fits the topic's publishers. `other_types` came later.
+    `lost` is the subscription that ended with its bridge, to be renewed; `must_renew`: the present subscription no
+    longer fits the topic's publishers. `other_types` appeared later.
     """
 
     type: str
@@ -188,12 +189,12 @@ class _Joined:
     other_types: Sequence[str] = ()
 
     def counts(self) -> Counts:
-        """What became of the messages, over all subscriptions there were."""
+        """Return the counts of messages, over all subscriptions so far."""
         return self.former + self.listening.counts if self.listening else self.former
 
 
 class Recording(Job):
-    """One recording under way: finds its topics, subscribes to them and hands their bytes to the recorder."""
+    """One recording in progress: it finds its topics, subscribes to them and passes their bytes to the recorder."""
 
     kind = "recording"
     most_kept = 100
@@ -222,7 +223,7 @@ class Recording(Job):
         return self._folder.name if self._folder else self._request.name
 
     async def run(self) -> None:
-        """Records until a limit is reached or it is told to end; however it ends, the files are closed."""
+        """Record until a limit is reached or it is told to end. However it ends, the files are closed."""
         calls = ExitStack()
         try:
             # A thread cannot be cancelled: anyio waits for it, so that what it has opened is always closed again.
@@ -255,7 +256,9 @@ class Recording(Job):
 
     @contextmanager
     def _with_calls(self, recorder: Recorder) -> Generator[None, None, None]:
-        """While it is entered, what this server does to the robot is recorded, too: an incident shows it."""
+        """While the context is open, also record the audit's lines on this server's commands,
+        which may explain an incident.
+        """
         auditing = self._robot.guard.audit
         log = auditing.log if isinstance(auditing, Auditing) else None
         if log is None or not self._request.chooses(CALLS) or self._is_forbidden(CALLS):
@@ -263,7 +266,7 @@ class Recording(Job):
             return
 
         def record(_at_ns: int, entry: Mapping[str, Any]) -> None:
-            at_ns = self._robot.now_ns()  # by the clock of the messages beside it
+            at_ns = self._robot.now_ns()  # by the clock of the recorded messages
             if not self._has_calls:
                 from ros2_mcp.bags.qos import qos_text  # as in `_describe`
 
@@ -278,15 +281,15 @@ class Recording(Job):
             yield
 
     async def wind_down(self) -> None:
-        """Lets the subscriptions hand over what they still have."""
+        """Make the subscriptions pass on their last samples."""
         self._is_ending = True
 
     def doing(self) -> str:
-        """How many topics it writes, and where."""
+        """Name the number of topics and the folder."""
         return f"{counted(len(self._topics), 'topic')} into {self._folder.name}" if self._folder else ""
 
     def report(self) -> RecordingState:
-        """How it stands."""
+        """Return the current state of the recording."""
         recorder, folder = self._recorder, self._folder
         written = dict(recorder.sink.counts) if recorder else {}
         discarded = recorder.dropped if recorder else {}
@@ -347,9 +350,9 @@ class Recording(Job):
             ) from error
 
     async def _look(self, topics: TaskGroup, recorder: Recorder) -> None:
-        """Joins the chosen topics that are new, and renews subscriptions that no longer fit the publishers' QoS.
+        """Begin to record chosen topics that are new, and renew subscriptions that no longer fit the publishers' QoS.
 
-        What goes wrong is noted: the next look may succeed, and the topics that have been joined go on.
+        Errors are noted: the next check may succeed, and the other topics continue to be recorded.
         """
         try:
             for row in await self._robot.graph.topics():
@@ -371,7 +374,7 @@ class Recording(Job):
             self._note(str(error))
 
     async def _join(self, row: TopicRow, topics: TaskGroup, recorder: Recorder) -> None:
-        """Begins to record a topic, if one type is sent on it; who only listens may want another one."""
+        """Begin to record a topic, if one type is published on it. Subscribers may expect another one."""
         if problem := self._is_forbidden(row.name):
             self._topics[row.name] = _Joined(row.types[0], row.publishers, error=problem)
             return
@@ -384,36 +387,38 @@ class Recording(Job):
             topics.start_soon(self._record, row.name, joined, recorder)
 
     async def _sent_types(self, row: TopicRow) -> Sequence[str]:
-        """The types that are published on a topic."""
+        """Return the types that are published on a topic."""
         if len(row.types) == 1:
             return row.types
         return sorted({one.type for one in (await self._robot.graph.endpoints(row.name)).publishers})
 
     def _is_forbidden(self, topic: str) -> str:
-        """Why the policy does not let this topic be recorded, also where all are; empty where it does."""
+        """Return why the policy forbids recording this topic, also as one of all topics; empty if it does not."""
         return self._robot.policy.forbids_recording(topic) if self.owner != SERVER else ""
 
     async def _record(self, name: str, joined: _Joined, recorder: Recorder) -> None:
-        """Until the recording ends: subscription after subscription, should the bridge be lost meanwhile."""
+        """Record one topic until the recording ends, with a new subscription after each loss of the bridge."""
         while not self._is_ending:
             try:
                 await self._record_once(name, joined, recorder)
             except LinkError as error:
                 if not self._robot.graph.is_remote:
                     self._note(f"{name}: {error}")
-                elif isinstance(error, BridgeLost):  # which all topics are told at once
+                elif isinstance(error, BridgeLost):  # all topics get this error at once
                     self._note(str(error))
                 await anyio.sleep(_TURN_S)
             except RobotError as error:
                 joined.error = str(error)
                 return
-            except Exception as error:  # whatever it is, the other topics are recorded on
+            except Exception as error:  # whatever the error, the other topics continue
                 joined.error = f"It cannot be recorded: {error}"
                 _logger.exception("%s cannot be recorded", name)
                 return
 
     async def _record_once(self, name: str, joined: _Joined, recorder: Recorder) -> None:
-        """One subscription, until the recording ends, it has to be renewed, or the bridge is lost (`LinkError`)."""
+        """Record one subscription, until the recording ends, it has to be renewed, or
+        the bridge is lost (`LinkError`).
+        """
         joined.must_renew = False
         if joined.lost is None:
             subscription = self._robot.listen(name, joined.type, max_bytes=_WAITING_BYTES)
@@ -439,16 +444,16 @@ class Recording(Job):
             except LinkError:
                 joined.former, joined.listening, joined.lost = joined.counts(), None, listening
                 raise
-        joined.former, joined.listening = joined.counts(), None  # before what may raise: the counts are not lost
+        joined.former, joined.listening = joined.counts(), None  # before a call that may raise: the counts are not lost
         recorder.put(name, await listening.take(0.0))
         if recorder.ended:
             self._is_ending = True
 
     def _note_outage(self) -> None:
-        """Tells the gap that the recording has, where the robot was out of reach."""
+        """Note the gap that the recording has because the robot was out of reach."""
         for outage in self._robot.graph.outages[-1:]:
             if outage is self._told:
-                return  # of another topic
+                return  # noted for another topic
             self._told = outage
             began_ns = self._robot.now_ns() - round((monotonic() - outage.began_at) * 1e9)
             self._note(
@@ -457,7 +462,7 @@ class Recording(Job):
             )
 
     def _describe(self, listening: Listening, recorder: Recorder) -> None:
-        """Tells the recorder what the bag has to say of a topic: type, definition, QoS and hash."""
+        """Give the recorder the description of a topic for the bag: type, definition, QoS and hash."""
         from ros2_mcp.bags.qos import qos_text  # imports rosbags: 55 ms that the start of the server need not take
 
         text = schema_text(self._robot.values.definitions.interface(listening.type))
@@ -471,20 +476,24 @@ class Recording(Job):
 
 
 def _text_message(text: str) -> bytes:
-    """A `std_msgs/msg/String` as CDR: the encapsulation, the length with the final zero, the text."""
+    """Return a `std_msgs/msg/String` as CDR: the encapsulation, the length with the final zero, the text."""
     data = text.encode() + b"\0"
     return b"\0\1\0\0" + struct.pack("<I", len(data)) + data
 
 
 def drops_in_words(busy: int, slow: int, *, is_remote: bool = False) -> str:
-    """In words, how many messages came and are not in the file, and why; empty if none."""
+    """Return a phrase with the numbers of received messages that are not in the file,
+    and why; empty if there are none.
+    """
     who = "the link was too slow, or this server too busy" if is_remote else "this server was too busy"
     reasons = ((busy, f"dropped because {who}"), (slow, "dropped because they were not written fast enough"))
     return ", ".join(f"{count} {why}" for count, why in reasons if count)
 
 
 class BlackBox(Recording):
-    """The recording that the server begins by itself, in a ring of files: the oldest make room for new ones."""
+    """The recording that the server starts by itself, in a ring of files: the oldest are
+    deleted to make room for new ones.
+    """
 
     needs_no_id = False
 
@@ -505,7 +514,7 @@ class BlackBox(Recording):
 
 
 async def start(robot: Robot, session: Session, store: BagStore, request: RecordRequest) -> RecordingState:
-    """Begins to record; it goes on until a limit is reached, it is stopped, or the server ends.
+    """Start a recording. It continues until a limit is reached, it is stopped, or the server ends.
 
     Raises:
         Refused: if this server is read-only, or too many recordings run.
@@ -525,7 +534,7 @@ async def start(robot: Robot, session: Session, store: BagStore, request: Record
 
 
 async def keep_black_box(robot: Robot, store: BagStore, settings: Settings) -> None:
-    """Begins to keep the topics of the settings, if they name some; what goes wrong is logged."""
+    """Start the black box, if the settings ask for one. Errors are logged."""
     if settings.black_box is None or settings.read_only:
         return
     try:
@@ -534,22 +543,22 @@ async def keep_black_box(robot: Robot, store: BagStore, settings: Settings) -> N
         await robot.jobs.start(black_box)
     except (RobotError, OSError) as error:
         _logger.warning("the black box keeps nothing: %s", error)
-    except Exception:  # this runs in the server's task group: what it lets out would end the server
+    except Exception:  # this runs in the server's task group: an exception would end the server
         _logger.exception("the black box keeps nothing")
 
 
 async def status(robot: Robot, recording_id: str = "") -> RecordingStates:
-    """How recordings stand: the one of that id, or all that run and the last that ended."""
+    """Return the state of recordings: the one with that id, or all that run and the last that ended."""
     return RecordingStates([recording.report() for recording in robot.jobs.chosen(Recording, recording_id)])
 
 
 async def stop(robot: Robot, recording_id: str = "") -> RecordingState:
-    """Ends a recording and closes its files; without an id the only one that runs, never the black box.
+    """Stop a recording and close its files. Without an id, stop the only one that runs, never the black box.
 
-    If none runs, it is the one that ended last, by its limits for one: what was recorded, and why it has ended.
+    If none runs, return the one that ended last (for example by its limits), with what was recorded and why it ended.
 
     Raises:
-        NotFound: if there is none of that id, or there was none.
+        NotFound: if there is no recording with that id, or there has been none.
         BadInput: if several run and no id is given.
     """
     return (await robot.jobs.stop(Recording, recording_id)).report()

@@ -1,1 +1,1 @@
-"""Motion that is closed by feedback beside the robot."""
+"""Motion with closed-loop control, which the bridge carries out on the robot's side."""

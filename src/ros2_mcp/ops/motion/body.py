@@ -1,4 +1,4 @@
-"""How far a robot reaches around its base: what a guarded drive keeps out of the way of things."""
+"""The extent of a robot around its base, which a guarded drive keeps clear of obstacles."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from ros2_mcp.robot import Robot
 from ros2_mcp.world.footprint import Point, heights, outline, reach
 
 ASSUMED_M = 0.25
-"""The radius of a robot that does not tell its size: most small ones are smaller."""
+"""The radius assumed for a robot without a usable description: most small robots are smaller."""
 _ASSUMED_TOP_M = 1.0
-"""The height of such a robot: what hangs lower over its way counts as an obstacle."""
+"""The height assumed for such a robot: anything lower that overhangs its path counts as an obstacle."""
 _GROUND_M = 0.05
-"""So much above the lowest point of the robot points of a cloud are an obstacle: below lies the ground, with the noise
-of depth cameras (1 % of the distance) and the thresholds that wheels roll over."""
+"""Points of a cloud count as obstacles from this height above the robot's lowest point. Below lies the ground, with the
+noise of depth cameras (1 % of the distance) and the thresholds that wheels roll over."""
 _HEADROOM_M = 0.05
-"""What is so much above the robot's highest point is still in its way."""
+"""Anything up to this height above the robot's highest point still counts as an obstacle."""
 _CORNERS = 24
-"""Of the circle around a robot that does not tell its size: 1 % too small at most."""
+"""Corners of the polygon for the assumed circle: 1 % too small at most."""
 _TYPE = "std_msgs/msg/String"
 
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """How far a robot reaches from its base's origin, in m: `sides` as `front`, `rear`, `side` and `radius`; the
-    corners of its `outline`, counter-clockwise; and between which `heights` something is in its way. `known_by` is a
-    sentence on how that is known.
+    """The extent of a robot from the origin of its base, in m: `sides` as `front`, `rear`, `side` and `radius`; the
+    corners of its `outline`, counter-clockwise; and the range of `heights` in which something is an obstacle.
+    `known_by` is a sentence with the source.
     """
 
     sides: Mapping[str, float]
@@ -40,8 +40,9 @@ class Body:
 
 
 async def body_of(robot: Robot, base_frame: str, beside: str = "") -> Body:
-    """That of the frame `base_frame`, by the robot's description, of several that which is beside the topic `beside`.
-    Never raises a `RobotError`.
+    """Return the body around the frame `base_frame`, by the robot's description; if there are several, by the one in
+    the namespace of the topic `beside`. Without a usable description, return a circle of `ASSUMED_M`. Never raises a
+    `RobotError`.
     """
     try:
         return await _described(robot, base_frame.lstrip("/"), beside)

@@ -1,4 +1,4 @@
-"""Joint trajectory controllers that the graph shows: by their topic and their action, and which joints they move."""
+"""Find joint trajectory controllers in the graph, by their topics and actions, and the joints that they move."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from ros2_mcp.robot import Robot
 TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 FOLLOW = "control_msgs/action/FollowJointTrajectory"
 _TOPIC, _ACTION = "/joint_trajectory", "/follow_joint_trajectory"
-"""What these are called below the controller's own name, by ros2_control."""
+"""Names of topic and action below the controller's own name, as ros2_control gives them."""
 _MOST = 16
 
 
 @dataclass(frozen=True, slots=True)
 class Controller:
-    """A controller: its name, its action and topic ("" where it has none), and its joints (empty: not known)."""
+    """A controller: its name, its action and topic ("" if it has none), and its joints (empty: unknown)."""
 
     name: str
     action: str = ""
@@ -31,20 +31,21 @@ class Controller:
 
     @property
     def way(self) -> str:
-        """What it is commanded through: its action, which tells how it goes; else its topic."""
+        """The interface by which it is commanded: its action, which reports progress, else its topic."""
         return self.action or self.topic
 
     def may_move(self, joints: Sequence[str]) -> bool:
-        """Whether it has all of these joints, as far as that is known."""
+        """Return whether it has all of these joints, as far as its joints are known."""
         return not self.joints or set(joints) <= set(self.joints)
 
 
 async def controller_for(robot: Robot, joints: Sequence[str], given: str = "") -> Controller:
-    """The one that moves these joints: of the given name, or of the given topic or action; else the only one.
+    """Return the controller that moves these joints: the one with the given name, topic or
+    action; else the only one that can.
 
     Raises:
-        NotFound: if there is none of that name, or none at all.
-        BadInput: if none has all of the joints, or several may have them.
+        NotFound: if there is no controller of that name, or none at all.
+        BadInput: if no controller has all of the joints, or several may have them.
     """
     found = await controllers(robot)
     if not found:
@@ -82,7 +83,7 @@ def _chosen(found: Mapping[str, Controller], given: str) -> Sequence[tuple[str, 
 
 
 async def controllers(robot: Robot) -> Mapping[str, Controller]:
-    """By name."""
+    """Return the controllers in the graph, by name."""
     rows, actions = await asyncio.gather(robot.graph.topics(), robot.types.actions())
     by_action = {_name(action, _ACTION): action for action, types in actions.items() if FOLLOW in types}
     by_topic = {_name(row.name, _TOPIC): row.name for row in rows if TRAJECTORY in row.types and row.subscribers}

@@ -1,4 +1,4 @@
-"""Driving a distance, an angle or an arc: what the robot drives by is found, the bridge does it, this tells of it."""
+"""Drive a distance, an angle or an arc: find command input, odometry and sensors, let the bridge drive, and report."""
 
 from __future__ import annotations
 
@@ -24,37 +24,39 @@ from ros2_mcp.robot.session import Session
 from ros2_mcp_common.wire.limits import STEER_MOST
 
 MATCH_S = 1.0
-"""As of a publication (`ops/topics/publish.py`)."""
+"""Time for subscribers to match, as in `ops/topics/publish.py`."""
 RATE_HZ = 20.0
-"""Of commands: as fast as most bases follow, and well above the time-outs of their drivers."""
+"""The rate of commands: as fast as most bases follow, and well above what the time-outs of their drivers need."""
 DEFAULT_MPS, DEFAULT_DEGPS = 0.2, 25.0
-"""Within the limits of the profiles of policies, and what any small robot can do."""
+"""Within the limits of the policy profiles, and possible for any small robot."""
 MAX_M, MAX_DEG, MAX_RADIUS_M = 100.0, 3600.0, 100.0
 MIN_MPS, MAX_MPS, MIN_DEGPS, MAX_DEGPS = 0.01, 3.0, 2.0, 180.0
 MIN_GUARD_M, MAX_GUARD_M = 0.1, 5.0
-"""Below the first the noise of a scan, and the way that a robot still rolls, are no distance any more."""
+"""A distance below the first is no more than the noise of a scan and the distance that a robot rolls while stopping."""
 _NOT_MOVED = frozenset({"silent", "stuck", "time_out", "missed", "nobody_listens"})
-"""Ends of which a controller that is not active, or a node that is frozen, may be the reason."""
+"""Outcomes whose reason may be a controller that is not active, or a node that is frozen."""
 BLIND_M = 1.0
-"""Farther than that a drive without any sensor says that it was blind: shorter ones end where the caller has looked."""
+"""A longer drive without any sensor is reported as blind; a shorter one ends where the caller has looked."""
 _SETTLES_S = 3.0
-"""After its time limit it stands and is looked at (`drive.STANDS_WITHIN_S`) before the bridge would end it."""
+"""The time that a drive has, after its time limit, to stop and be measured (`drive.STANDS_WITHIN_S`),
+before the bridge would end it."""
 _SETTLES_IN_POLICY_S = 1.0
-"""The same where a policy bounds the whole: most robots stand within half of it, and what is driven counts."""
+"""The same if a policy bounds the total time: most robots stop within half of it, and more time is left for driving."""
 _PATIENCE = 1.5
-"""The time limit is so many times what the course takes at that speed, and `_ROOM_S` for ramps and corrections."""
+"""The time limit is the duration of the course at that speed times this factor, and
+`_ROOM_S` for ramps and corrections."""
 _ROOM_S = 15.0
 _PAUSES_S = 30.0
-"""Pauses for a topic that is late do not count towards the time limit, up to this: each is shorter than 0.5 s, and a
-robot on a busy computer that has had sixty of them does not get there."""
+"""Pauses because a topic is late do not count towards the time limit, up to this total. Each is shorter than 0.5 s, and
+a robot on a busy computer that has had sixty of them will not arrive."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriveRequest:
-    """How to drive: `distance_m` (negative: back) or `angle_deg` (positive: to the left), which with `radius_m` is an
-    arc ahead. `speed` is in m/s, on the spot in degrees per second. So much as `guard_m` stays free ahead of the
-    outline: `DEFAULT_GUARD_M` where it is not given and the robot has a scan or a cloud; 0 looks at none. Topics that
-    are not given are found.
+    """The settings of a drive: `distance_m` (negative: backwards) or `angle_deg` (positive: to the left), which with
+    `radius_m` is a forward arc. `speed` is in m/s, or in °/s for a turn in place. `guard_m` is kept free ahead of the
+    outline: `DEFAULT_GUARD_M` if it is None and the robot has a scan or a cloud; 0 uses no sensor. Topics that are not
+    given are found.
     """
 
     distance_m: float | None = None
@@ -68,24 +70,24 @@ class DriveRequest:
 
     @property
     def is_turn(self) -> bool:
-        """Whether it turns on the spot."""
+        """Return whether the drive is a turn in place."""
         return self.angle_deg is not None and not self.radius_m
 
     @property
     def rate(self) -> float:
-        """How fast: m/s, on the spot degrees per second."""
+        """The speed in m/s, or in °/s for a turn in place."""
         return self.speed or (DEFAULT_DEGPS if self.is_turn else DEFAULT_MPS)
 
     @property
     def length(self) -> float:
-        """How far: m, on the spot degrees."""
+        """The length of the course in m, or in degrees for a turn in place."""
         if self.distance_m is not None:
             return abs(self.distance_m)
         angle_deg = abs(self.angle_deg or 0.0)
         return math.radians(angle_deg) * self.radius_m if self.radius_m else angle_deg
 
     def check(self) -> None:
-        """Raises `BadInput` or `BadValue` for what is no drive."""
+        """Raise `BadInput` or `BadValue` for an impossible drive."""
         if (self.distance_m is None) == (self.angle_deg is None):
             raise BadInput("Give either distance_m or angle_deg.", "With angle_deg, radius_m makes an arc of it.")
         if self.distance_m is not None:
@@ -148,11 +150,11 @@ class Driven:
 
     @property
     def has_failed(self) -> bool:
-        """Whether it did not get there by itself; a stop is no failure."""
+        """Return whether the drive did not reach its end. A drive that a stop ended has not failed."""
         return self.outcome not in ("reached", "ended")
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         unit = "°" if self.unit == "deg" else " m"
         if self.measured is None:
             return f"{self.outcome}: nothing was driven. {self.note}".rstrip()
@@ -165,11 +167,11 @@ class Driven:
 
 
 async def drive(robot: Robot, session: Session, request: DriveRequest, report: Report = silent) -> Driven:
-    """Drives, and returns when the robot stands.
+    """Drive, and return when the robot is stationary.
 
     Raises:
-        BadInput: for what is no drive, or where it is not clear what drives the robot.
-        NotFound: if there is no command input, no odometry, or a sensor that cannot guard it.
+        BadInput: for an impossible drive, or if several topics may be the command input or the odometry.
+        NotFound: if there is no command input or no odometry, or none of the sensors can guard the drive.
         Refused: if the policy forbids it, or another motion drives by the same command input.
         Stopped: if a stop came before anything was sent.
     """
@@ -180,7 +182,7 @@ async def drive(robot: Robot, session: Session, request: DriveRequest, report: R
     if request.guard_m != 0 or to.type.endswith("Stamped"):
         try:
             base = await base_frame_of(robot, odometry)
-        except NotFound as error:  # silent odometry: mostly its controller stands still, too
+        except NotFound as error:  # no odometry: mostly its controller is not active either
             raise await with_reason(robot, error, to.topic, odometry.topic) from error
     if request.guard_m != 0:
         guard = await guarding(robot, base, request.guard_m, request.scan, to.topic)
@@ -217,7 +219,7 @@ async def drive(robot: Robot, session: Session, request: DriveRequest, report: R
 
 
 def _looked(request: DriveRequest, guard: Guarding | None, moved: Moved) -> str:
-    """What it kept clear by, or that it did not look."""
+    """Return a sentence on the sensors that guarded the drive, or on their absence."""
     if guard:
         return f"{guard.note} {WITHOUT}" if moved.outcome == "guard" else guard.note
     if request.guard_m == 0:
@@ -228,7 +230,7 @@ def _looked(request: DriveRequest, guard: Guarding | None, moved: Moved) -> str:
 
 
 def _fastest(request: DriveRequest, type_name: str, base: str) -> Mapping[str, Any]:
-    """The fastest command that it may send."""
+    """Return the fastest command that the drive may send."""
     if request.is_turn:
         linear, angular = 0.0, math.radians(request.rate)
     else:
@@ -241,13 +243,13 @@ def _fastest(request: DriveRequest, type_name: str, base: str) -> Mapping[str, A
 
 
 def _within_policy(robot: Robot, request: DriveRequest, move: Move) -> Move:
-    """With a rate and a time limit that fit the course, and no more than the policy allows."""
+    """Return the command with a rate and a time limit that fit the course and the policy."""
     limit_s, pauses_s, settles_s = _PATIENCE * request.length / request.rate + _ROOM_S, _PAUSES_S, _SETTLES_S
     rate_hz = move.rate_hz
     if ruling := robot.policy.ruling(move):
         rate_hz = min(rate_hz, ruling.most("rate_hz") or rate_hz)
         for_s = ruling.most("for_s") or math.inf
-        if limit_s + pauses_s + settles_s > for_s:  # which the pauses count towards, too
+        if limit_s + pauses_s + settles_s > for_s:  # pauses count towards this limit, too
             settles_s = _SETTLES_IN_POLICY_S
             limit_s = min(limit_s, max(settles_s, for_s - settles_s))
             pauses_s = max(0.0, min(pauses_s, for_s - settles_s - limit_s))

@@ -1,4 +1,4 @@
-"""What a robot is driven by, found in its graph: command input and odometry; and where a frame is on it."""
+"""Find the command input and the odometry of a robot in its graph, and the pose of a frame on the robot."""
 
 from __future__ import annotations
 
@@ -16,13 +16,14 @@ from ros2_mcp.robot.resolution import Destination
 from ros2_mcp.world.transforms import Located
 
 DRIVEN_TYPES = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
-"""Command inputs that steer on the spot, too. What steers like a car needs its wheel base, which nobody tells."""
+"""Types of command inputs that can turn in place, too. A robot that steers like a car needs its
+wheel base, which no topic reports."""
 ODOMETRY = "nav_msgs/msg/Odometry"
 _INPUTS = ("cmd_vel",)
 _ODOMETRIES = ("odometry/filtered", "odom", "odometry", "odometry/wheels")
-"""What these topics are usually called, the better first: fused odometry is that of robot_localization."""
+"""The usual names of these topics, the preferred ones first: fused odometry is that of robot_localization."""
 _FIRST_S = 4.0
-"""For a first message: a publisher that missed our announcement is discovered with the next one, 3 s later."""
+"""Time for a first message: a publisher that missed our announcement is discovered with the next one, 3 s later."""
 _MOST_NAMED = 6
 
 
@@ -35,15 +36,15 @@ class Found:
 
     @property
     def feed(self) -> Mapping[str, str]:
-        """As a controller is told of it."""
+        """The topic in the form that a controller of the bridge gets."""
         return {"topic": self.topic, "type": self.type}
 
 
 async def command_input(robot: Robot, given: str = "") -> Destination:
-    """Where velocity commands go: the given topic, else the one that somebody listens to.
+    """Return the topic for velocity commands: the given one, or else the one that has a subscriber.
 
     Raises:
-        NotFound: if there is none; with those that there are, of types that cannot be driven so.
+        NotFound: if no topic of these types has a subscriber.
         BadInput: if there are several, or the given one is of another type.
     """
     if not given:
@@ -65,17 +66,18 @@ async def command_input(robot: Robot, given: str = "") -> Destination:
 
 
 async def odometry_of(robot: Robot, given: str = "", beside: str = "") -> Found:
-    """Where the robot tells how it moves: the given topic, else the only odometry, or that beside the command input.
+    """Return the odometry topic: the given one, or else the only one, or the one in the namespace
+    of the command input `beside`.
 
     Raises:
         NotFound: if there is none.
-        BadInput: if it is not clear which.
+        BadInput: if several topics may be the odometry.
     """
     return await _published(robot, "odometry", "odometry", given, ODOMETRY, _ODOMETRIES, beside)
 
 
 async def first_message(robot: Robot, found: Found) -> Mapping[str, Any]:
-    """The next message of a topic, in full; raises `NotFound` if none comes."""
+    """Return the next message of a topic, in full. Raises `NotFound` if none arrives."""
     async with robot.listen(found.topic, found.type, max_samples=2) as listening:
         async for sample in listening.samples(_FIRST_S):
             return await robot.values.in_full(listening.type, sample.data)
@@ -83,10 +85,10 @@ async def first_message(robot: Robot, found: Found) -> Mapping[str, Any]:
 
 
 async def located_on(robot: Robot, frame: str, base_frame: str) -> Located | None:
-    """Where a sensor's frame is in the base's; None where both are the same.
+    """Return the pose of a sensor's frame in the base's frame; None if both are the same frame.
 
     Raises:
-        NotFound: if the transforms do not tell it.
+        NotFound: if the transforms do not give it.
     """
     frame, base_frame = frame.lstrip("/"), base_frame.lstrip("/")
     if frame == base_frame:
@@ -99,13 +101,15 @@ async def located_on(robot: Robot, frame: str, base_frame: str) -> Located | Non
 
 
 async def base_frame_of(robot: Robot, odometry: Found) -> str:
-    """The frame whose motion the odometry tells; raises `NotFound` if it tells nothing."""
+    """Return the frame whose motion the odometry reports, `base_link` if it names none. Raises
+    `NotFound` if no message arrives.
+    """
     return str((await first_message(robot, odometry)).get("child_frame_id", "")) or "base_link"
 
 
 async def first_decoded(robot: Robot, found: Found) -> Any:
-    """The next message of a topic, decoded and not rendered: it may be as large as a cloud. Raises `NotFound` if none
-    comes.
+    """Return the next message of a topic, decoded and not rendered: it may be as large as a cloud.
+    Raises `NotFound` if none arrives.
     """
     async with robot.listen(found.topic, found.type, max_samples=2) as listening:
         async for sample in listening.samples(_FIRST_S):
@@ -121,7 +125,7 @@ def _nothing_from(found: Found) -> NotFound:
 
 
 async def given_topic(robot: Robot, given: str, argument: str, types: Sequence[str]) -> Found:
-    """The topic that an argument names; raises `BadInput` if it has none of the types."""
+    """Return the topic that an argument names. Raises `BadInput` if it has none of the types."""
     topic = names.absolute(given)
     present = await robot.graph.wait_for(topic, publishers=1, timeout_s=_FIRST_S)  # it may have just appeared
     found = await robot.types.topic(present)
@@ -148,7 +152,7 @@ async def _published(
 
 
 def _only(what: str, argument: str, topics: Sequence[str], usual: Sequence[str]) -> str:
-    """The only topic, or the only one that is called as usual."""
+    """Return the only topic, or the only one with a usual name. Raises `BadInput` if there is no such topic."""
     for name in usual:
         called = [topic for topic in topics if topic.endswith(f"/{name}")]
         if len(called) == 1:

@@ -1,4 +1,4 @@
-"""What a drive keeps clear by: the sensors that show its surroundings, where they sit, and the robot's outline."""
+"""Find the sensors by which a drive keeps clear of obstacles, their mounts, and the robot's outline."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from ros2_mcp.world.transforms import Located
 from ros2_mcp_common.language.scans import no_bearings
 
 DEFAULT_GUARD_M = 0.2
-"""Kept free ahead of the outline where nobody asks for another distance: it leaves room to turn on the spot, and for
-what odometry and a scan are wrong by; doors are passed, as it counts ahead alone."""
+"""The distance that is kept free ahead of the outline by default. It leaves room to turn in place, and for the errors
+of odometry and scan. Doors are passed, because only the space ahead counts."""
 SCAN, CLOUD = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/PointCloud2"
 MOST_SENSORS = 4
-"""A scanner at each corner. Each costs a subscription in the bridge, and a look at each of its messages."""
+"""A scanner at each corner. Each costs a subscription in the bridge, and a check of each of its messages."""
 _USUAL = "scan"
-"""What the scan that others go by is called, where there are several of the same scanner."""
+"""The usual name of the scan that other nodes use, if several topics are from the same scanner."""
 _DERIVED = ("costmap", "clearing_endpoints", "voxel", "map")
-"""In the name of a cloud that no sensor sent: what a planner, or a mapper, makes of one."""
+"""Parts of the names of clouds that no sensor sent, but a planner or a mapper computed."""
 WITHOUT = "guard_m=0 drives without looking at obstacles."
 
 
 @dataclass(frozen=True, slots=True)
 class Sight:
-    """A sensor that is heard: its topic, and where it sits on the base. `looks` is its frame, and of a scan from where
-    to where (rad): what is alike in that is the same sensor, raw, filtered or merged.
+    """A sensor in use: its topic, and its mount on the base. `looks` is its frame and, for a scan, its first and last
+    angle (rad): topics in which these are equal are the same sensor, raw, filtered or merged.
     """
 
     found: Found
@@ -41,7 +41,9 @@ class Sight:
 
 @dataclass(frozen=True, slots=True)
 class Guarding:
-    """By what a drive keeps `guard_m` free: `asked` is what its controller is told, `note` what is to be said of it."""
+    """The sensors by which a drive keeps `guard_m` free: `asked` are the settings for its controller,
+    `note` a sentence for the result.
+    """
 
     guard_m: float
     topics: Sequence[str]
@@ -53,12 +55,12 @@ class Guarding:
 async def guarding(
     robot: Robot, base_frame: str, guard_m: float | None, given: str = "", beside: str = ""
 ) -> Guarding | None:
-    """How a drive keeps clear: by the `given` topic, else by all scans of the robot, else by its clouds. None where it
-    has neither, and nobody asked for a distance (`guard_m` is None).
+    """Find how a drive keeps clear: by the `given` topic, else by all scans of the robot, else by its clouds. Return
+    None if it has neither and no distance was requested (`guard_m` is None).
 
     Raises:
-        NotFound: if it has a sensor that cannot guard: silent, or nobody tells where it sits.
-        BadInput: if the given topic is no scan and no cloud.
+        NotFound: if none of its sensors can guard: they send no messages, or their mounts are unknown.
+        BadInput: if the given topic is neither a scan nor a cloud.
     """
     found = [await given_topic(robot, given, "scan", (SCAN, CLOUD))] if given else await candidates(robot, beside)
     if not found and guard_m is None:
@@ -73,7 +75,9 @@ async def guarding(
     sights = _one_of_each([one for one in tried if isinstance(one, Sight)])
     problems = [one for one in tried if isinstance(one, RobotError)]
     if not sights:
-        reasons = dict.fromkeys(error.message.rstrip(".") for error in problems)  # one for all sensors in one frame
+        reasons = dict.fromkeys(
+            error.message.rstrip(".") for error in problems
+        )  # one reason for all sensors in one frame
         raise NotFound("; ".join(reasons) + ".", WITHOUT)
     distance_m = DEFAULT_GUARD_M if guard_m is None else guard_m
     topics = [one.found.topic for one in sights]
@@ -94,7 +98,7 @@ async def guarding(
 
 
 async def candidates(robot: Robot, beside: str) -> Sequence[Found]:
-    """The scans of the robot that is commanded on the topic `beside`, without any of them its clouds."""
+    """Return the scans of the robot that is commanded on the topic `beside`; if it has none, its clouds."""
     rows = [row for row in await robot.graph.topics() if row.publishers]
     within = f"{beside.rpartition('/')[0]}/"
     for kind in (SCAN, CLOUD):
@@ -109,7 +113,9 @@ async def candidates(robot: Robot, beside: str) -> Sequence[Found]:
 
 
 async def _sight(robot: Robot, found: Found, base_frame: str, is_given: bool) -> Sight | RobotError:
-    """Where that sensor sits; the error of one that is silent, or is not fixed to the robot, is returned."""
+    """Return the sensor with its mount, or the error of a sensor that sends no messages or is not fixed to the robot.
+    The error of a given topic is raised.
+    """
     try:
         message = await first_decoded(robot, found)
         if found.type == SCAN and (why := no_bearings(message)):
@@ -131,13 +137,15 @@ async def _sight(robot: Robot, found: Found, base_frame: str, is_given: bool) ->
 
 
 def _is_carried(located: Located) -> bool:
-    """Whether a frame hangs from the base: a map does not, though it is known where it is."""
+    """Return whether the base carries a frame. It does not carry a map, although the
+    map's pose in the base is known.
+    """
     return all(
         edge.child == frame or not edge.moving for frame, edge in zip(located.chain, located.edges, strict=False)
     )
 
 
 def _one_of_each(sights: Sequence[Sight]) -> Sequence[Sight]:
-    """Of those that are the same sensor the first."""
+    """Return the first topic of each sensor."""
     first = {one.looks: one for one in reversed(sights)}
     return [one for one in sights if first[one.looks] is one][:MOST_SENSORS]

@@ -1,4 +1,6 @@
-"""Why a robot may stand though it is commanded, by its graph: what is before it, who else drives it, limits of 0."""
+"""Explain by the graph why a commanded robot may not move: obstacles near it, other
+publishers, velocity limits of 0.
+"""
 
 from __future__ import annotations
 
@@ -20,17 +22,17 @@ from ros2_mcp.ops.sources.live import Live
 from ros2_mcp.robot import VELOCITY_TYPES, Robot
 
 _SCAN_S = 1.0
-"""Scans come at 5 Hz or more."""
+"""Time for a scan: scans come at 5 Hz or more."""
 _MONITOR = "/collision_monitor"
 _MOST_NODES, _MOST_NAMED = 4, 3
-"""Who listens to a command input is one base, perhaps a recorder and a filter."""
+"""The subscribers of a command input are one base, perhaps a recorder and a filter."""
 
 
 async def others_on(robot: Robot, topic: str) -> str:
-    """A sentence on who else may command this input; empty where nobody does."""
+    """Return a sentence on the other nodes that may publish on this command input; empty if there are none."""
     try:
         present = await robot.graph.endpoints(topic)
-    except RobotError:  # what was driven is driven, and that is to be told
+    except RobotError:  # the drive is over, and its result is still to be reported
         return ""
     others = sorted({one.node for one in present.publishers if not one.ours})
     if not others:
@@ -41,7 +43,9 @@ async def others_on(robot: Robot, topic: str) -> str:
 
 
 async def _past_a_monitor(robot: Robot, topic: str, publishers: Sequence[str]) -> str:
-    """That what is published on the output of Nav2's collision monitor is not looked at by it; "" where it is none."""
+    """Return a sentence if the topic is the output of Nav2's collision monitor, which does not check what
+    other nodes publish there; else "".
+    """
     for node in publishers:
         if not node.endswith(_MONITOR):
             continue
@@ -59,16 +63,17 @@ def _is_velocity(types: Sequence[str]) -> bool:
 
 
 async def why_it_stands(robot: Robot, topic: str, odometry: Found, scan: str = "") -> Sequence[str]:
-    """Sentences on what may hold a robot that was commanded on a topic: what its scan shows, and limits of 0.
+    """Return sentences on what may hold a robot that was commanded on a topic: the nearest obstacle by its
+    scan, and velocity limits of 0.
 
-    `scan` is the topic of a scan; empty: what is found. What cannot be found out is left out.
+    `scan` is the topic of a scan; if it is empty, one is found. Anything that cannot be determined is left out.
     """
     told = await asyncio.gather(_near(robot, topic, odometry, scan), _limits(robot, topic))
     return [each for each in told if each]
 
 
 async def _near(robot: Robot, topic: str, odometry: Found, scan: str) -> str:
-    """What is nearest to the robot's outline, by its scan."""
+    """Return a sentence on the obstacle nearest to the robot's outline, by its scan; empty if it is unknown."""
     try:
         found = [one for one in await candidates(robot, topic) if one.type == SCAN and scan in ("", one.topic)]
         if not found:

@@ -1,4 +1,4 @@
-"""One motion by feedback as a job: begun, reported and awaited here, carried out in the bridge."""
+"""One closed-loop motion as a job: started, reported and awaited here, carried out in the bridge."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from ros2_mcp.robot.jobs import Job
 from ros2_mcp.robot.session import Session
 
 Line = Callable[[Mapping[str, Any]], tuple[float, float, str]]
-"""How far a motion is, by what its controller reports: done, the whole, and a readable line."""
+"""Returns the progress of a motion from its controller's report: the part done, the whole, and a readable line."""
 
 
 class Motion(Repetition):
-    """A motion whose call waits for its end; `moved` is the result. Nothing else of this server may publish on its
-    command input meanwhile, neither another motion nor a single command.
+    """A motion whose call waits for its end; `moved` is the result. Meanwhile this server may publish nothing else on
+    its command input, neither another motion nor a single command.
     """
 
     kind = "motion"
@@ -36,7 +36,7 @@ class Motion(Repetition):
         self.moved: Moved | None = None
 
     def check_beside(self, running: Sequence[Job]) -> None:
-        """Raises `Refused` where something else of this server drives by the same command input."""
+        """Raise `Refused` if another job of this server drives by the same command input."""
         for job in running:
             if set(job.moves) & set(self.moves):
                 raise Refused(
@@ -45,18 +45,18 @@ class Motion(Repetition):
                 )
 
     async def run(self) -> None:
-        """Moves in the bridge until the controller ends it, or the bridge does (`ros2_stop`)."""
+        """Run the motion in the bridge until its controller ends it, or the bridge does (`ros2_stop`)."""
         await self._robot.values.learn(self._move.type)  # as long as it is starting, a stop ends it at once
         self.begun()
         self.moved = await self._robot.do(self._move, self._session)
 
 
 async def run_motion(robot: Robot, session: Session, command: Move, report: Report, line: Line) -> tuple[Moved, str]:
-    """Moves until the motion ends, with progress: what became of it, and in words what ended it before its time; ""
-    where its controller did.
+    """Run a motion until it ends, and report its progress. Return its outcome, and in words what ended it early; "" if
+    its controller ended it.
 
     Raises:
-        Refused: if the policy forbids it, or something else of this server drives by the same command input.
+        Refused: if the policy forbids it, or another job of this server drives by the same command input.
         Stopped: if a stop came before anything was sent.
         RobotError: as `Robot.do`.
     """

@@ -1,4 +1,4 @@
-"""Where the joints are, live: all topics with joint states at once, the newest position of each joint."""
+"""The present positions of joints: the newest position of each joint, from all topics with joint states at once."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ _MOST_TOPICS = 8
 """Arm, gripper, wheels: as in the bridge (`joint_states.MOST_TOPICS`)."""
 _TAKE_S = 1.0
 _LOOK_S = 0.02
-"""Between looks while something is waited for: joints tell of themselves at 10 to 1,000 Hz."""
+"""Seconds between two checks while waiting: joint states come at 10 to 1,000 Hz."""
 FIRST_S = 4.0
-"""For a first message: a publisher that missed our announcement is discovered with the next one, 3 s later."""
+"""Time for a first message: a publisher that missed our announcement is discovered with the next one, 3 s later."""
 
 
 class At(NamedTuple):
-    """A joint's position, in rad or m, and when it was heard (monotonic, s)."""
+    """A joint's position, in rad or m, and when it was received (monotonic, s)."""
 
     position: float
     heard_at: float
@@ -34,13 +34,15 @@ class At(NamedTuple):
 
 @dataclass(slots=True)
 class JointStates:
-    """The newest position of each joint that was heard of since it was begun to listen."""
+    """The newest position of each joint that was reported since the subscription began."""
 
     topics: Sequence[str] = ()
     positions: dict[str, At] = field(default_factory=dict[str, At])
 
     async def wait_for(self, joints: Sequence[str], within_s: float = FIRST_S) -> None:
-        """Waits until all of these joints were heard of; raises `NotFound`, with those that were, if they are not."""
+        """Wait until all of these joints have been reported. Raises `NotFound`, with the
+        joints that were, if some are not.
+        """
         with anyio.move_on_after(within_s):
             while not self.positions.keys() >= set(joints):
                 await anyio.sleep(_LOOK_S)
@@ -53,17 +55,17 @@ class JointStates:
         )
 
     def age_s(self, joints: Sequence[str]) -> float:
-        """How long ago the joint was heard of that was not heard of for longest."""
+        """Return the greatest age, in s, of the newest positions of these joints."""
         return monotonic() - min((self.positions[joint].heard_at for joint in joints), default=-math.inf)
 
     def of(self, joints: Sequence[str]) -> list[float]:
-        """Their newest positions."""
+        """Return the newest positions of these joints."""
         return [self.positions[joint].position for joint in joints]
 
 
 @asynccontextmanager
 async def joint_states(robot: Robot) -> AsyncGenerator[JointStates, None]:
-    """Listens inside the context; raises `NotFound` where nobody publishes joint states."""
+    """Subscribe to joint states inside the context. Raises `NotFound` if they have no publisher."""
     rows = await robot.graph.topics()
     topics = sorted(row.name for row in rows if JOINT_STATE in row.types and row.publishers)[:_MOST_TOPICS]
     if not topics:

@@ -1,4 +1,4 @@
-"""Moving joints by name through a trajectory controller, within the URDF's limits, until the joint states agree."""
+"""Move joints by name through a trajectory controller, within the URDF's limits, until the joint states agree."""
 
 from __future__ import annotations
 
@@ -43,37 +43,38 @@ from ros2_mcp.robot.session import Session
 from ros2_mcp.world.urdf import Joint, Urdf
 
 DEFAULT_SPEED = 0.3
-"""Of a joint's own velocity limit: slow enough to be watched."""
+"""The default share of a joint's own velocity limit: slow enough to be watched."""
 MIN_SPEED, MAX_JOINTS = 0.01, 64
 MIN_TOLERANCE, MAX_TOLERANCE, DEFAULT_TOLERANCE = 0.0005, 0.5, 0.02
-"""In rad or m. Controllers hold to about a hundredth."""
+"""In rad or m. Controllers are accurate to about a hundredth."""
 MIN_S, MAX_S = 0.3, 600.0
-"""A move takes at least the first: even a small step is no jerk."""
+"""A move takes at least the first of these, so that even a small step is no jerk."""
 _PEAK = 1.5
-"""A cubic from standing to standing is, in the middle of its way, so many times as fast as on average."""
+"""The maximum speed of a cubic from rest to rest, relative to its mean speed."""
 _ACCEPT_S = 10.0
-"""As of any goal (`ops/actions/send_goal.py`)."""
+"""Time for the controller to accept the goal, as for any goal (`ops/actions/send_goal.py`)."""
 _MATCH_S = 1.0
-"""As of a publication (`ops/topics/publish.py`)."""
+"""Time for subscribers to match, as in `ops/topics/publish.py`."""
 _LOOK_S, _STILL_LOOKS = 0.05, 4
-"""A joint has arrived when it was near enough, and stood, for four looks."""
+"""A joint has arrived when it was within its tolerance, and stationary, in four checks in a row."""
 _SLEPT_S = 0.5
-"""A look that comes so late: this process was stopped, or its machine slept. Half of the link lease."""
+"""If a check comes later than this, the process was stopped, or its machine slept. Half of the link lease."""
 _SILENT_S = 1.0
-"""Joint states that stay away for so long: it is not known any more where the joints are. Ten of them at 10 Hz."""
+"""Without joint states for this long, the positions of the joints are unknown. Ten joint states at 10 Hz."""
 _PATIENCE, _ROOM_S = 1.5, 3.0
-"""The time limit is so many times the planned time, and that for settling."""
+"""The time limit is the planned time times the first, and the second for settling."""
 _END_S = 3.0
-"""For ending what was begun; a bridge and a controller that are alive need milliseconds."""
+"""Time to end what was started; a live bridge and controller need milliseconds."""
 _SETTLES_S = 1.0
 _RESULT_S = 0.2
-"""For the result of a goal whose joints have been seen to arrive, or are no longer seen: it is mostly under way."""
+"""Time for the result of a goal whose joints were seen to arrive, or are no longer
+reported: it is mostly on its way."""
 _RIVALS_S = 0.2
-"""For the goals that the controller has: its status is latched, and comes within milliseconds of matching."""
+"""Time to read the goals that the controller has: its status is latched, and comes within milliseconds of matching."""
 _GOING = (1, 2, 3)
 """Accepted, executing and cancelling, in action_msgs/msg/GoalStatus."""
 _NOT_MOVED = ("failed", "time_out", "silent")
-"""Outcomes of which the reason may stand in the robot's log, or in the states of its controllers."""
+"""Outcomes whose reason may be in the robot's log, or in the states of its controllers."""
 _ROUNDED = 1e-6
 _CODES: Mapping[int, str] = {
     -1: "invalid goal",
@@ -87,8 +88,8 @@ _CODES: Mapping[int, str] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JointRequest:
-    """Where joints are to go: rad, m for prismatic ones; with `relative` from where they are. `speed` is the share of
-    each joint's velocity limit; `duration_s` how long it takes instead.
+    """The targets of joints: in rad, in m for prismatic ones; with `relative`, from their present positions. `speed` is
+    the share of each joint's velocity limit; `duration_s` is the duration of the move instead.
     """
 
     joints: Mapping[str, float]
@@ -133,11 +134,11 @@ class JointsMoved:
 
     @property
     def has_failed(self) -> bool:
-        """Whether they did not arrive; a stop is no failure."""
+        """Return whether the joints did not arrive. A move that a stop ended has not failed."""
         return self.outcome not in ("reached", "ended")
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         moved = ", ".join(
             f"{named(one.name)} at {one.measured:.3f} {one.unit} (target {one.target:.3f})" for one in self.joints[:8]
         )
@@ -146,7 +147,7 @@ class JointsMoved:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
-    """A move that was checked: `targets` of the joints that are asked for, `all_targets` of those of the controller."""
+    """A checked move: `targets` of the requested joints, `all_targets` of all joints of the controller."""
 
     controller: Controller
     starts: Mapping[str, float]
@@ -158,7 +159,7 @@ class Plan:
 
     @property
     def trajectory(self) -> Mapping[str, Any]:
-        """A trajectory_msgs/msg/JointTrajectory of one point, at which the joints stand."""
+        """A trajectory_msgs/msg/JointTrajectory of one point, at which the joints are at rest."""
         seconds = int(self.planned_s)
         at = {"sec": seconds, "nanosec": int((self.planned_s - seconds) * 1e9)}
         point = {
@@ -170,12 +171,12 @@ class Plan:
 
 
 async def move_joints(robot: Robot, session: Session, request: JointRequest, report: Report = silent) -> JointsMoved:
-    """Moves joints, and returns when they have arrived, or what ended it.
+    """Move joints, and return when they have arrived, or the move has ended early.
 
     Raises:
-        BadInput: for joints that there are not, or positions or speeds beyond the limits of the URDF.
-        NotFound: if there is no description, no controller, or nothing tells where the joints are.
-        Refused: if the policy forbids it, or the controller is moved already.
+        BadInput: for joints that do not exist, or positions or speeds beyond the limits of the URDF.
+        NotFound: if there is no description or no controller, or no joint states report the joints.
+        Refused: if the policy forbids it, or another motion moves the controller.
         Stopped: if a stop came before anything was sent.
     """
     check_request(request)
@@ -185,7 +186,7 @@ async def move_joints(robot: Robot, session: Session, request: JointRequest, rep
     async with joint_states(robot) as states:
         try:
             plan = await planned_move(request, wanted, controller, states)
-        except NotFound as error:  # nobody tells where the joints are: mostly the controllers stand still, too
+        except NotFound as error:  # no joint states: mostly the controllers are not active either
             raise await with_reason(robot, error, feedback=states.topics[0], action=controller.action) from error
         motion = JointMotion(robot, session, plan, states)
 
@@ -204,7 +205,7 @@ async def move_joints(robot: Robot, session: Session, request: JointRequest, rep
 
 
 def check_request(request: JointRequest) -> None:
-    """Raises `BadInput` for what is no move of joints."""
+    """Raise `BadInput` or `BadValue` for an impossible move of joints."""
     if not request.joints:
         raise BadInput("No joints are given.", 'Give joints such as {"elbow_joint": 0.5}, in rad or m.')
     bounded("joints", len(request.joints), 1, MAX_JOINTS, "joints")
@@ -218,7 +219,7 @@ def check_request(request: JointRequest) -> None:
 
 
 def joint_of(urdf: Urdf, name: str) -> Joint:
-    """A joint that is moved on its own; raises `BadInput`."""
+    """Return a joint that can be moved on its own. Raises `BadInput` for any other."""
     moving = [joint.name for joint in urdf.moving]
     joint = urdf.joints.get(name)
     if joint is None:
@@ -234,7 +235,7 @@ def joint_of(urdf: Urdf, name: str) -> Joint:
 async def planned_move(
     request: JointRequest, wanted: Sequence[Joint], controller: Controller, states: JointStates
 ) -> Plan:
-    """The move, checked against limits and speed; raises `BadInput` or `NotFound`."""
+    """Return the move, checked against limits and speed. Raises `BadInput` or `NotFound`."""
     every = list(dict.fromkeys((*controller.joints, *request.joints)))
     await states.wait_for(every)
     here = dict(zip(every, states.of(every), strict=True))
@@ -286,14 +287,14 @@ def _check_limits(joint: Joint, target: float) -> None:
 
 @dataclass(slots=True)
 class _Watched:
-    """How near the joints are, look by look."""
+    """The positions at the last check, and the number of checks in a row in which the joints had arrived."""
 
     positions: list[float] = field(default_factory=list[float])
     arrived: int = 0
 
 
 class JointMotion(Job):
-    """A move whose call waits for its end. While it runs, no other may move the same controller."""
+    """A move whose call waits for its end. While it runs, no other motion may move the same controller."""
 
     kind = "motion"
     most_running = 16
@@ -313,7 +314,7 @@ class JointMotion(Job):
         self.why = ""
 
     def check_beside(self, running: Sequence[Job]) -> None:
-        """Raises `Refused` where another motion moves this controller."""
+        """Raise `Refused` if another motion moves this controller."""
         for job in running:
             if isinstance(job, JointMotion) and job._plan.controller.name == self._plan.controller.name:
                 raise Refused(
@@ -322,7 +323,7 @@ class JointMotion(Job):
                 )
 
     async def run(self) -> None:
-        """Commands the controller, and watches the joints until they have arrived, or it has to end."""
+        """Command the controller, and check the joints until they have arrived, or the move has to end."""
         self.begun()
         complaints = complaints_from_now(self._robot)
         try:
@@ -334,16 +335,16 @@ class JointMotion(Job):
             if self.has_left and self.outcome_word != "reached":
                 with anyio.CancelScope(shield=True), anyio.move_on_after(_END_S):
                     await self._hold()
-        if self.outcome_word in _NOT_MOVED:  # not before they are held: it waits for lines that are on their way
+        if self.outcome_word in _NOT_MOVED:  # after the hold, because it waits for log lines
             self.why = f"{self.why} {await complaints.said()}".rstrip()
 
     def line(self) -> str:
-        """How far it is, in words."""
+        """Return the progress in words."""
         worst = max(self._plan.targets, key=self._gap)
         return f"{named(worst)} is {self._gap(worst):.3f} {self._plan.units[worst]} from its target"
 
     def result(self) -> JointsMoved:
-        """What it came to."""
+        """Return the result of the move."""
         plan = self._plan
         rows = [
             JointResult(
@@ -402,13 +403,13 @@ class JointMotion(Job):
             self.why = f"{self.why} {why_not}".rstrip()
 
     async def _note_rivals(self, action: str) -> None:
-        """Notes whose goals this one replaces: a controller follows one at a time."""
+        """Note the goals of other clients that this goal replaces: a controller follows one at a time."""
         for state in await states_now(self._robot, action, _RIVALS_S):
             if state.status_code in _GOING and not self._robot.jobs.get(Goal, state.goal_id):
                 self.notes.append(f"It replaced goal {state.goal_id} of another client, which was {state.status}.")
 
     async def _await_result(self, action: str) -> None:
-        """Notes why the controller gave up, if it did."""
+        """Wait for the result, and note why the controller ended the goal if it did not succeed."""
         try:
             ended = await result_of(self._robot, action, FOLLOW, self._goal_id, MAX_S * 2)
         except RobotError as error:
@@ -442,7 +443,7 @@ class JointMotion(Job):
             self._robot.failsafes.settled(to.topic, to.type)
 
     async def _watch(self) -> None:
-        """Looks at the joints until they have arrived, or something is wrong."""
+        """Check the joints until they have arrived, or something is wrong."""
         names, watched = list(self._plan.targets), _Watched()
         began = looked = awake = monotonic()
         deadline = began + _PATIENCE * self._plan.planned_s + _ROOM_S
@@ -450,9 +451,9 @@ class JointMotion(Job):
             await anyio.sleep(_LOOK_S)
             looked, before = monotonic(), looked
             awake = looked if looked - before > _SLEPT_S else awake
-            age_s = min(self._states.age_s(names), looked - awake)  # nobody was there to hear the rest
+            age_s = min(self._states.age_s(names), looked - awake)  # nothing could be received before it was awake
             latch = self._robot.guard.latch.look()
-            if latch.is_set:  # the bridge has ended what moves, and may not have told by whom yet
+            if latch.is_set:  # the bridge has ended the move, and may not have reported the cause yet
                 by = f"{named(latch.by)}: {quoted(latch.reason)}" if latch.by else ""
                 self._end("ended", ended_by(latch_set_by(by)))
             elif self._robot.graph.lapsed_at > began:
@@ -479,7 +480,9 @@ class JointMotion(Job):
         return watched.arrived >= _STILL_LOOKS
 
     async def _stood(self) -> None:
-        """Until the joints stand, so that it is told where; at most a second: a hold brakes within tenths of one."""
+        """Wait until the joints are stationary, so that the result has their final positions. At most a second: a hold
+        brakes within tenths of one.
+        """
         names, before = list(self._plan.targets), list[float]()
         with anyio.move_on_after(_SETTLES_S):
             while (now := self._states.of(names)) != before:
@@ -490,7 +493,7 @@ class JointMotion(Job):
                 await anyio.sleep(2 * _LOOK_S)
 
     def _where(self) -> str:
-        """Which joint is farthest, and whether it has moved at all."""
+        """Return a sentence on the joint that is farthest from its target, and whether it has moved."""
         worst = max(self._plan.targets, key=self._gap)
         moved = abs(self._measured(worst) - self._plan.starts[worst])
         how = "has not moved" if moved < self._plan.tolerance / 4 else f"has moved by {moved:.3f}"
@@ -507,7 +510,7 @@ class JointMotion(Job):
         self.outcome_word, self.why = word, why
 
     async def _hold(self) -> None:
-        """Ends what may still be moving: the goal is cancelled, on a topic the joints are held where they are."""
+        """End what may still be moving: cancel the goal, or, on a topic, hold the joints where they are."""
         try:
             if self._plan.controller.action:
                 goal = self._robot.jobs.get(Goal, self._goal_id)

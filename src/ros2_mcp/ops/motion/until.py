@@ -1,4 +1,4 @@
-"""`ros2_move_until`: a velocity that lasts until a condition on a topic holds, asked beside the robot by the bridge."""
+"""`ros2_move_until`: move at a velocity until a condition on a topic holds, which the bridge evaluates."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ from ros2_mcp_common.language.scans import LASER_SCAN
 from ros2_mcp_common.wire.limits import MAX_DURATION_S
 
 _RATE_HZ = 20.0
-"""Of the commands: what velocity controllers expect. The zero of the end leaves at once."""
+"""The rate of commands that velocity controllers expect. The zero at the end is sent at once."""
 _TURNED_DEG = 5.0
-"""Less is how a scanner was screwed on; more is a direction of its own."""
+"""A smaller rotation is inaccurate mounting; a larger one is intended."""
 _STOOD_M = 0.01
-"""A motion that came no further did not move: so much odometry trembles."""
+"""A motion over a shorter distance did not move the robot: odometry is that noisy."""
 _ANGLES = re.compile(r"\b(nearest|range_at)\s*\(")
 _MATCH_S = 1.0
-"""As of a publish: a running node matches within milliseconds."""
+"""Time for subscribers to match: a running node matches within milliseconds."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UntilRequest:
-    """What moves until when: `velocity` has numbers by their names, such as `linear.x` (m/s) and `angular.z` (rad/s).
+    """The settings of a motion: `velocity` has numbers by name, such as `linear.x` (m/s) and `angular.z` (rad/s).
 
-    `is_event` for a topic that tells of events alone, and so may be silent. Empty topics are found.
+    `is_event`: the topic reports only events, and so may send no message for long. Empty topics are found.
     """
 
     topic_name: str
@@ -84,7 +84,9 @@ class MovedUntil:
 
     @property
     def has_failed(self) -> bool:
-        """Whether something went wrong; a limit of time or way that the caller gave, and a stop, are no failures."""
+        """Return whether something went wrong. A limit of time or distance that the caller
+        gave, and a stop, are no failures.
+        """
         return self.outcome in ("silent", "nobody_listens", "refused")
 
     def summary(self) -> str:
@@ -99,12 +101,12 @@ class MovedUntil:
 
 
 async def move_until(robot: Robot, session: Session, request: UntilRequest, report: Report = silent) -> MovedUntil:
-    """Moves until a message meets the condition, a limit is reached, or a topic that is needed goes silent.
+    """Move until a message meets the condition, a limit is reached, or a required topic stops sending messages.
 
     Raises:
-        BadInput: without a velocity, or if the text is no condition.
+        BadInput: without a velocity, or if the text is not a condition.
         BadValue: for a field that does not exist, or a limit that is out of range.
-        NotFound: for a topic that is not there.
+        NotFound: for a topic that does not exist.
         Refused: if the policy forbids it, or another motion drives by the same command input.
         Stopped: if a stop came before anything was sent.
     """
@@ -161,20 +163,22 @@ async def move_until(robot: Robot, session: Session, request: UntilRequest, repo
 
 
 async def _turned(robot: Robot, topic: str, topic_type: str, text: str, odometry: Found | None) -> str:
-    """How the scan's frame is turned on the robot, as a sentence, where its angles are asked for and it is turned."""
+    """Return a sentence on the rotation of the scan's frame on the robot, if the condition uses angles and
+    there is a rotation; else nothing.
+    """
     if topic_type != LASER_SCAN or not odometry or not _ANGLES.search(text):
         return ""
     try:
         frame = str((await first_decoded(robot, Found(topic, topic_type))).header.frame_id)
         base = await base_frame_of(robot, odometry)
         located = await located_on(robot, frame, base)
-    except RobotError:  # a robot need not tell it
+    except RobotError:  # a robot need not publish its transforms
         return ""
     return turned_by(located.pose, frame, base) if located else ""
 
 
 def turned_by(mount: Pose, frame: str, base: str) -> str:
-    """The sentence about a scan's frame that is turned in the base's; empty where it is not."""
+    """Return the sentence on a scan's frame that is rotated relative to the base; empty if it is not."""
     turned_deg = math.degrees(mount.yaw_rad)
     if abs(turned_deg) < _TURNED_DEG:
         return ""
@@ -182,7 +186,7 @@ def turned_by(mount: Pose, frame: str, base: str) -> str:
 
 
 async def _odometry(robot: Robot, request: UntilRequest, beside: str) -> Found | None:
-    """What the way is measured by; None where nothing is asked of it, and none is found."""
+    """Return the odometry by which the distance is measured; None if none is found and none is required."""
     try:
         return await odometry_of(robot, request.odometry_topic, beside)
     except RobotError:
@@ -192,7 +196,7 @@ async def _odometry(robot: Robot, request: UntilRequest, beside: str) -> Found |
 
 
 def _command(velocity: Mapping[str, float], type_name: str) -> Mapping[str, Any]:
-    """The velocity as a message; that of a robot is told in the frame of its base."""
+    """Return the velocity as a message; a stamped message has the frame base_link."""
     twist: dict[str, dict[str, float]] = {"linear": {}, "angular": {}}
     for name, speed in velocity.items():
         part, _, axis = name.partition(".")

@@ -1,4 +1,4 @@
-"""One node in detail, as `ros2 node info` shows it."""
+"""Show one node in detail, as `ros2 node info` does."""
 
 from __future__ import annotations
 
@@ -19,11 +19,12 @@ from ros2_mcp.robot import Robot
 from ros2_mcp_common.policy.verbs import CHANGE_STATE
 
 ANSWER_S = 0.4
-"""A node that spins answers within milliseconds; what the graph knows of it must not wait for one that hangs."""
+"""Time for a node's own answers, which take milliseconds if it spins: the facts from the graph must
+not wait for a node that hangs."""
 _DISCOVERED_S = 2.0
-"""How long a node of which nothing is known is asked for again: discovery of what it has follows within a second."""
+"""How long a node without known endpoints is looked up again: they are discovered within a second of the node."""
 _POLL_S = 0.1
-"""Between two such questions: each is a round trip to the bridge and costs less than a millisecond."""
+"""Seconds between two such requests: each is a round trip to the bridge and costs less than a millisecond."""
 _PARAMETER_SERVICES = (
     "describe_parameters",
     "get_parameter_types",
@@ -68,7 +69,7 @@ class NodeInfo:
     settled: bool = field(default=True, metadata=SAID)
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         has = "" if self.parameters is None else f" It has {self.parameters} parameters."
         state = f" Its lifecycle state is {named(self.lifecycle_state)}." if self.lifecycle_state else ""
         services = counted(self.left_out, "service")
@@ -83,10 +84,10 @@ class NodeInfo:
 
 
 async def node_info(robot: Robot, node: str) -> NodeInfo:
-    """What a node publishes, subscribes to, serves and calls.
+    """Return what a node publishes, subscribes to, serves and calls.
 
     Raises:
-        NotFound: if no such node is in the graph.
+        NotFound: if there is no such node in the graph.
     """
     node = names.absolute(node, "node")
     try:
@@ -98,7 +99,7 @@ async def node_info(robot: Robot, node: str) -> NodeInfo:
     served = {entry.name for entry in found.servers}
 
     async def response(kind: str) -> dict[str, Any] | None:
-        """None where the node has no such service, or does not answer at once."""
+        """Return the fields of the answer; None if the node has no such service, or does not answer at once."""
         if service_of(node, kind) not in served:
             return None
         try:
@@ -130,7 +131,7 @@ async def node_info(robot: Robot, node: str) -> NodeInfo:
 
 
 async def _discovered(robot: Robot, node: str) -> tuple[NodeEndpoints, bool]:
-    """What is known of a node and whether discovery has settled; a node is seen before what it has."""
+    """Return the endpoints of a node, and whether discovery has settled. A node is discovered before its endpoints."""
     found, nodes = await asyncio.gather(robot.graph.node(node), robot.graph.nodes())
     deadline = monotonic() + _DISCOVERED_S
     while not _all_of(found) and monotonic() < deadline:
@@ -148,7 +149,9 @@ def _offers(rows: Sequence[NamedTypes]) -> list[Offer]:
 
 
 def _actions(services: Sequence[NamedTypes]) -> list[Offer]:
-    """An action is seen in the graph as its services: the hidden one that takes goals bears its name and type."""
+    """Return the actions among these services. The graph shows an action as its services; the hidden one that takes
+    goals has its name and type.
+    """
     return [
         Offer(row.name.removesuffix(_SEND_GOAL), " | ".join(row.types).removesuffix("_SendGoal"))
         for row in sorted(services)

@@ -1,4 +1,4 @@
-"""Lifecycle nodes: their state, the transitions that are possible now, and making one, as `ros2 lifecycle` does."""
+"""Lifecycle nodes: read their states and the transitions possible now, and make one, as `ros2 lifecycle` does."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ros2_mcp.robot.session import Session
 from ros2_mcp_common.policy.verbs import CHANGE_STATE
 
 CHANGE_S = 30.0
-"""A transition may start hardware: drivers take seconds to configure."""
+"""Time for a transition, which may start hardware: drivers take seconds to configure."""
 _UNANSWERED = "The transition may still take effect: ros2_lifecycle_state shows where it has led."
 
 
@@ -39,7 +39,7 @@ class LifecycleState:
     managed_by: str = ""
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         by = f" Managed by {named(self.managed_by)}." if self.managed_by else ""
         told = self.error or f"{named(self.state)}; possible now: {_listed(self.transitions)}."
         return f"{self.node}: {told}{by}"
@@ -53,7 +53,7 @@ class LifecycleStates:
     note: str = field(default="", metadata=SAID)
 
     def summary(self) -> list[str]:
-        """A line for each node."""
+        """Return a line for each node."""
         return [node.summary() for node in self.nodes] or [f"No lifecycle node is running. {self.note}".rstrip()]
 
 
@@ -72,14 +72,14 @@ class Transition:
     note: str = ""
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         outcome = "done" if self.successful else "failed"
         states = f"{named(self.state_before)} → {named(self.state)}"
         return f"{self.node}: {named(self.transition)} {outcome}; {states}. {self.note}".rstrip()
 
 
 async def states(robot: Robot, nodes: Sequence[str] = ()) -> LifecycleStates:
-    """The states of the named nodes, or of every lifecycle node; the `error` of one does not end the others."""
+    """Return the states of the named nodes, or of every lifecycle node; the `error` of one does not stop the others."""
     chosen = [names.absolute(node, "node") for node in nodes] or await _lifecycle_nodes(robot)
     asking = [or_error(_state(robot, node), partial(LifecycleState, node, "unknown", ())) for node in chosen]
     stacks, found = await asyncio.gather(stacks_of(robot), asyncio.gather(*asking))
@@ -89,11 +89,11 @@ async def states(robot: Robot, nodes: Sequence[str] = ()) -> LifecycleStates:
 
 
 async def change(robot: Robot, session: Session, node: str, transition: str) -> Transition:
-    """Makes a transition that is possible now, such as `configure` or `activate`.
+    """Make a transition that is possible now, such as `configure` or `activate`.
 
     Raises:
-        NotFound: if the node is not there or has no lifecycle.
-        BadInput: if the transition is not possible now; names those that are.
+        NotFound: if the node does not exist or has no lifecycle.
+        BadInput: if the transition is not possible now; it names those that are.
     """
     node = names.absolute(node, "node")
     before = await _state(robot, node)
@@ -102,7 +102,7 @@ async def change(robot: Robot, session: Session, node: str, transition: str) -> 
         raise BadInput(problem, f"Possible now: {_listed(before.transitions)}.")
     available = (await _response(robot, node, "GetAvailableTransitions"))["available_transitions"]
     labelled = [entry["transition"] for entry in available if entry["transition"]["label"] == transition]
-    # If it has become impossible in between, the node itself refuses: it goes by the label before the id.
+    # If it has become impossible in between, the node itself refuses: it checks the label before the id.
     chosen = labelled[0] if labelled else {"id": 0, "label": transition}
     command = ChangeState(
         principal=session.principal,

@@ -1,4 +1,4 @@
-"""Listing nodes, as `ros2 node list` does."""
+"""List nodes, as `ros2 node list` does."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ class NodeList:
     note: str = field(metadata=IF_ANY)
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         return f"{len(self.nodes)} of {self.total} nodes. {self.note}".rstrip()
 
 
 async def list_nodes(robot: Robot, pattern: str = "", include_hidden: bool = False, limit: int = 200) -> NodeList:
-    """The nodes whose full names match the pattern, sorted; our own bridge is left out."""
+    """Return the nodes whose full names match the pattern, sorted, without this server's own."""
     found, absence = await asyncio.gather(robot.graph.nodes(), robot.graph.absence())
     others = [row.name for row in found if row.name not in robot.graph.own_nodes]
     visible = sorted(name for name in others if include_hidden or not names.is_hidden(name))

@@ -1,4 +1,4 @@
-"""The services that a node has of itself, for its parameters and its lifecycle, and the errors that they end with."""
+"""Services that a node provides for its own parameters and lifecycle, and the errors of calling them."""
 
 from __future__ import annotations
 
@@ -11,20 +11,22 @@ from ros2_mcp.model.errors import NotFound, TimedOut
 from ros2_mcp.robot import Robot
 
 TIMEOUT_S = 5.0
-"""A node that spins answers within milliseconds, and one that is starting up within seconds."""
+"""Time-out of a call: a node that spins answers within milliseconds, and one that is starting within seconds."""
 APPEAR_S = 1.0
-"""For a service of a node that has only just come up."""
+"""Time to discover a service of a node that has just started."""
 
 
 def service_of(node: str, kind: str) -> str:
-    """The service of a node whose name follows from its type: of `lifecycle_msgs/srv/GetState` it is `get_state`."""
+    """Return the service of a node with this type, from which its name follows: `get_state` for
+    `lifecycle_msgs/srv/GetState`.
+    """
     return f"{node}/{re.sub(r'(?<=[a-z])(?=[A-Z])', '_', kind.rpartition('/')[2]).lower()}"
 
 
 async def ask_node(
     robot: Robot, node: str, kind: str, request: Mapping[str, Any], *, timeout_s: float, wait_s: float | None = None
 ) -> Answer:
-    """Asks a service of a node; raises as `Robot.ask_service`."""
+    """Call a service of a node. Raises the same errors as `Robot.ask_service`."""
     return await robot.ask_service(service_of(node, kind), kind, request, timeout_s=timeout_s, wait_s=wait_s)
 
 
@@ -36,12 +38,12 @@ async def fields_of_answer(
     timeout_s: float = TIMEOUT_S,
     unanswered: str = "",
 ) -> dict[str, Any]:
-    """The fields of a node's answer, with errors that speak of the node: the user asked for it, not for a service.
+    """Return the fields of a node's answer. The errors name the node: the user asked for a node, not for a service.
 
-    `unanswered` says what may follow where no answer came in time: what writes may have been done all the same.
+    `unanswered` is the hint for an answer that did not come in time: a write may have been carried out all the same.
 
     Raises:
-        NotFound: made by `not_found`, if the node is not there or has no such service.
+        NotFound: made by `not_found`, if the node does not exist or has no such service.
         TimedOut: if it did not answer in time.
     """
     try:

@@ -1,4 +1,4 @@
-"""Listing, reading and setting parameters of nodes, as `ros2 param` does, through the services that every node has."""
+"""List, read and set parameters of nodes, as `ros2 param` does, through the services that every node has."""
 
 from __future__ import annotations
 
@@ -23,9 +23,10 @@ from ros2_mcp.robot.session import Session
 from ros2_mcp_common.policy.verbs import SET_PARAMETERS, SET_PARAMETERS_ATOMICALLY
 
 _DISCOVERY_S = 6.0
-"""How old a bridge is that has discovered the services of every node: they come up to 3 s after the nodes."""
+"""The age at which a bridge has discovered the services of every node: they come up to 3 s after the nodes."""
 _SHORT_BYTES = 1000
-"""As JSON. A value of that size is always shown: there are hundreds of them at most; of longer ones as many as fit."""
+"""As JSON. A value up to this size is always shown: there are hundreds of them at most. Of longer
+values, as many are shown as fit."""
 _MAX_NAMED = 5
 """Parameters that are named in a summary, which is one line."""
 _LONG_HINT = (
@@ -38,12 +39,12 @@ _PART_OF = re.compile(r"(?P<name>.+)\[(?P<start>\d*):(?P<end>\d*)\]")
 _PART_LENGTH = 8000
 """Characters of a part that fit into one answer, with their quotes escaped."""
 _OF_EVERY_NODE: Mapping[str, Any] = {"use_sim_time": False, "start_type_description_service": True}
-"""What rclcpp and rclpy declare for each node, with its default."""
+"""The parameters that rclcpp and rclpy declare for each node, with their defaults."""
 _OVERRIDES = "qos_overrides."
-"""Four to seven parameters for each topic that lets its QoS be changed at the start; nobody but its node knows which
-of them are at their defaults."""
+"""The prefix of four to seven parameters for each topic whose QoS can be changed at the start. Only the node knows
+which of them are at their defaults."""
 _MAX_TEXT = 500
-"""Characters of a description, constraints, or a node's reason."""
+"""The most characters of a description, of constraints, or of a node's reason."""
 _NO_DESCRIPTOR: Mapping[str, Any] = {
     "type": 0,
     "dynamic_typing": False,
@@ -94,7 +95,7 @@ class ParameterList:
     note: str = field(metadata=IF_ANY)
 
     def summary(self) -> list[str]:
-        """A line for each node."""
+        """Return a line for each node."""
         lines = [f"{n.node}: {n.error or counted(len(n.parameters), 'parameter')}" for n in self.nodes]
         return [*lines, self.note] if self.note else lines
 
@@ -118,7 +119,7 @@ class Dump:
     parts: dict[str, Any] = field(default_factory=dict[str, Any], metadata=IF_ANY)
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         count = counted(len(self.parameters), "parameter")
         declared = f" {len(self.not_set)} declared without a value." if self.not_set else ""
         line = f"{self.node}: {count}, {len(self.read_only)} read-only.{declared} {self.note}".rstrip()
@@ -156,7 +157,7 @@ class SetResult:
     note: str = ""
 
     def summary(self) -> list[str]:
-        """One line, and one for each refusal."""
+        """Return one line, and one for each refusal."""
         taken = [one for one in self.parameters if one.successful]
         changes = [
             f"{named(one.name)} = {one.left_out or in_quotes(one.value)} (was {_before(one.before)})" for one in taken
@@ -183,13 +184,13 @@ def _before(value: Any) -> str:
 
 
 class _Room:
-    """How much of an answer the long values of parameters may take: those that do not fit are left out."""
+    """The bytes of an answer that are left for long values of parameters. Values that do not fit are left out."""
 
     def __init__(self, max_bytes: int) -> None:
         self._left = max_bytes
 
     def shown(self, parameter: Parameter) -> Parameter:
-        """The parameter with its texts cut, and without its value if that is too long."""
+        """Return the parameter with its texts cut, and without its value if that does not fit."""
         size = len(json.dumps(parameter.value, ensure_ascii=False).encode("utf-8", "surrogatepass"))
         left_out = ""
         if size > _SHORT_BYTES:
@@ -217,9 +218,11 @@ def _cut(text: str) -> str:
 
 
 async def describe(robot: Robot, nodes: Sequence[str], pattern: str = "", limit: int = 200) -> ParameterList:
-    """Parameters with values and descriptors, of several nodes at once; the `error` of one does not end the others.
+    """Return parameters with values and descriptors, of several nodes at once; the `error`
+    of one does not stop the others.
 
-    Without nodes: of every node. Without a pattern what every node has is left out, unless it is not at its default.
+    Without nodes: of every node. Without a pattern, the parameters that every node has are left out if they are at
+    their defaults, and all `qos_overrides.`.
     """
     left_out = 0
 
@@ -238,7 +241,7 @@ async def describe(robot: Robot, nodes: Sequence[str], pattern: str = "", limit:
     left, room = limit, _Room(answer_bytes(robot))
     for node in found:
         if pattern and not (nodes or node.parameters or node.error):
-            continue  # nobody asked for this node, and it has no such parameter
+            continue  # this node was not named, and has no such parameter
         shown.append(NodeParameters(node.node, [room.shown(one) for one in node.parameters[:left]], node.error))
         left = max(left - len(node.parameters), 0)
     long = [one.name for node in shown for one in node.parameters if one.left_out]
@@ -251,22 +254,23 @@ async def describe(robot: Robot, nodes: Sequence[str], pattern: str = "", limit:
 
 
 async def all_of(robot: Robot, node: str) -> Sequence[Parameter]:
-    """All parameters of one node, with values of any length; raises as `dump`."""
+    """Return all parameters of one node, with values of any length. Raises the same errors as `dump`."""
     declared = await _names(robot, node)
     return await _read(robot, node, declared, declared)
 
 
 def _is_usual(parameter: Parameter) -> bool:
-    """Whether it says nothing of its node."""
+    """Return whether a parameter is a standard one that says nothing about its node."""
     is_default = parameter.name in _OF_EVERY_NODE and parameter.value is _OF_EVERY_NODE[parameter.name]
     return is_default or parameter.name.startswith(_OVERRIDES)
 
 
 async def dump(robot: Robot, node: str, asked: Sequence[str] | None = None, *, whole: bool = False) -> Dump:
-    """Parameters of a node, the asked ones or all, in a form that can be set back; long values only if `whole`.
+    """Return parameters of a node, the requested ones or all, in a form that can be set
+    back; long values only if `whole`.
 
     Raises:
-        NotFound: if the node is not there, or a parameter is not declared.
+        NotFound: if the node does not exist, or a parameter is not declared.
     """
     node = names.absolute(node, "node")
     declared = await _names(robot, node)
@@ -313,12 +317,12 @@ def _part_of(name: str, part: re.Match[str], value: Any) -> Any:
 async def set_values(
     robot: Robot, session: Session, node: str, values: Mapping[str, Any], *, atomic: bool = False
 ) -> SetResult:
-    """Sets parameters, after each value has been converted to the declared type; reads them back.
+    """Set parameters, after converting each value to the declared type, and read them back.
 
-    A read-only parameter with the value that it has is no error: what `dump` has read can be set back as a whole.
+    A read-only parameter with the value that it already has is no error: all that `dump` has read can be set back.
 
     Raises:
-        NotFound: if the node is not there.
+        NotFound: if the node does not exist.
         BadValue: if a value is not of its parameter's type or out of its range, or the parameter is read-only or not
             declared; nothing is set.
     """
@@ -343,7 +347,7 @@ async def set_values(
     result_of = await _set(robot, session, command)
     room = _Room(answer_bytes(robot))
     now = {parameter.name: room.shown(parameter) for parameter in await _read(robot, node, list(values), ())}
-    # What was left out of the request: a node would refuse a read-only parameter even with the value that it has.
+    # The result for parameters left out of the request: a node would refuse a read-only one even with its own value.
     kept = {"successful": True, "reason": "it is read-only and has this value"}
     ones: list[SetOne] = []
     for name in values:
@@ -381,8 +385,8 @@ async def _set(robot: Robot, session: Session, command: SetParameters) -> dict[s
 async def _messages(
     robot: Robot, node: str, values: Mapping[str, Any]
 ) -> tuple[list[dict[str, Any]], Mapping[str, Any]]:
-    """The values as `rcl_interfaces/msg/Parameter`, checked, without read-only ones that have their value already;
-    and the values that they have now.
+    """Return the values as `rcl_interfaces/msg/Parameter`, checked, without read-only parameters that already have
+    their value; and the present values.
     """
     declared = await _names(robot, node)
     known = [name for name in values if name in declared]
@@ -391,7 +395,7 @@ async def _messages(
     for name, value in values.items():
         parameter = current.get(name)
         if parameter is None:
-            # A node answers a question for an undeclared parameter only if it allows undeclared ones.
+            # A node answers a request for an undeclared parameter only if it allows undeclared ones.
             answer = await _response(robot, node, "GetParameters", {"names": [name]})
             if len(answer["values"]) != 1:
                 raise BadValue(name, f"{node} has no such parameter.", _near(name, declared))
@@ -413,7 +417,7 @@ def _check_range(name: str, value: Any, allowed: Mapping[str, Any] | None) -> No
 
 
 async def shared_names(robot: Robot, nodes: Sequence[str]) -> str:
-    """In words, which of these names several nodes have; empty if none."""
+    """Return a sentence on the names that several nodes have; empty if there are none."""
     counts = Counter(row.name for row in await robot.graph.nodes())
     shared = [node for node in nodes if counts[node] > 1]
     most = max((counts[node] for node in shared), default=0)
@@ -431,7 +435,9 @@ async def _names(robot: Robot, node: str) -> list[str]:
 
 
 async def _read(robot: Robot, node: str, asked: Sequence[str], declared: Collection[str]) -> list[Parameter]:
-    """The parameters that the node knows; those that are `declared` also where it tells nothing of them."""
+    """Return the requested parameters that the node knows. Those in `declared` are returned even if the
+    node reports nothing about them.
+    """
     if not asked:
         return []
     values, descriptors = await asyncio.gather(
@@ -448,10 +454,10 @@ async def _read(robot: Robot, node: str, asked: Sequence[str], declared: Collect
 
 
 async def _of_each(robot: Robot, node: str, kind: str, key: str, asked: Sequence[str]) -> dict[str, Any]:
-    """What a node answers for each name; without those for which it has no answer.
+    """Return what a node answers for each name, without the names for which it has no answer.
 
-    One parameter that is declared and not set makes rclcpp and rclpy answer for none (or leave out what follows it), so
-    a list that is shorter than the question is asked for again in halves.
+    One parameter that is declared but not set makes rclcpp and rclpy answer for none (or leave out those after it). So
+    if the answer is shorter than the request, it is requested again in halves.
     """
     if not asked:
         return {}
@@ -461,14 +467,16 @@ async def _of_each(robot: Robot, node: str, kind: str, key: str, asked: Sequence
     if len(asked) == 1:
         return {}
     middle = len(asked) // 2
-    first = await _of_each(robot, node, kind, key, asked[:middle])  # in turn: the node is asked one question at a time
+    first = await _of_each(robot, node, kind, key, asked[:middle])  # in turn: a node gets one request at a time
     return first | await _of_each(robot, node, kind, key, asked[middle:])
 
 
 def _parameter(
     name: str, value: Mapping[str, Any] | None, descriptor: Mapping[str, Any], type_code: int = 0
 ) -> Parameter:
-    """Of a parameter that is not set `value` is None, and its type that of its declaration."""
+    """Return a parameter from its value and descriptor. If it is not set, `value` is None, and its
+    type is that of its declaration.
+    """
     value = value or {"type": 0}
     declared = parameters.type_name(int(value["type"]) or int(descriptor["type"]) or type_code)
     # A descriptor has at most one range, of either kind.
@@ -487,12 +495,14 @@ def _parameter(
 
 
 async def _time_to_appear(robot: Robot) -> float:
-    """How long a service may take to be seen: the younger the bridge, the longer. Services come after their nodes."""
+    """Return how long to wait for the discovery of a service: the younger the bridge, the longer. Services are
+    discovered after their nodes.
+    """
     return max(APPEAR_S, _DISCOVERY_S - (await robot.graph.bridge_status()).uptime_s)
 
 
 async def _response(robot: Robot, node: str, kind: str, request: Mapping[str, Any]) -> dict[str, Any]:
-    """The answer, in full, of one of a node's parameter services that only read."""
+    """Return the answer, in full, of one of a node's parameter services that only read."""
     kind, wait_s = f"rcl_interfaces/srv/{kind}", await _time_to_appear(robot)
     asking = ask_node(robot, node, kind, request, timeout_s=TIMEOUT_S, wait_s=wait_s)
     return await fields_of_answer(robot, node, asking, _not_found)

@@ -15,7 +15,7 @@ from ros2_mcp.ops.nodes.own_services import ask_node
 from ros2_mcp.robot import Robot
 
 COMMANDS = {"up": 0, "pause": 1, "resume": 2, "reset": 3, "down": 4}
-"""What its request's `command` may be: STARTUP, PAUSE, RESUME, RESET, SHUTDOWN."""
+"""Values of the field `command` of a request: STARTUP, PAUSE, RESUME, RESET, SHUTDOWN."""
 _ENDING = "/manage_nodes"
 _ANSWER_S = 1.0
 _MOST_NAMED = 4
@@ -23,18 +23,20 @@ _MOST_NAMED = 4
 
 @dataclass(frozen=True, slots=True)
 class Stack:
-    """The nodes that the node `host` starts and stops together, in their order."""
+    """The nodes that the node `host` starts and stops together, in its order."""
 
     host: str
     nodes: Sequence[str]
 
     @property
     def service(self) -> str:
-        """Its service."""
+        """The service of the host."""
         return f"{self.host}{_ENDING}"
 
     def of(self, node: str) -> str:
-        """Whose a node is, what follows where it is changed alone, and what to do instead."""
+        """Return a text on a node of the stack: its host, the consequence of changing it
+        alone, and what to do instead.
+        """
         others = [one for one in self.nodes if one != node]
         return (
             f"{named(node)} belongs to {named(self.host)}, with {counted(len(others), 'other node')} "
@@ -45,7 +47,7 @@ class Stack:
 
 
 async def stacks_of(robot: Robot) -> list[Stack]:
-    """All whose node says which nodes are its own. Raises no `RobotError`."""
+    """Return all stacks whose host reports its nodes. Raises no `RobotError`."""
     try:
         rows = [row.name for row in await robot.graph.services() if MANAGE in row.types]
     except RobotError:
@@ -56,7 +58,7 @@ async def stacks_of(robot: Robot) -> list[Stack]:
 
 
 async def stack_of(robot: Robot, node: str) -> Stack | None:
-    """That to which a node belongs; None where it belongs to none."""
+    """Return the stack to which a node belongs; None if it belongs to none."""
     return next((stack for stack in await stacks_of(robot) if node in stack.nodes), None)
 
 

@@ -1,1 +1,1 @@
-"""The policy in force, told to the agent; and a draft of one, made from the live graph."""
+"""Describe the policy in force for the agent; and draft a policy from the live graph."""

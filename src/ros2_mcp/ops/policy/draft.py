@@ -1,4 +1,4 @@
-"""A policy drafted from the live graph, with a comment at each line: for an operator, who reads and changes it."""
+"""Draft a policy from the live graph, with a comment at each line: for an operator, who reads and changes it."""
 
 from __future__ import annotations
 
@@ -25,18 +25,20 @@ from ros2_mcp_common.policy.velocity import VELOCITY_TYPES
 from ros2_mcp_common.policy.verbs import is_meta, only_reads
 
 _SAFETY = re.compile(r"collision|safety|e_?stop|emergency|mux|smoother|watchdog|deadman|twist_stamper|speed_limit")
-"""In the names of nodes, topics and services that watch over a robot."""
+"""Matches names of nodes, topics and services that guard a robot."""
 _OWN_LIMITS = re.compile(r"timeout|max.*(vel|speed)|(vel|speed).*max")
-"""In the names of parameters that bound how a base drives."""
+"""Matches names of parameters that bound how a base drives."""
 _JOINT = re.compile(r"[A-Za-z_][A-Za-z0-9_./-]{0,99}", re.ASCII)
-"""What is a name in YAML and in a sentence, and nothing else: a robot could write lines of its own into the draft."""
+"""Matches a name that is plain text in YAML and in a sentence: a robot could otherwise write
+lines of its own into the draft."""
 _ODOMETRY = "nav_msgs/msg/Odometry"
 _SEND_GOAL = "/_action/send_goal"
 _ACKERMANN = "ackermann_msgs/"
 _ARM_SPEED, _SLIDE_SPEED, _ARM_SHARE = 0.3, 0.05, 0.3
-"""rad/s and m/s, and of the velocity limit in the URDF: the least of them. Slow enough to be watched."""
+"""The speed limits of joints: in rad/s, in m/s, and as a share of the velocity limit in the URDF; the least applies.
+Slow enough to be watched."""
 _MOST = 40
-"""Services that are listed as comments: those of a small robot; a large one has hundreds, which nobody would read."""
+"""The most services that are listed as comments: those of a small robot. A large one has hundreds, too many to read."""
 _HEAD = """\
 # A draft of a policy, made by `ros2-mcp policy init` from the robot in ROS domain {domain}. Read each line, and delete
 # what the agent does not need: what no rule allows is refused. Lines behind a # are what else was found.
@@ -72,8 +74,8 @@ feedback: # what the robot says of its own speed: it is stopped when it moves al
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Arm:
-    """A joint trajectory controller: its action and topic ("" where it has none), and the joints that it moves, each
-    with its description where the robot has one.
+    """A joint trajectory controller: its action and topic ("" if it has none), and the joints that it moves, each with
+    its description if the robot has one.
     """
 
     name: str
@@ -84,7 +86,7 @@ class Arm:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Found:
-    """What a draft is made of: `inputs` are the velocity topics, `actions` and `services` names with types, `arms` the
+    """The facts for a draft: `inputs` are the velocity topics, `actions` and `services` names with types, `arms` the
     joint trajectory controllers.
     """
 
@@ -99,7 +101,8 @@ class Found:
 
 
 async def draft(robot: Robot) -> str:
-    """A policy for the robot that is seen now: velocities on its inputs, slow; everything else as comments.
+    """Return a policy for the robot that is seen now: it allows slow velocities on the robot's inputs, recording, and
+    goals for arms with a person's consent; the rest is comments.
 
     Raises:
         LinkError: if there is no bridge.
@@ -139,10 +142,10 @@ async def _look(robot: Robot) -> Found:
 
 
 async def _arms(robot: Robot) -> Sequence[Arm]:
-    """The joint trajectory controllers whose joints are known."""
+    """Return the joint trajectory controllers whose joints are known."""
     found = [one for one in (await controllers(robot)).values() if is_name(one.way) and one.joints]
     joints: Mapping[str, Joint] = {}
-    with suppress(RobotError):  # none, several, or one that cannot be read: the draft says so
+    with suppress(RobotError):  # no description, several, or an unreadable one: the draft says so
         joints = (await described(robot)).joints if found else joints
     return [
         Arm(name=one.name, action=one.action, topic=one.topic, joints={name: joints.get(name) for name in one.joints})
@@ -152,7 +155,7 @@ async def _arms(robot: Robot) -> Sequence[Arm]:
 
 
 async def _own_limits(robot: Robot, nodes: Sequence[str]) -> list[str]:
-    """Parameters of the drivers that bound how they drive, with their values."""
+    """Return the parameters by which the drivers bound the motion, with their values."""
     if not nodes:
         return []
     try:
@@ -171,7 +174,7 @@ async def _own_limits(robot: Robot, nodes: Sequence[str]) -> list[str]:
 
 
 def lines_of_draft(found: Found) -> Iterator[str]:
-    """The text of the draft, in pieces."""
+    """Yield the text of the draft, in pieces."""
     yield _HEAD.format(domain=found.domain)
     yield "allow:\n"
     for topic in found.inputs:
@@ -195,7 +198,7 @@ def lines_of_draft(found: Found) -> Iterator[str]:
 
 
 def _input(topic: TopicEndpoints) -> Iterator[str]:
-    """A topic with velocities: allowed where the robot only reads it."""
+    """Yield the rule for a velocity topic: allowed if nodes of the robot subscribe to it and none publishes on it."""
     readers = _listed(endpoint.node for endpoint in topic.subscribers)
     writers = _listed(endpoint.node for endpoint in topic.publishers)
     if writers:
@@ -222,7 +225,7 @@ def _limits(found: Found) -> Iterator[str]:
 
 
 def _allowed_arm(arm: Arm) -> Iterator[str]:
-    """A trajectory controller: its goals are allowed, each after a person has approved it."""
+    """Yield the rule for a trajectory controller: its goals are allowed, each after a person has approved it."""
     if arm.action:
         yield f"  - goal: {arm.action} # {arm.name} moves {', '.join(arm.joints)}\n    type: {FOLLOW}\n"
         yield "    consent: each # nobody but a person sees what stands around; never, where nothing does\n"
@@ -231,7 +234,7 @@ def _allowed_arm(arm: Arm) -> Iterator[str]:
 
 
 def _arm_limit(arm: Arm, name: str) -> Iterator[str]:
-    """What its joints may do, all along each trajectory: within their limits in the URDF, and slower."""
+    """Yield the limits of an arm's joints all along each trajectory: within their limits in the URDF, and slower."""
     yield f"  {name}: # {arm.name}\n    types: [{FOLLOW}]\n    names: [{arm.action}]\n"
     yield "    curve: # all along what the controller follows through the points, from where the joints are\n"
     yield "      trajectory:\n"

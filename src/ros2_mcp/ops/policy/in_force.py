@@ -1,4 +1,4 @@
-"""The policy in force in words and numbers, so that an agent plans within it."""
+"""Describe the policy in force in words and numbers, so that an agent plans within it."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ class InForce:
     forbidden: Sequence[str]
     held: str
     tools_not_allowed: Sequence[str] = field(default=(), metadata=SAID)
-    """Tools of which no use is allowed."""
+    """Tools that the policy allows for nothing."""
     note: str = field(metadata=IF_ANY)
 
     def summary(self) -> list[str]:
-        """All of it: a line each."""
+        """Return the whole description, a line for each part."""
         if not self.in_force:
             return [self.note]
         head = f"Policy {' and '.join(self.policies)} ({self.strength})."
@@ -56,7 +56,7 @@ class InForce:
 
 
 async def in_force(robot: Robot) -> InForce:
-    """The policy of this server in words; never where it stands."""
+    """Return the policy of this server in words, without the path of its file."""
     guard, policy = robot.guard, robot.policy
     held = _LATCHED if guard.latch.look().is_set else ""
     said = [_MODES[guard.mode], _ALWAYS] if policy.in_force else [NONE]
@@ -77,7 +77,7 @@ async def in_force(robot: Robot) -> InForce:
 
 
 def _lines(policy: Policy, told: Callable[[Document], list[str]]) -> list[str]:
-    """What each policy says; where there are several, with its name."""
+    """Return the lines of each policy; if there are several, with its name."""
     several = len(policy.documents) > 1
     return [
         f"[{document.name}] {line}" if several else line for document in policy.documents for line in told(document)

@@ -1,7 +1,7 @@
-"""Managed relays: messages of one topic appear on another, all of them, at a limited rate, or only changes.
+"""Relays: messages of one topic are published on another, all of them, at a limited rate, or only changes.
 
-A relay is a request to the bridge that stays open. Where values count, the server takes part in it: it subscribes to
-the source, and feeds the bridge with what it lets through.
+A relay is a request to the bridge that stays open. If the values of messages matter, the server takes part in it: it
+subscribes to the source, and sends the bridge the messages to publish.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from ros2_mcp_common.rhythm import Rhythm
 from ros2_mcp_common.wire.limits import MAX_RATE_HZ, MIN_RATE_HZ
 
 Transform = Callable[[Sample], "bytes | None"]
-"""What becomes of a message: the bytes to publish, or None where it is held back."""
+"""Returns the bytes to publish for a message, or None if it is held back."""
 
 TRANSFORMS = {"identity": "identity", "rate_limit": "rate_limit", "on_change": "on_change", "filter": "on_change"}
 MAX_RELAY_S = 86_400.0
@@ -43,24 +43,24 @@ _STARTED_S = 5.0
 _MATCH_S = 1.0
 """How long the bridge waits for the destination's subscribers, which discovery may still be matching."""
 _APPEARS_S = 1.0
-"""How long a source without a publisher is waited for where no type is given: it may just be coming up."""
+"""How long to wait for a publisher of the source if no type is given: it may just be starting."""
 _LOOK_EVERY_S = 0.02
-"""A relay begins within a few milliseconds; this is by how much a start is longer than it needs to be."""
+"""Seconds between two checks of whether a relay has begun, which takes a few milliseconds."""
 _SILENT_S = 1.0
-"""After this long without a message, the publishers are looked at again: a new one may need another QoS."""
+"""After this long without a message, the publishers are looked up again: a new one may need another QoS."""
 _LATCHED_DEPTH = 10
-"""Assumed of a publisher whose depth is unknown; `/tf_static` with ten broadcasters fits."""
+"""The depth assumed for a publisher whose depth is unknown; `/tf_static` with ten broadcasters fits."""
 _DEPTH = 100
-"""Messages that wait for a slow listener of the destination: a second of a topic at 100 Hz."""
+"""Messages queued for a slow subscriber of the destination: a second of a topic at 100 Hz."""
 _BATCH = 100
 _BATCH_BYTES = 1_000_000
-"""What is fed at once, in messages and bytes: large enough that a request's overhead does not count, small enough that
-none lasts long."""
+"""The most that is sent to the bridge in one request, in messages and bytes: large enough that a request's overhead
+does not matter, small enough that no request takes long."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RelayRequest:
-    """What to relay. `duration_s` 0 is until stopped; `destination_type` matters only with a mapping."""
+    """The settings of a relay. `duration_s` 0: until stopped. `destination_type` matters only with a mapping."""
 
     source_topic: str
     destination_topic: str
@@ -106,7 +106,7 @@ class RelayState:
     note: str = field(metadata=IF_ANY)
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         return (
             f"{self.relay_id} ({self.transform}) {self.source_topic} → {self.destination_topic}: {self.state}, "
             f"{self.passed} passed, {self.dropped} dropped. {self.note}"
@@ -121,12 +121,12 @@ class RelayList:
     running: int
 
     def summary(self) -> list[str]:
-        """A line for each."""
+        """Return a line for each relay."""
         return [f"{counted(self.running, 'relay')} running.", *(relay.summary() for relay in self.relays)]
 
 
 class Relay(Job):
-    """A relay under way. The bridge's part of it bears its id.
+    """A relay in progress. The bridge's part of it has the same id.
 
     `source_type` and `destination_type` are full types that the codec has learnt.
     """
@@ -159,7 +159,7 @@ class Relay(Job):
         self._pass = self._make_transform()
         self._choose_qos(source, destination)
         self.counts = RelayCounts()
-        """The bridge's last counts; what the server itself did is counted below."""
+        """The bridge's last counts; those of the server's own part follow below."""
         self._held_back = 0
         self._failed = 0
         self._last_error = ""
@@ -167,7 +167,7 @@ class Relay(Job):
         self._time_is_over = False
 
     def check_beside(self, running: Sequence[Job]) -> None:
-        """Raises `BadInput` if it would feed itself through others, or is one of them already."""
+        """Raise `BadInput` if this relay would feed itself through others, or if the same relay already runs."""
         others = [job for job in running if isinstance(job, Relay)]
         topics = way(((other.source, other.destination) for other in others), self.destination, self.source)
         if topics:
@@ -180,7 +180,7 @@ class Relay(Job):
                 raise BadInput(f"{other.id} relays {self.source} to {self.destination} already.", "Stop it first.")
 
     async def run(self) -> None:
-        """Keeps the bridge's part open until that ends, and feeds it where values count."""
+        """Keep the bridge's part open until that ends, and feed it if values matter."""
         relay = commands.Relay(
             principal=self.owner,
             name=self.destination,
@@ -202,11 +202,11 @@ class Relay(Job):
         self.stop_reason = self.stop_reason or reason_of(self._robot, self.counts.ended_by)
 
     async def wind_down(self) -> None:
-        """Lets the bridge send the zero, if there is one, and answer with its last counts."""
+        """Make the bridge send the zero, if there is one, and answer with its last counts."""
         await self._robot.end_relay(self.id)
 
     def report(self) -> RelayState:
-        """How it stands."""
+        """Return the current state of the relay."""
         counts = self.counts = self.counts if self.is_running else self._robot.graph.relay_ended(self.id) or self.counts
         late, unseen = self._listened.dropped, self._listened.lost
         lost = None if counts.lost is None or unseen is None else counts.lost + unseen + late
@@ -254,7 +254,9 @@ class Relay(Job):
     # ── the bridge's part ──────────────────────────────────────────────────────────────────────────────────────
 
     def _choose_qos(self, source: TopicEndpoints, destination: TopicEndpoints) -> None:
-        """Latched where the source is or a listener asks for it, with room for what every publisher keeps."""
+        """Choose the destination's QoS: latched if the source is, or a subscriber asks for it, with room
+        for what every publisher keeps.
+        """
         publishers = [publisher for publisher in source.publishers if publisher.type == self._types[0]]
         subscribers = [subscriber for subscriber in destination.subscribers if subscriber.type == self._types[1]]
         reading = for_subscribing(publishers, depth=1000)
@@ -290,9 +292,9 @@ class Relay(Job):
         await self.wind_down()
 
     async def _feed_from(self, end: float) -> None:
-        """Feeds the bridge from one subscription, until the time is over or another one fits the publishers better.
+        """Feed the bridge from one subscription, until the time is over or another QoS fits the publishers better.
 
-        That is looked at only while nothing comes: a subscription with the wrong QoS receives nothing.
+        The QoS is checked only while no message arrives: a subscription with the wrong QoS receives nothing.
         """
         before = self._listened
         async with self._robot.listen(self.source, self._types[0]) as listening:
@@ -306,7 +308,7 @@ class Relay(Job):
                     return
 
     async def _feed(self, samples: Sequence[Sample]) -> None:
-        """Passes on what the transform lets through, several messages in a request as long as they are small."""
+        """Send the messages that pass the transform to the bridge, several in a request as long as they are small."""
         batch: list[bytes] = []
         size = 0
         for sample in samples:
@@ -338,7 +340,7 @@ class Relay(Job):
             await anyio.sleep_forever()  # the bridge has ended the relay, and its answer to that is under way
 
     def _make_transform(self) -> Transform:
-        """What becomes of a message; raises `BadInput` if an option does not fit the types."""
+        """Return the transform of a message. Raises `BadInput` if an option does not fit the types."""
         # Loaded with the first relay: numpy, which these need, would double the time until tools/list is answered.
         from ros2_mcp.values.change import ChangeDetector
         from ros2_mcp.values.mapping import FieldMapping
@@ -359,7 +361,7 @@ class Relay(Job):
 
 
 async def start(robot: Robot, session: Session, request: RelayRequest) -> RelayState:
-    """Starts a relay and returns as soon as it runs; it goes on by itself.
+    """Start a relay, and return as soon as it runs; it continues by itself.
 
     Raises:
         Refused: if this server is read-only, or too many relays run.
@@ -398,18 +400,20 @@ async def start(robot: Robot, session: Session, request: RelayRequest) -> RelayS
 
 
 async def list_relays(robot: Robot) -> RelayList:
-    """Every relay with its counts up to now."""
+    """Return every relay with its counts up to now."""
     if robot.jobs.running(Relay):
-        with suppress(LinkError):  # the bridge is gone: they are about to end, their last counts are what is known
+        with suppress(
+            LinkError
+        ):  # the bridge is gone: the relays are about to end, their last counts are all that is known
             counts = await robot.graph.relays()
-            for relay in robot.jobs.running(Relay):  # those that have ended meanwhile have their last counts
+            for relay in robot.jobs.running(Relay):  # relays that ended meanwhile keep their last counts
                 relay.counts = counts.get(relay.id, relay.counts)
     states = [relay.report() for relay in robot.jobs.all(Relay)]
     return RelayList(states, len(robot.jobs.running(Relay)))
 
 
 async def stop(robot: Robot, relay_id: str = "") -> RelayState:
-    """Ends a relay; one that has ended already stays as it was.
+    """End a relay. One that has ended already stays as it is.
 
     Raises:
         NotFound: if there is no such relay.
@@ -419,7 +423,9 @@ async def stop(robot: Robot, relay_id: str = "") -> RelayState:
 
 
 def way(relays: Iterable[tuple[str, str]], start: str, end: str) -> list[str]:
-    """The topics along relays (source, destination) from one topic to another; empty if no way leads there."""
+    """Return the topics along relays (source, destination) from one topic to another; empty if
+    no chain of relays leads there.
+    """
     pairs = list(relays)
     ways = deque([[start]])
     seen = {start}

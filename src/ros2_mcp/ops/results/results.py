@@ -1,4 +1,4 @@
-"""What the results of all operations have in common: progress, notes, pictures, JSON and readable words."""
+"""Shared by the results of all operations: progress, notes, pictures, JSON and readable words."""
 
 from __future__ import annotations
 
@@ -21,56 +21,61 @@ from ros2_mcp.robot.kept import Kept
 R = TypeVar("R")
 OneOfSeveral = TypeVar("OneOfSeveral", bound="Outcome")
 
-# Values of an object in one line: it is there to be read; all of them stand in the JSON beside it.
+# The most values of an object in one line, which is for reading; the JSON beside it has all of them.
 _MAX_IN_WORDS = 12
 _SCALARS = frozenset({str, int, float, bool, type(None)})
 _TICK_S = 1.0
-"""Between two lines of progress: as often as a person reads a new one."""
+"""Seconds between two lines of progress: as often as a person reads a new one."""
 _TIME = {"sec", "nanosec"}
 """The fields of a time or a duration."""
 
 Report = Callable[[float, float, str], Awaitable[None]]
-"""Is called with progress: done so far, the whole, and a readable line."""
+"""Called with progress: the part done, the whole, and a readable line."""
 
 HIDDEN = {"hidden": True}
 """Metadata of a result's field that is not part of its JSON, such as a picture."""
 
 ON_REQUEST = {"on_request": True}
-"""Metadata of a result's field that is part of its JSON only where it was asked for, or has something; else None."""
+"""Metadata of a result's field that is part of its JSON only if it was requested, or has a value; else it is None."""
 
 IF_ANY = {"if_any": True}
-"""Metadata of a result's field without a default that structured content lacks where it is empty, such as a note."""
+"""Metadata of a result's field without a default that structured content omits if it is empty, such as a note."""
 
 ALWAYS = {"always": True}
-"""Metadata of a field that is empty by default, and that structured content has all the same: what was asked for."""
+"""Metadata of a field that is empty by default, but that structured content always has, because it was requested."""
 
 SAID = {"said": True}
-"""Metadata of a result's field that its summary tells: the text, which begins with that, does not tell it again."""
+"""Metadata of a result's field that its summary contains: the text begins with the summary,
+and does not repeat the field."""
 
 EXACT = {"exact": True}
-"""Metadata of a field with a value that can be sent back: the text has it as JSON, its numbers as they are."""
+"""Metadata of a field with a value that can be sent back: the text has it as JSON, with its numbers unrounded."""
 
 LINES = {"lines": True}
-"""Metadata of a field whose text has lines that are to be read as such."""
+"""Metadata of a field whose text consists of lines, and is shown line by line."""
 
 
 def beside(name: str) -> dict[str, str]:
-    """Metadata of a list with one value for each element of the list `name`: in the text both are one table."""
+    """Return metadata of a list with one value for each element of the list `name`:
+    the text shows both as one table.
+    """
     return {"beside": name}
 
 
 def four_digits(measured: float | None) -> float | None:
-    """A measured figure, such as a rate, to four significant digits: the others are chance. None stays None."""
+    """Return a measured figure, such as a rate, to four significant digits: further
+    digits are noise. None stays None.
+    """
     return None if measured is None else float(f"{measured:.4g}")
 
 
 def microseconds(measured: float | None) -> float | None:
-    """A measured time in seconds, to a microsecond, which no receipt is more exact than. None stays None."""
+    """Return a measured time in seconds, to a microsecond: no time of receipt is more exact. None stays None."""
     return None if measured is None else round(measured, 6)
 
 
 def at_most_every(seconds: float, report: Report) -> Report:
-    """A `Report` that passes on no more than one line in that time; clients show each of them."""
+    """Return a `Report` that passes on at most one line in that time, because clients show each of them."""
     next_at = 0.0
 
     async def passed_on(done: float, whole: float, line: str) -> None:
@@ -87,7 +92,9 @@ async def silent(_done: float, _whole: float, _line: str) -> None:
 
 
 async def or_error(work: Awaitable[R], failed: Callable[..., R]) -> R:
-    """The result of the work, or `failed(error=...)` if it fails: the error of one topic must not end the others."""
+    """Return the result of the work, or `failed(error=...)` if it fails: the error of one
+    topic must not stop the others.
+    """
     try:
         return await work
     except RobotError as error:
@@ -99,16 +106,16 @@ class Outcome(Protocol):
 
     @property
     def error(self) -> str:
-        """What went wrong, in words."""
+        """The error message."""
         ...
 
     def summary(self) -> str | list[str]:
-        """The result in readable words."""
+        """Return the result in readable words."""
         ...
 
 
 def unless_all_failed(results: Sequence[OneOfSeveral]) -> Sequence[OneOfSeveral]:
-    """The results of `or_error`, as long as one of them is none.
+    """Return the results of `or_error`, unless all of them are errors.
 
     Raises:
         AllFailed: with every error.
@@ -119,12 +126,14 @@ def unless_all_failed(results: Sequence[OneOfSeveral]) -> Sequence[OneOfSeveral]
 
 
 def lines_of(summary: str | list[str]) -> list[str]:
-    """The lines of a summary, which is one line or a list of lines."""
+    """Return the lines of a summary, which is one line or a list of lines."""
     return [summary] if isinstance(summary, str) else summary
 
 
 def list_note(matching: int, limit: int, settled: bool = True, absence: str = "") -> str:
-    """What a shortened or early list says of itself, after the `absence` of a robot; empty if it is complete."""
+    """Return the note of a list that is shortened, or not yet complete, after the `absence` of a
+    robot; empty if it is complete.
+    """
     notes = [absence] if absence else []
     if matching > limit:
         notes.append(f"{matching} match; the first {limit} are shown. Narrow the pattern, or raise the limit.")
@@ -135,7 +144,9 @@ def list_note(matching: int, limit: int, settled: bool = True, absence: str = ""
 
 @asynccontextmanager
 async def reporting(report: Report, whole_s: float, line: str | Callable[[], str]) -> AsyncGenerator[None, None]:
-    """Reports once a second, while the block runs, how long it has run; `line` may change meanwhile."""
+    """Report once a second, while the block runs, how long it has run. If `line` is a
+    function, it is called for each report.
+    """
     started = monotonic()
 
     async def tick() -> None:
@@ -144,7 +155,7 @@ async def reporting(report: Report, whole_s: float, line: str | Callable[[], str
             await report(elapsed, max(whole_s, elapsed), line if isinstance(line, str) else line())
             await asyncio.sleep(_TICK_S)
 
-    def begin() -> None:  # most of what is awaited takes milliseconds, and no task
+    def begin() -> None:  # most blocks end within milliseconds, and need no task
         nonlocal ticking
         ticking = asyncio.ensure_future(tick())
 
@@ -174,12 +185,14 @@ class WithPictures:
 
 
 def facts(pictures: Sequence[Picture]) -> list[PictureFacts]:
-    """What the pictures show."""
+    """Return a description of each picture."""
     return [PictureFacts(p.width, p.height, p.mime, p.note) for p in pictures]
 
 
 def may_be_absent(declared: Field[Any]) -> bool:
-    """Whether structured content lacks a field of a result where it is empty: such as it is by default, or `IF_ANY`."""
+    """Return whether structured content omits a field of a result if it is empty: one that is empty by default,
+    `IF_ANY` or `ON_REQUEST`.
+    """
     if "on_request" in declared.metadata or "if_any" in declared.metadata:
         return True
     if "always" in declared.metadata:
@@ -189,7 +202,7 @@ def may_be_absent(declared: Field[Any]) -> bool:
 
 
 def structured(value: Any) -> Any:
-    """A result as JSON values for a program: as `as_json`, without fields that are empty and say nothing thereby."""
+    """Return a result as JSON values for a program: as `as_json`, without empty fields that may be absent."""
     if type(value) in _SCALARS:
         return value
     if isinstance(value, (list, tuple)):
@@ -201,7 +214,7 @@ def structured(value: Any) -> Any:
 
 
 def as_json(value: Any) -> Any:
-    """A result as JSON values, field by field, without what is hidden."""
+    """Return a result as JSON values, field by field, without hidden fields."""
     if type(value) in _SCALARS:  # as nearly all are
         return value
     if isinstance(value, (list, tuple)):
@@ -214,29 +227,35 @@ def as_json(value: Any) -> Any:
 
 @cache
 def _shown_fields(kind: type[Any]) -> tuple[tuple[str, bool, bool], ...]:
-    """Names, whether they are there only on request, and whether structured content lacks them where they are empty."""
+    """Return for each field that is not hidden: its name, whether it is there only on request, and whether structured
+    content omits it if it is empty.
+    """
     shown = (field for field in fields(kind) if not field.metadata.get("hidden"))
     return tuple((field.name, "on_request" in field.metadata, may_be_absent(field)) for field in shown)
 
 
 def exact_time(unix_ns: int) -> str:
-    """As `iso_time`, with nanoseconds: a time argument that separates a message from the one before it."""
+    """Return a time as `iso_time` does, with nanoseconds: as an argument it separates a
+    message from the one before it.
+    """
     return f"{iso_time(unix_ns)[:-1]}{unix_ns % 1000:03d}Z"
 
 
 def in_words(values: Mapping[str, Any]) -> str:
-    """The values of an object of the robot as one readable line: those within others by their paths, stamps and
-    durations in seconds; texts are quoted, and long ones cut.
+    """Return the values of a message as one readable line: nested values by their paths, stamps and durations in
+    seconds; texts are quoted, and long ones cut.
     """
     shallow = {name: value for name, value in values.items() if not isinstance(value, (dict, list))}
     nested = {name: value for name, value in values.items() if name not in shallow}
-    leaves = [f"{named(path)} {text}" for path, text in _leaves({**shallow, **nested})]  # stamps say least
+    leaves = [f"{named(path)} {text}" for path, text in _leaves({**shallow, **nested})]  # stamps matter least
     more = f" and {len(leaves) - _MAX_IN_WORDS} more" if len(leaves) > _MAX_IN_WORDS else ""
     return ", ".join(leaves[:_MAX_IN_WORDS]) + more
 
 
 def told_values(values: Mapping[str, Any]) -> str:
-    """What a condition looked at, as a readable line: `nearest(-20, 20) = 0.5853`; numbers to four digits."""
+    """Return the values that a condition used as a readable line: `nearest(-20, 20) =
+    0.5853`; numbers to four digits.
+    """
     shown = (
         f"{path} = {value:.4g}" if isinstance(value, float) else f"{path} = {in_quotes(value)}"
         for path, value in values.items()
@@ -245,7 +264,7 @@ def told_values(values: Mapping[str, Any]) -> str:
 
 
 def _leaves(values: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, str]]:
-    """Path and text of each value. What is shortened (`$summary`) is one value."""
+    """Yield path and text of each value. A shortened value (`$summary`) counts as one."""
     for name, value in values.items():
         path = f"{above}{name}"
         if not isinstance(value, dict) or not value or any(key.startswith("$") for key in cast("Iterable[str]", value)):
@@ -258,12 +277,12 @@ def _leaves(values: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, s
 
 @dataclass(frozen=True, slots=True)
 class AnswerBytes(Kept):
-    """How many bytes the text of one answer about a robot may have."""
+    """The most bytes that the text of one answer about a robot may have."""
 
     most: int = 12_000
-    """Some 3,000 tokens, as `--result-bytes` has it by default."""
+    """Some 3,000 tokens, the default of `--result-bytes`."""
 
 
 def answer_bytes(robot: Robot) -> int:
-    """How many bytes the text of one answer about that robot may have."""
+    """Return the most bytes that the text of one answer about that robot may have."""
     return robot.kept.get(AnswerBytes, AnswerBytes).most

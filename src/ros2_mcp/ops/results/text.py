@@ -1,7 +1,7 @@
-"""The text of a result: what an agent reads and acts on (decision 58).
+"""The text of a result, which an agent reads and acts on (decision 58).
 
-The summary stands first, then what else the result has, field by field: short values share a line, lists of objects are
-tables, what can be sent back is exact JSON on one line. What had no room is counted at the end.
+The summary comes first, then the other fields of the result: short values share a line, lists of objects are tables,
+values that can be sent back are exact JSON on one line. What did not fit is counted at the end.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from ros2_mcp.model.values import DIAGONAL, DIAGONAL_EXPLAINED
 from ros2_mcp.ops.results.results import PictureFacts, as_json, lines_of
 
 MOST_CHARACTERS = 12_000
-"""Of one text: a leading client cuts longer ones in the middle (measured, decision 58)."""
+"""The most characters of one text: a leading client cuts longer ones in the middle (measured, decision 58)."""
 _MOST_COLUMNS = 12
-"""Where messages differ in more places than these a reader loses count: then each value has its path beside it."""
+"""If messages differ in more places than these, a reader loses count: then each value has its path beside it."""
 _ACCOUNT = 300
-"""Characters that are kept free for the account of what was left out."""
+"""Characters that are kept free for the sentence on what was left out."""
 _LEAST_ROOM = 1000
-"""For what stands below the summary, however long that is."""
+"""Characters that are kept for the lines below the summary, however long that is."""
 _OURS = frozenset(
     {
         *("note", "notes", "error", "problem", "problems", "recommendation", "reasons", "mismatches", "limitations"),
@@ -34,10 +34,10 @@ _OURS = frozenset(
         *("not_read", "allowed", "limits", "forbidden", "held", "cause", "helps", "hint", "mistakes", "health", "log"),
     }
 )
-"""Fields whose texts this server has written, with the robot's words in them quoted already: shown as they are."""
+"""Fields whose texts this server has written, with the robot's texts quoted already: shown unchanged."""
 _LAST = ("note", "notes")
 _NOTHING_FOUND = "There is nothing."
-"""Where a result has no line of its own, such as a list of none."""
+"""The text of a result without a line of its own, such as an empty list."""
 
 Beside: TypeAlias = "tuple[str, Sequence[Any]] | None"
 """The name and the values of a list that has one value for each element of another list."""
@@ -45,7 +45,7 @@ Beside: TypeAlias = "tuple[str, Sequence[Any]] | None"
 
 @dataclass(eq=False)
 class _Part:
-    """Lines that belong together. The last `rows` of them may be left out; `name` says of what they are."""
+    """Lines that belong together. The last `rows` of them may be left out; `name` says what they contain."""
 
     lines: list[str]
     name: str = ""
@@ -57,7 +57,9 @@ class _Part:
         return sum(len(text) + 1 for text in self.lines)
 
     def drop(self, excess: int) -> int:
-        """Leaves out so many of the last rows as have these characters, but not all; returns how many they had."""
+        """Leave out last rows until `excess` characters are saved, but keep one row. Return
+        the number of characters saved.
+        """
         dropped = 0
         while dropped < excess and self.rows > 1:
             dropped += len(self.lines.pop()) + 1
@@ -68,13 +70,13 @@ class _Part:
 def as_text(
     result: Any, lines: Sequence[str] = (), *, most: int = MOST_CHARACTERS, narrowing: Sequence[str] = ()
 ) -> str:
-    """A result as text, nothing in it hidden.
+    """Return a result as text, with invisible characters escaped.
 
     Args:
         result: a dataclass with a `summary`, which begins the text.
-        lines: what else is to be said first: how the arguments were taken, what of a recording is damaged.
-        most: characters; what has no more room is left out from the end of the longest tables.
-        narrowing: the arguments with which a caller gets less, or another part.
+        lines: further lines of the summary: how the arguments were read, what of a recording is damaged.
+        most: the most characters; what does not fit is left out from the end of the longest tables.
+        narrowing: the arguments by which a caller gets a shorter result, or another part.
     """
     summary = [visible(one) for one in lines_of(result.summary())]
     for one in map(visible, lines):
@@ -94,7 +96,7 @@ def as_text(
 
 
 def _shorten(head: _Part, parts: Sequence[_Part], room: int, narrowing: Sequence[str]) -> str:
-    """Leaves out what has no room, rows first; returns the account of it. A line is whole or not there at all."""
+    """Leave out what does not fit, rows first, and return a sentence on it. A line is shown whole or not at all."""
     room -= _ACCOUNT
     head.drop(head.size - max(room - _LEAST_ROOM, _LEAST_ROOM))
     by_size = sorted(parts, key=lambda part: part.size, reverse=True)
@@ -117,7 +119,7 @@ def _shorten(head: _Part, parts: Sequence[_Part], room: int, narrowing: Sequence
 
 
 class _Body:
-    """What stands below the summary, whose text is `said`; `ends` are the lines that stand last."""
+    """The text below the summary. `said` is the text of the summary, `ends` are the last lines."""
 
     def __init__(self, said: str) -> None:
         self.said = said
@@ -125,9 +127,9 @@ class _Body:
         self.ends: list[str] = []
 
     def add(self, one: Any, title: str = "", path: str = "", *, is_row: bool = False) -> None:
-        """All fields of a dataclass; `title` begins their first line, `path` the name of each.
+        """Add all fields of a dataclass; `title` begins their first line, `path` the name of each.
 
-        What the summary says is not said again, but in the rows of a list: nobody should look for whose line it was.
+        What the summary says is not repeated, except in the rows of a list, so that each row is complete.
         """
         found = [(declared, getattr(one, declared.name)) for declared in _shown_fields(one)]
         beside: dict[str, tuple[str, Sequence[Any]]] = {
@@ -162,7 +164,7 @@ class _Body:
         self.parts.append(_Part([text]))
 
     def _field(self, name: str, declared: Field[Any], value: Any, beside: Beside, *, is_row: bool) -> None:
-        """A field that is neither a short value nor sentences."""
+        """Add a field that is neither a short value nor sentences."""
         if "lines" in declared.metadata:
             rows = [f"  {visible(text)}" for text in str(value).splitlines()]
             self.parts.append(_Part([f"{name}:", *rows], f"lines of {name}", len(rows)))
@@ -194,7 +196,7 @@ class _Body:
     # ── lists of objects ───────────────────────────────────────────────────────────────────────────────────────
 
     def _rows(self, name: str, values: Sequence[Any], beside: Beside) -> None:
-        """Objects of the result: a table where they are flat, else one after the other."""
+        """Add objects of the result: as a table if they are flat, else one after the other."""
         inner = _nested(values)
         if not inner:
             self.parts.append(_flat(name, _with(beside, [_row(value) for value in values])))
@@ -206,7 +208,7 @@ class _Body:
                 self.add(value, title=f"{name}{which}: ", is_row=True)
 
     def _messages(self, name: str, values: Sequence[Any], beside: Beside) -> None:
-        """Objects of the robot, exact: the first whole, of the others what differs, where that is shorter."""
+        """Add objects of the robot, exact: the first whole, and the differences of the others if that is shorter."""
         shown = [visible_json(value)[0] for value in values]
         whole = [_exact(value) for value in shown]
         times = beside if beside and len(beside[1]) == len(values) else None
@@ -222,7 +224,7 @@ class _Body:
 def _alike(
     name: str, whole: Sequence[str], times: Beside, columns: Sequence[tuple[str, Sequence[Any]]] | None
 ) -> _Part | None:
-    """Messages as the first of them and what differs; None where they are different altogether."""
+    """Return messages as the first of them and the differences of the others; None if they are entirely different."""
     if columns is None:
         return None
     title = f"{name} ({len(whole)}), the first whole, then"
@@ -241,19 +243,19 @@ def _alike(
 
 
 def _exact(shown: Any) -> str:
-    """JSON of a value that was made visible, which every parser reads as the value that it was."""
+    """Return JSON of a value that was made visible. Every parser reads it as the original value."""
     return with_json_escapes(written(shown))
 
 
 def _listed(texts: Sequence[str], times: Beside) -> list[str]:
-    """JSON texts, a line for each, with the times before them where there are some."""
+    """Return JSON texts, a line for each, with the times before them if there are some."""
     if not times:
         return list(texts)
     return [line([times[0], "value"]), *(line([at, Exact(text)]) for at, text in zip(times[1], texts, strict=True))]
 
 
 def _flat(name: str, rows: Sequence[Mapping[str, Any]]) -> _Part:
-    """Rows as a table; what is equal in all of them is said once, above."""
+    """Return rows as a table; values that are equal in all rows are shown once, above."""
     columns, shared = told_apart(rows)
     if len(rows) == 1:
         return _Part([f"{name} (1): {pairs(rows[0], columns)}"])
@@ -265,8 +267,8 @@ def _flat(name: str, rows: Sequence[Mapping[str, Any]]) -> _Part:
 
 
 def _grouped(name: str, values: Sequence[Any], inner: str, said: str) -> _Part:
-    """Objects with a list of flat ones each: one table, in which a line for each object stands above its rows; without
-    objects of which there is nothing to say but what is `said` already.
+    """Return objects that each have a list of flat objects as one table: a line for each object, then its rows. Objects
+    without rows, of which everything is `said` already, are left out.
     """
     groups = [[_row(one) for one in _items(getattr(value, inner))] for value in values]
     rows = [row for group in groups for row in group]
@@ -284,14 +286,14 @@ def _in_all(row: Mapping[str, Any], shared: Sequence[str]) -> str:
 
 
 def _with(beside: Beside, rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """The rows with the values of the list beside them as their first column."""
+    """Return the rows with the values of the list beside them as their first column."""
     if not beside or len(beside[1]) != len(rows):
         return list(rows)
     return [{beside[0]: at, **row} for at, row in zip(beside[1], rows, strict=True)]
 
 
 def _nested(values: Sequence[Any]) -> list[str]:
-    """The names of fields that have in some of these objects what is no cell of a table."""
+    """Return the names of fields whose value in some of these objects does not fit into one table cell."""
     found: dict[str, None] = {}
     for value in values:
         for declared in _shown_fields(value):
@@ -305,24 +307,24 @@ def _nested(values: Sequence[Any]) -> list[str]:
 
 
 def _is_table(values: Sequence[Any], inner: str) -> bool:
-    """Whether that field of the objects has lists of flat objects."""
+    """Return whether that field of the objects has lists of flat objects."""
     elements = [element for value in values for element in _items(getattr(value, inner))]
     return bool(elements) and all(map(is_dataclass, elements)) and not _nested(elements)
 
 
 def _is_short(value: Any) -> bool:
-    """Whether it shares a line with others."""
+    """Return whether a value may share a line with others."""
     items = _items(value)
     return isinstance(items[0] if len(items) == 1 else value, (str, int, float))
 
 
 def _items(value: Any) -> Sequence[Any]:
-    """The elements of a list; of anything else none."""
+    """Return the elements of a list; none for anything else."""
     return cast("Sequence[Any]", value) if isinstance(value, (list, tuple)) else ()
 
 
 def _row(one: Any) -> dict[str, Any]:
-    """The cells of an object."""
+    """Return the cells of an object."""
     return {declared.name: _cell_value(declared, getattr(one, declared.name)) for declared in _shown_fields(one)}
 
 

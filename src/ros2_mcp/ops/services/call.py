@@ -1,4 +1,4 @@
-"""Calling a service, as `ros2 service call` does."""
+"""Call a service, as `ros2 service call` does."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ from ros2_mcp_common.policy.verbs import only_reads
 from ros2_mcp_common.wire.limits import MAX_DURATION_S
 
 _LEAST_TIMEOUT_S = 0.01
-"""Ten times what a service call takes on one machine (0.9 ms at the 99th percentile): less cannot be meant."""
+"""Ten times the duration of a service call on one machine (0.9 ms at the 99th percentile): a
+shorter time-out is a mistake."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,7 +41,7 @@ class ServiceAnswer:
     note: str = ""
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         if not self.called:
             return f"{self.service_name} was not called. {self.note}"
         return f"{self.service_name} answered: {in_words(self.result or {}) or 'nothing'}. {self.note}".rstrip()
@@ -58,18 +59,18 @@ async def call(
     waits: bool = True,
     report: Report = silent,
 ) -> ServiceAnswer:
-    """Calls a service and waits for its answer; if it `waits`, a server that appears within the time-out is used.
+    """Call a service and wait for its answer; if it `waits`, a server that appears within the time-out is used.
 
-    A `request` that is None was not given: also with `force_call` only one that has no fields is sent then.
+    If `request` is None, none was given: then only a request that has no fields is sent, even with `force_call`.
 
-    One that several nodes serve is called only with `force_call`, unless its type only reads.
+    A service that several nodes serve is called only with `force_call`, unless its type only reads.
 
     Raises:
-        BadInput: if it is forced, has fields, and no request was given.
-        NotFound: if no server is there (or none appeared), or it left before it answered.
+        BadInput: if the call is forced, its request has fields, and none was given.
+        NotFound: if there is no server (or none appeared), or it left before it answered.
         TypeConflict: if the service has another type.
         TimedOut: if it did not answer in time.
-        BadValue: naming the path of a value that does not fit; nothing is sent.
+        BadValue: if a value does not fit; it names the path, and nothing is sent.
     """
     bounded("timeout_sec", timeout_s, _LEAST_TIMEOUT_S, MAX_DURATION_S, "s")
     service = names.absolute(service, "service")
@@ -85,7 +86,7 @@ async def call(
         raise BadInput(f"The request needs fields: {', '.join(missing)}.", hint)
     request = request or {}
     if missing and not force_call:
-        # Not an error: models leave fields out by mistake, and a default value may be a command that nobody meant.
+        # Not an error: models leave fields out by mistake, and a default value may be an unintended command.
         note = (
             f"Missing request fields: {', '.join(missing)}. Give them, or set force_call to true to use defaults. "
             + left_at_default(robot.values.definitions, f"{service_type}_Request", request)

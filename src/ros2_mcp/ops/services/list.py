@@ -1,4 +1,4 @@
-"""Listing services, as `ros2 service list` does, with what a call needs: request fields and the nodes that answer."""
+"""List services, as `ros2 service list` does, with what a call needs: request fields and the nodes that serve it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ros2_mcp.robot import Robot
 from ros2_mcp.robot.resolution import is_infrastructure
 
 _FEW_LIFECYCLE = 20
-"""Services of four lifecycle nodes; Nav2 has seven to ten such nodes."""
+"""The most lifecycle services that are listed unasked: those of four nodes. Nav2 has seven to ten lifecycle nodes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,18 +37,18 @@ class ServiceList:
     note: str = field(metadata=IF_ANY)
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         return f"{len(self.services)} of {self.total} services. {self.note}".rstrip()
 
 
 async def list_services(robot: Robot, pattern: str = "", include_hidden: bool = False, limit: int = 200) -> ServiceList:
-    """The services whose names or types match. Those that every node has are shown, last, only with a pattern or
-    `include_hidden`; parts of actions only with `include_hidden`.
+    """Return the services whose names or types match. Services that every node has come last, and only with a pattern
+    or `include_hidden`; services of actions only with `include_hidden`.
     """
     found, absence = await asyncio.gather(robot.graph.services(), robot.graph.absence())
     types = {row.name: row.types for row in found}
     matching = names.matching(sorted(types), pattern, types.__getitem__)
-    matching.sort(key=lambda name: is_infrastructure(name, types[name]))  # a limit leaves those out first
+    matching.sort(key=lambda name: is_infrastructure(name, types[name]))  # a limit omits infrastructure first
 
     lifecycle = {name for name in matching if any(kind.startswith("lifecycle_msgs/") for kind in types[name])}
     folds = len(lifecycle) > _FEW_LIFECYCLE  # ros2_lifecycle_state and ros2_lifecycle_change are for these
@@ -74,12 +74,12 @@ async def list_services(robot: Robot, pattern: str = "", include_hidden: bool = 
 
 
 async def _providers(robot: Robot) -> dict[str, list[str]]:
-    """Service → the full names of the nodes that serve it. ROS 2 answers this only node by node."""
+    """Return service → the full names of the nodes that serve it. ROS 2 reports this only node by node."""
 
     async def served_by(node: str) -> list[str]:
         try:
             return [entry.name for entry in (await robot.graph.node(node)).servers]
-        except (NotFound, BadName):  # it has gone meanwhile, or the middleware has no name for it
+        except (NotFound, BadName):  # the node has left meanwhile, or the middleware has no name for it
             return []
 
     nodes = [row.name for row in await robot.graph.nodes()]

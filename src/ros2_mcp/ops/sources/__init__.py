@@ -1,1 +1,1 @@
-"""Where samples are read from, and what of them: live graph, bags, black boxes."""
+"""Sources of samples and selections from them: the live graph, bags, black boxes."""

@@ -1,4 +1,4 @@
-"""A bag as a source of samples: what measures the robot measures a recording of it, this server's own ones too."""
+"""A bag as a source of samples: the same operations measure the robot and a recording of it, even one in progress."""
 
 from __future__ import annotations
 
@@ -54,22 +54,22 @@ if TYPE_CHECKING:
 
 _BATCH = 256
 _BATCH_BYTES = 8_000_000
-"""Each batch is read in another thread: large enough that starting it does not count, small enough to be given up."""
+"""The size of a batch, read in another thread: large enough to start rarely, small enough to be cancelled soon."""
 _WAITING_BYTES = 100_000
-"""Of one topic until its messages are passed on together; of 60 topics these are 6 MB."""
+"""Bytes of one topic that are collected before its messages are passed on together; for 60 topics these are 6 MB."""
 _TO_DISK_NS = 1_000_000_000
-"""Messages that are being recorded reach the disk up to a second after they came (`recorder.FLUSH_S`)."""
+"""Messages that are being recorded reach the disk up to a second after their receipt (`recorder.FLUSH_S`)."""
 _JSON_LOOKED_AT = 20_000
-"""Messages of a JSON type that tell which fields there are, from the beginning, and a tenth of them from the end: of a
-log of events these are all, and reading so many takes half a second."""
+"""Messages from the beginning from which the fields of a JSON type are learnt, and a tenth as many from the end: all
+messages of a log of events, and reading so many takes half a second."""
 _RECORDED = "(recorded)"
 
 
 @dataclass(kw_only=True)
 class _BagStream(Stream):
-    """A topic of a bag, which knows what of it cannot be read. `bag` is the one that it reads, once it has begun.
+    """A topic of a bag that also reports unreadable parts. `bag` is the bag that it reads, once it has begun.
 
-    When the files change meanwhile, others open the bag anew, and what is found here is not known there.
+    If the files change meanwhile, others open the bag again, and do not know what is found here.
     """
 
     bag: Bag | None = None
@@ -80,7 +80,7 @@ class _BagStream(Stream):
         return self.odd
 
     def look_at_times(self, bag: Bag) -> None:
-        """Notes what is odd about its times, as far as it has been read."""
+        """Note irregular times of the topic, as far as it has been read."""
         odd = bag.odd_times().get(self.topic)
         self.odd = odd.words if odd else ""
 
@@ -92,7 +92,7 @@ class _BagStream(Stream):
 
 @dataclass
 class _Part(Generic[K]):
-    """What is kept of one of several topics that are read together, and how many messages that were."""
+    """The kept data of one of several topics that are read together, and the number of its messages."""
 
     stored: StoredTopic
     stream: _BagStream
@@ -102,7 +102,7 @@ class _Part(Generic[K]):
     _bytes: int = 0
 
     def add(self, samples: Sequence[Sample]) -> None:
-        """Takes in messages, as many at once as a batch has: one by one, arrays cost more than decoding."""
+        """Add messages. They are passed on in batches: passed one by one, arrays would cost more than decoding."""
         self.received += len(samples)
         self._waiting += samples
         self._bytes += sum(len(sample.data) for sample in samples)
@@ -110,7 +110,7 @@ class _Part(Generic[K]):
             self.flush()
 
     def flush(self) -> None:
-        """Passes on what waits."""
+        """Pass on the collected messages."""
         if self._waiting:
             self.kept.add(self._waiting)
         self._waiting, self._bytes = [], 0
@@ -118,10 +118,10 @@ class _Part(Generic[K]):
 
 @dataclass(kw_only=True)
 class BagSource(Source):
-    """A part of a bag; get it with `open_bag`. `covers` are the times of the whole bag's beginning and end.
+    """A part of a bag; created by `open_bag`. `covers` is the beginning and the end of the whole bag (Unix times, ns).
 
     With `from_end`, a limit means the last messages. `is_ring`: its beginning moves while it is recorded.
-    `begins_later` than the time from which on it was asked for.
+    `begins_later`: the recording begins after the requested start.
     """
 
     opened: OpenedBag
@@ -137,21 +137,21 @@ class BagSource(Source):
 
     def __post_init__(self) -> None:
         self.duration_s = (self.span.end_ns - self.span.start_ns) / 1e9
-        # The beginning of a black box moves: a second of now is no longer the same a minute later.
+        # The beginning of a black box moves: seconds after it mean another time a minute later.
         self.began_ns = None if self.is_ring else self.covers[0]
         from_on = f"from {recorded_time(self.span.start_ns, self.began_ns)} on"
         growing = ", still being recorded" if self.is_growing and not self.is_ring else ""
         later = " (the recording begins after start)" if self.begins_later else ""
         self.words = f"bag {named(self.name)}{growing}, {self.duration_s:.4g} s {from_on}{later}"
-        self._codec = self.opened.codec  # this one also when the bag's definitions change while it is read
+        self._codec = self.opened.codec  # kept even if the bag's definitions change while it is read
 
     @property
     def codec(self) -> Codec:
-        """Reads its samples, with the definitions of the bag."""
+        """The codec for its samples, with the definitions of the bag."""
         return self._codec
 
     def lasting(self, live_s: float, *, recorded_s: float | None = None, whole: bool = False) -> BagSource:  # noqa: ARG002
-        """The part, or if it is longer than `recorded_s` its beginning (or its end, if no start was given)."""
+        """Return this part; if it is longer than `recorded_s`, its beginning (or its end, if no start was given)."""
         if recorded_s is None:
             return self
         longest_ns = max(round(recorded_s * 1e9), 1)
@@ -161,20 +161,20 @@ class BagSource(Source):
 
     @property
     def covers_ns(self) -> tuple[int, int]:
-        """The times between which this part of it was received."""
+        """The Unix times (ns) between which this part was received."""
         return self.span.start_ns, self.span.end_ns
 
     def part(self, start_ns: int, end_ns: int) -> BagSource:
-        """What of it was received between two times."""
+        """Return the samples received between two times (Unix times, ns), as a source."""
         start_ns, end_ns = max(self.span.start_ns, start_ns), min(self.span.end_ns, end_ns)
         return replace(self, span=replace(self.span, start_ns=start_ns, end_ns=max(start_ns, end_ns)))
 
     def from_beginning(self) -> BagSource:
-        """From the beginning of the whole bag on."""
+        """Return the same part, extended to the beginning of the whole bag."""
         return replace(self, span=replace(self.span, start_ns=min(self.covers[0], self.span.start_ns)))
 
     async def name_of(self, topic: str) -> str:
-        """The name of a topic as it stands in the bag; another one stays as it is, and is not found."""
+        """Return the name of a topic as it is in the bag; an unknown name is returned, without surrounding spaces."""
 
         def find() -> str:
             with self.opened.reading() as bag:
@@ -186,7 +186,7 @@ class BagSource(Source):
             return topic.strip()
 
     async def type_of(self, topic: str) -> str:
-        """The type of a topic; raises as `Source.type_of`."""
+        """Return the type of a topic. Raises the same errors as `Source.type_of`."""
         return (await self._learn(topic)).type
 
     @asynccontextmanager
@@ -200,7 +200,7 @@ class BagSource(Source):
         latched: bool = True,
         times_only: bool = False,  # noqa: ARG002 - as in `captures`
     ) -> AsyncGenerator[Stream, None]:
-        """Every sample of a topic in order; raises as `Source.follow`."""
+        """Read every sample of a topic in order. Raises the same errors as `Source.follow`."""
         stored = await self._learn(topic)
         if type_name and not names.is_type(type_name, stored.type):
             raise TypeConflict(
@@ -219,7 +219,7 @@ class BagSource(Source):
         *,
         times_only: bool = False,  # noqa: ARG002 - reading the bytes is what finds damage
     ) -> Sequence[Capture[K] | Missing]:
-        """All topics in one go through the bag, however large it is: nothing is kept but what `keep` makes of it."""
+        """Read all topics in one pass through a bag of any size: only what `keep` makes of the messages is kept."""
         found: list[_Part[K] | Missing] = []
         for topic in topics:
             try:
@@ -239,7 +239,7 @@ class BagSource(Source):
                 return bag.messages(wanted)
 
         def further() -> int | None:
-            """Reads a batch; how far it has come, None at the end."""
+            """Read a batch. Return the time that it has reached, None at the end."""
             with self.opened.lock:
                 batch = _batch(messages)
             for part in parts:
@@ -277,7 +277,7 @@ class BagSource(Source):
         )
 
     async def graph(self) -> GraphSnapshot:
-        """The topics with what their publishers offered; nodes and services are not in a bag."""
+        """Return the topics with the QoS of their publishers. A bag has no nodes and services."""
 
         def read() -> dict[str, TopicEndpoints]:
             with self.opened.reading() as bag:
@@ -304,7 +304,7 @@ class BagSource(Source):
         return topic
 
     def _learn_json(self, type_name: str) -> None:
-        """Looks at messages of all topics of a JSON type: what they are like."""
+        """Learn the fields of a JSON type from messages of all its topics."""
         from ros2_mcp.values.json_messages import shape_of
 
         with self.opened.reading() as bag:
@@ -319,7 +319,7 @@ class BagSource(Source):
     async def _batches(
         self, stream: _BagStream, stored: StoredTopic, limit: int | None, every_n: int, latched: bool
     ) -> AsyncGenerator[Sequence[Sample], None]:
-        """Of the bag as it is at the beginning, although it may grow meanwhile."""
+        """Yield the samples of the bag as it is at the beginning, although it may grow meanwhile."""
         span = replace(self.span, topics=(stored.name,))
 
         def begin() -> Iterator[tuple[str, Sample]]:
@@ -331,7 +331,7 @@ class BagSource(Source):
                 stream.look_at_times(bag)
                 if limit is None:
                     return ordered
-                # All at once: what is thinned and limited fits into memory, and the newest first cannot be streamed.
+                # All at once: the thinned and limited samples fit into memory, and the newest first cannot be streamed.
                 found, stream.received, stream.further = _taken((sample for _, sample in ordered), limit, every_n)
                 return ((stored.name, sample) for sample in (found[::-1] if stream.from_end else found))
 
@@ -360,9 +360,9 @@ async def open_bag(
     from_end: bool = False,
     names: tuple[str, str] = ("start", "end"),
 ) -> BagSource:
-    """A bag, or the part of it between two times (as `times.span_of` reads them), as a `Source`.
+    """Open a bag, or the part of it between two times (as `times.span_of` reads them), as a `Source`.
 
-    Without a start, or with `from_end`, a limit means the last messages. `names` are the caller's arguments for both.
+    Without a start, or with `from_end`, a limit means the last messages. `names` are the caller's two arguments.
 
     Raises:
         NotFound: if there is no such bag.
@@ -399,10 +399,10 @@ async def open_bag(
 
 
 class Bags(SourceKind):
-    """The bags of this server as a kind of source: what it records itself, its black box among it, and all others."""
+    """The bags of this server as a kind of source: its own recordings, its black box among them, and all others."""
 
     async def named(self, robot: Robot, store: BagStore, request: SourceRequest) -> Source | None:
-        """The bag of that name; without one, the recording that stands for the robot, or for times the black box."""
+        """Return the bag of that name, else the recording that stands for the robot, else, for times, the black box."""
         name = request.name or store.subject_name
         if not name and (request.start or request.end):
             if BLACK_BOX not in store.own:
@@ -417,9 +417,9 @@ class Bags(SourceKind):
     async def kept(
         self, robot: Robot, store: BagStore, request: SourceRequest
     ) -> Sequence[Callable[[], Awaitable[Source]]]:
-        """This server's recordings, the bag that stands for the robot, and those that were opened, the last one first.
+        """Return functions that open this server's recordings, the robot's recording, and opened bags, last ones first.
 
-        The black box comes first while it runs; what former servers recorded is not this server's.
+        The black box comes first while it is recorded. Recordings of former servers are not included.
         """
         own = dict(store.own)
         running = [name for name in own if name == BLACK_BOX and own[name].is_growing()]
@@ -445,8 +445,8 @@ class Bags(SourceKind):
 
 
 async def learn(definitions: Definitions, topic: StoredTopic, robot: Robot | None) -> None:
-    """Takes in what a topic's bytes mean, with all that its type refers to; where nobody knows it, why it is not known:
-    who asks for values is told that, while times and sizes are measured all the same.
+    """Learn the definition of a topic's type and the types in it. An unknown one is noted as an error, raised when
+    values are requested; times and sizes can still be measured.
     """
     try:
         definitions.add(await definitions_of(topic, robot))
@@ -463,10 +463,10 @@ async def learn(definitions: Definitions, topic: StoredTopic, robot: Robot | Non
 
 
 async def definitions_of(topic: StoredTopic, robot: Robot | None) -> dict[str, DefinitionText]:
-    """What a topic's bytes mean: as the bag itself says, else as ROS defines it, else as the robot knows it.
+    """Return the definition of a topic's type: from the bag itself, else from ROS, else from the robot.
 
     Raises:
-        UnknownInterface: if nobody knows.
+        UnknownInterface: if none of these has it.
     """
     from rosbags.typesys import Stores, TypesysError, get_typestore  # with numpy: not before it is needed
 
@@ -497,7 +497,7 @@ async def definitions_of(topic: StoredTopic, robot: Robot | None) -> dict[str, D
 
 
 def has_definition(topic: StoredTopic) -> bool:
-    """Whether the bag itself says what a topic's bytes mean, in a way that can be used."""
+    """Return whether the bag itself has a usable definition of a topic's type."""
     from ros2_mcp.values.definitions import Definitions
     from ros2_mcp.values.json_messages import is_usable_schema
 
@@ -516,10 +516,10 @@ def has_definition(topic: StoredTopic) -> bool:
 
 
 def find_topic(bag: Bag, name: str) -> StoredTopic:
-    """A topic of a bag: the name as it stands there, or one that differs in the slash before it alone.
+    """Return a topic of a bag by its name there, or by a name that differs only in the leading slash.
 
     Raises:
-        NotFound: with the nearest name, if there is none.
+        NotFound: if there is no such topic; it names the nearest one.
     """
     bare = name.strip().lstrip("/")
     for written in (name, name.strip(), f"/{bare}", bare):
@@ -531,14 +531,14 @@ def find_topic(bag: Bag, name: str) -> StoredTopic:
 
 
 def span_in(store: BagStore, bag: Bag, start: str, end: str) -> Span:
-    """The span between two times that lie in a bag; raises `BadValue` for others."""
+    """Return the span between two times that lie in a bag. Raises `BadValue` for others."""
     return span_of(start, end, *times_of(store, bag), within=True)
 
 
 def times_of(store: BagStore, bag: Bag) -> tuple[int, int]:
-    """Unix times in nanoseconds of a bag's beginning and end: its last message, or now while it is being recorded.
+    """Return a bag's beginning and end (Unix times, ns); the end is the last message, or now while it is recorded.
 
-    As messages are on their way to the disk for up to a second, now is a second ago where there is no later one.
+    As messages need up to a second to reach the disk, now means a second ago, unless there is a later message.
     """
     first_ns, last_ns = bag.times or (0, 0)
     now_ns = store.recorded_until_ns(bag) if bag.times else None
@@ -548,7 +548,7 @@ def times_of(store: BagStore, bag: Bag) -> tuple[int, int]:
 
 
 def end_note(source: Source, *texts: str) -> str:
-    """What `last 30 s` counted from, where that was asked for."""
+    """Return a sentence on the time from which `last 30 s` was counted, if such a time was given; else nothing."""
     if isinstance(source, BagSource) and any(is_relative(text) for text in texts):
         return f"Times count from the end of the recording, {recorded_time(source.covers[1], source.began_ns)}."
     return ""
@@ -558,7 +558,7 @@ def end_note(source: Source, *texts: str) -> str:
 
 
 def _taken(samples: Iterable[Sample], limit: int, every_n: int) -> tuple[list[Sample], int, Sample | None]:
-    """Every n-th sample up to the limit and `MAX_BYTES`, at least one; how many were read; the next one, if any."""
+    """Return every n-th sample up to limit and `MAX_BYTES`, at least one; the number read; and the next one, if any."""
     found: list[Sample] = []
     size = passed = 0
     for passed, sample in enumerate(samples):
@@ -583,7 +583,7 @@ def _batch(messages: Iterator[tuple[str, Sample]]) -> list[tuple[str, Sample]]:
 
 
 def latched_before(bag: Bag, topic: StoredTopic, span: Span) -> list[Sample]:
-    """What a late subscriber of a latched topic would still have got at the beginning, the oldest first."""
+    """Return the latched messages that a late subscriber would have received at the beginning, the oldest first."""
     from ros2_mcp.bags.qos import is_latched  # with rosbags: not before it is needed
 
     if not is_latched(topic.qos):
@@ -592,7 +592,7 @@ def latched_before(bag: Bag, topic: StoredTopic, span: Span) -> list[Sample]:
 
 
 def _publishers(topic: StoredTopic) -> list[Endpoint]:
-    """The publishers: their number and durability are known, their names are not."""
+    """Return the publishers: their number and durability are known, their names are not."""
     from ros2_mcp.bags.qos import is_latched, parse_qos  # with rosbags: not before it is needed
 
     durability = "transient_local" if is_latched(topic.qos) else "volatile"

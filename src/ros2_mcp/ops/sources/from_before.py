@@ -1,6 +1,6 @@
-"""Messages that were sent before anybody listened here, and came only because late subscribers are given them, too.
+"""Messages that were sent before this server subscribed, and were received because late subscribers get them, too.
 
-They are never called live: every answer tells their age, by these words. Which they are, the stream decides.
+They are never called live: every answer states their age, in these words. The stream decides which messages they are.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from ros2_mcp.ops.sources.source import Source, Stream
 
 @dataclass(frozen=True, slots=True)
 class FromBefore:
-    """How many of `all_of` messages are from before, and how old the newest of these is by its publisher's clock, in s;
-    None where that gives none.
+    """How many of `all_of` messages are from before the subscription, and the age of the newest of these by its
+    publisher's clock, in s; None if the publisher gives no time.
     """
 
     count: int = 0
@@ -25,34 +25,38 @@ class FromBefore:
 
     @classmethod
     def of(cls, count: int, newest_ns: int, now_ns: int) -> FromBefore:
-        """So many, and nothing else; the newest sent at that time (0: unknown)."""
+        """Return a value for `count` messages that are all from before. `newest_ns` is when
+        the newest was sent (0: unknown).
+        """
         return cls(count, count, max((now_ns - newest_ns) / 1e9, 0.0) if newest_ns else None)
 
     @property
     def age(self) -> str:
-        """`8 s old, from before`; empty where none is."""
+        """The age in words, `8 s old, from before`; empty if there are none."""
         if not self.count:
             return ""
         return "from before" if self.age_s is None else f"{_seconds(self.age_s)} s old, from before"
 
     def __str__(self) -> str:
-        """`1 message, 8 s old, from before`; empty where none is."""
+        """Return number and age, `1 message, 8 s old, from before`; empty if there are none."""
         return f"{counted(self.count, 'message')}, {self.age}" if self.count else ""
 
     @property
     def is_all(self) -> bool:
-        """Whether nothing has come but what was sent before."""
+        """Return whether all received messages were sent before."""
         return 0 < self.count == self.all_of
 
     def beside(self, live: str) -> str:
-        """What is to be said where messages come from: `live, 5 s`, or how old all, or some of them are."""
+        """Return the text for the origin of the messages: `live, 5 s`, or the age of all or some of them."""
         if self.is_all:
             return self.age
         return f"{live} ({self.count} of them {self.age})" if self.count else live
 
 
 def from_before(source: Source, stream: Stream, samples: Sequence[Sample]) -> FromBefore:
-    """Those of some samples of a live stream; of a recording nothing is called live, and none is told so."""
+    """Return which of some samples of a live stream are from before; none for a
+    recording, which is never called live.
+    """
     if not source.is_live:
         return FromBefore()
     old = [sample for sample in samples if stream.is_replayed(sample)]

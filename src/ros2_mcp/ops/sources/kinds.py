@@ -1,4 +1,4 @@
-"""All sources that a server can read, of every kind that it was given."""
+"""All sources that a server can read, of every kind that it has."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from ros2_mcp.ops.sources.source import Source, SourceKind, SourceRequest
 from ros2_mcp.robot import Robot
 
 OWN_KINDS: Sequence[SourceKind] = (Bags(), Robots())
-"""The kinds that need nothing of others. `compose/server.py` adds vendors' kinds before them."""
+"""The kinds that have no further dependencies. `compose/server.py` puts vendors' kinds before them."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sources:
-    """The sources of one server. `kinds` are asked in their order; the first that knows a name has the source."""
+    """The sources of one server. `kinds` are asked in order; the first that knows a name provides the source."""
 
     robot: Robot
     store: BagStore
@@ -36,15 +36,15 @@ class Sources:
         waits: bool = True,
         report: Report = silent,
     ) -> Source:
-        """The source of that name between two times; the rest is as in `SourceRequest`.
+        """Return the source of that name between two times; the other arguments are as in `SourceRequest`.
 
-        Without a name it is the recording that stands for the robot, else the robot itself.
+        Without a name, return the recording that stands for the robot, else the robot itself.
 
         Raises:
-            BadInput: if times are given, and no recording.
-            NotFound, BadData, BadValue: as `open_bag`.
+            BadInput: if times are given without a recording.
+            NotFound, BadData, BadValue: as by `open_bag`.
         """
-        await load("ros2_mcp.values.cdr", "ros2_mcp.values.select")  # what reads decodes: with numpy, not at the start
+        await load("ros2_mcp.values.cdr", "ros2_mcp.values.select")  # for decoding: with numpy, not at the start
         times = start.strip(), end.strip()
         request = SourceRequest(name.strip(), *times, names=names, waits=waits, report=report)
         for kind in self.kinds:
@@ -53,7 +53,9 @@ class Sources:
         raise NotFound(f"There is no source {name!r}.", "ros2_bag_list lists what can be read.")
 
     async def of_the_past(self, request: SourceRequest) -> AsyncGenerator[Source | RobotError, None]:
-        """One source after the other that may have earlier messages, or the error why it cannot be opened."""
+        """Yield the sources that may have earlier messages, one after the other; for a source
+        that cannot be opened, the error.
+        """
         for kind in self.kinds:
             try:
                 openings = await kind.kept(self.robot, self.store, request)

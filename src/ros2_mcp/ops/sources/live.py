@@ -1,4 +1,4 @@
-"""The robot as it is now, as a source of samples."""
+"""The live robot as a source of samples."""
 
 from __future__ import annotations
 
@@ -42,34 +42,37 @@ if TYPE_CHECKING:
     from ros2_mcp.values.cdr import Codec
 
 _MATCHING_S = 0.5
-"""Matching takes 20 to 200 ms on one host; a topic that is slower than 2 Hz would only keep the others waiting."""
+"""Time for matching, which takes 20 to 200 ms on one host; topics slower than 2 Hz would only delay the others."""
 _PROMPT_S = 0.002
-"""As short as the bridge allows."""
+"""The delay of messages in the bridge for prompt readers: as short as the bridge allows."""
 _BURST_NS = 1_000_000_000
-"""What was kept for late subscribers comes at once when they match; even large maps within a second."""
+"""The messages that publishers keep for late subscribers come at once when they match;
+even large maps within a second."""
 _STREAM_MESSAGES, _STREAM_NS = 5, 1_500_000_000
-"""So many messages over so long are a stream, whose silence later in the session is told: not one press of a button."""
+"""A topic with so many messages over such a time is a stream, whose silence later in the session is
+reported; one press of a button is not."""
 _TURN_S = 1.0
-"""The longest single wait for samples; the empty batch after it is the sign of life that a stream gives."""
+"""The longest single wait for samples; the empty batch after it shows that the stream is alive."""
 _APPEARING_S = 1.0
-"""For a topic whose name is near no other: it may be coming up; discovery on one machine takes less."""
+"""Time for a topic without a similar name in the graph, which may be starting; discovery on one machine takes less."""
 _QUESTION = "rcl_interfaces/srv/GetParameterTypes"
 _ANSWER_S = 1.0
-"""A node that spins answers within milliseconds, also over a wireless network."""
+"""Time-out of a question to a node: one that spins answers within milliseconds, also over a wireless network."""
 _REPAIRED_S = 4.0
-"""What discovery lost of a node that has just come up, its answer and its messages, it repairs within 3 s; then the
-bridge asks once more."""
+"""Discovery repairs within 3 s what it lost of a node that has just started, its answer and its
+messages; then the bridge asks again."""
 _ASKED_NODES, _AT_A_TIME = 20, 5
-"""One of them that answers is enough, and the question should not weigh on the robot. Some never answer, such as a node
-that nobody spins: so many of them there are not."""
+"""The most nodes that are asked, and how many at a time: one answer is enough, and the questions should not load the
+robot. Some nodes never answer, because nothing spins them; but not that many."""
 MAX_BYTES = 192_000_000
-"""Of all topics that are measured together: a minute of a raw camera at 3 MB/s, and affordable beside a robot."""
+"""The most bytes of all topics that are measured together: a minute of a raw camera at 3 MB/s, and
+affordable on a robot's computer."""
 MAX_SAMPLES = 200_000
-"""Of one topic: an IMU at 1 kHz for three minutes."""
+"""The most samples of one topic: an IMU at 1 kHz for three minutes."""
 _TURN_SAMPLES = 200
-"""Decoded in one go of a thread: some 10 ms, so that a cancelled call ends at once."""
+"""Samples that a thread decodes in one go: some 10 ms, so that a cancelled call ends at once."""
 _MAX_NAMED = 6
-"""Publishers in a sentence: robots of one name are few, and the result lists the nodes."""
+"""The most publishers in a sentence; the result lists all nodes."""
 _OF_MANY = frozenset(
     {
         "diagnostic_msgs/msg/DiagnosticArray",
@@ -78,14 +81,14 @@ _OF_MANY = frozenset(
         "tf2_msgs/msg/TFMessage",
     }
 )
-"""Types whose messages say themselves of whom they are."""
+"""Types whose messages name their origin themselves, so that several publishers are normal."""
 _ASKED_AT_ONCE = 32
-"""Questions to the bridge that are under way together; it answers one after the other."""
+"""Questions to the bridge at the same time; it answers one after the other."""
 
 
 @dataclass(kw_only=True)
 class _LiveStream(Stream):
-    """A subscription; the call that made it began at the steady time `asked_at`, waiting for the topic included."""
+    """A subscription. The call that made it began at the monotonic time `asked_at`, waiting for the topic included."""
 
     robot: Robot
     listening: Listening
@@ -96,7 +99,9 @@ class _LiveStream(Stream):
     _count: int = field(default=0, init=False)
 
     def look_at(self, samples: Sequence[Sample]) -> Sequence[Sample]:
-        """Learns from samples how far the publisher's clock is from ours, and whether they are a stream."""
+        """Learn from samples the offset of the publisher's clock from ours, and whether the topic
+        is a stream. Return the samples.
+        """
         if samples and not self.thinned:
             self._note_flow(samples)
         for sample in samples if self.is_latched else ():
@@ -118,12 +123,12 @@ class _LiveStream(Stream):
 
     @property
     def is_latched(self) -> bool:
-        """Whether it is given what was sent before."""
+        """Return whether the subscription receives earlier messages."""
         return self.listening.choice.qos.durability == "transient_local"
 
     @property
     def _keeps_coming(self) -> bool:
-        """Whether more came than the burst of what was kept for late subscribers."""
+        """Return whether more has come than the first burst of kept messages."""
         return self._received_ns is not None and self._received_ns[1] - self._received_ns[0] > _BURST_NS
 
     @property
@@ -156,7 +161,9 @@ class _LiveStream(Stream):
         return self.robot.now_ns()
 
     def is_replayed(self, sample: Sample) -> bool:
-        """By the publisher's own time. Where messages keep coming, the youngest one tells how far its clock is off."""
+        """Return whether a sample was sent before the subscription, by the publisher's time. If messages keep coming,
+        the youngest one shows the offset of its clock.
+        """
         if not self.is_latched:
             return False
         off_ns = self._least_age_ns if self._keeps_coming and self._least_age_ns is not None else 0
@@ -164,7 +171,7 @@ class _LiveStream(Stream):
 
     async def why_no_more(self, last: Sample | None) -> str:
         if self.left_behind:
-            return ""  # which says it
+            return ""  # it gives the reason
         now = await self.robot.graph.endpoints(self.topic)
         if last is not None:
             left = len(self.publishers) - len(now.publishers)
@@ -182,12 +189,10 @@ class _LiveStream(Stream):
         return f"No message came in this time from {counted(len(now.publishers), 'publisher')}: {nodes}.{far}"
 
     async def take_until(self, deadline: float, *, ends: bool = False) -> AsyncGenerator[Sequence[Sample], None]:
-        """What comes before that steady time; nothing more is listened to then if it `ends` so."""
+        """Yield the samples that arrive before that monotonic time; with `ends`, the subscription ends then."""
         while (left := deadline - monotonic()) > 0:
             yield self.look_at(await self.listening.take(min(left, _TURN_S)))
-        if (
-            ends and self.robot.graph.is_remote
-        ):  # the counts come with samples: of those that never left it tells at the end
+        if ends and self.robot.graph.is_remote:  # counts come with samples; those of unsent samples only at the end
             await self.listening.end()
         yield self.look_at(await self.listening.take(0.0))
         if names.UNKNOWN_NODE in {publisher.node for publisher in self.publishers}:  # they had only just appeared
@@ -196,11 +201,11 @@ class _LiveStream(Stream):
 
 
 class Live(Source):
-    """What the robot does for `duration_s` from the call on.
+    """The messages of the robot for `duration_s` from the call on.
 
-    With `whole` that time begins when the topic is there, however long that took; else waiting for it counts too.
-    Unless it `waits`, a topic that is not there although discovery has settled is an error at once. With `judges` of
-    what was sent before it began only the newest counts: see `judging`.
+    With `whole` that time begins when the topic exists, however long that took; else it includes the wait for the
+    topic. Unless it `waits`, a topic that does not exist although discovery has settled is an error at once. With
+    `judges`, of the messages sent before the subscription only the newest counts: see `judging`.
     """
 
     title = "the robot"
@@ -228,37 +233,39 @@ class Live(Source):
 
     @property
     def codec(self) -> Codec:
-        """Reads what the robot sends."""
+        """The codec for the robot's messages."""
         return self._robot.values.codec
 
     def lasting(self, live_s: float, *, recorded_s: float | None = None, whole: bool = False) -> Live:
-        """The robot for so long from now on."""
+        """Return the live robot for that time from now on."""
         waits = self._waits or recorded_s is not None
         return Live(self._robot, live_s, whole=whole, waits=waits, judges=self._judges, report=self._report)
 
     def judging(self) -> Live:
-        """The same, of which `follow` leaves out all but the newest of what a latched topic replays."""
+        """Return the same source, but `follow` omits all but the newest of the
+        messages that a latched topic replays.
+        """
         return Live(
             self._robot, self.duration_s, whole=self._whole, waits=self._waits, judges=True, report=self._report
         )
 
     def prompt(self) -> Live:
-        """The same, whose messages wait for less long in the bridge."""
+        """Return the same source, but its messages wait less long in the bridge."""
         found = copy(self)
         found._drain_s = _PROMPT_S
         return found
 
     def words_after(self, took_s: float) -> str:
-        """How long it took, and the bound apart."""
+        """Return the duration of the read, and its limit if that was not reached."""
         return f"live, {took_s:.2g} s of at most {self.duration_s:g} s" if took_s < self.duration_s else self.words
 
     @property
     def transforms(self) -> TransformListener:
-        """What listens to the robot's frames."""
+        """The listener of the robot's transforms."""
         return self._robot.transforms
 
     async def type_of(self, topic: str) -> str:
-        """The type of a topic that is there now; raises as `Source.type_of`."""
+        """Return the type of a topic that exists now. Raises the same errors as `Source.type_of`."""
         type_name = await self._robot.types.topic(await self._robot.graph.endpoints(names.absolute(topic)), "")
         await self._robot.values.learn(type_name)
         return type_name
@@ -266,7 +273,9 @@ class Live(Source):
     async def captures(
         self, topics: Sequence[str], keep: Keep[K], report: Report = silent, *, times_only: bool = False
     ) -> Sequence[Capture[K] | Missing]:
-        """Listens to all topics over truly the same time, which begins when every subscription has been matched."""
+        """Subscribe to all topics over the same time. It begins when each published topic has sent a message, but at
+        most `_MATCHING_S` after the subscriptions.
+        """
 
         head_bytes = STAMP_END if times_only else 0
 
@@ -292,7 +301,7 @@ class Live(Source):
             start_ns, deadline = self._robot.now_ns(), monotonic() + self.duration_s
             for stream in streams:
                 stream.start_ns = start_ns
-            # By stream, not by topic: one topic may be asked for twice, and each is a capture of its own.
+            # By stream, not by topic: one topic may be requested twice, as two captures.
             most_bytes = MAX_BYTES // max(len(streams), 1)
             collectors = {
                 id(stream): Collector(max_samples=MAX_SAMPLES, max_bytes=most_bytes, times_only=times_only)
@@ -325,7 +334,7 @@ class Live(Source):
         latched: bool = True,  # noqa: ARG002 - the publishers decide
         times_only: bool = False,
     ) -> AsyncGenerator[Stream, None]:
-        """Every sample from now on; waits for the topic to appear."""
+        """Read every sample from now on; wait for the topic to appear."""
         asked_at = monotonic()
         head_bytes = STAMP_END if times_only else 0
         async with self._robot.listen(
@@ -345,7 +354,9 @@ class Live(Source):
                 yield stream
 
     async def lightest(self, topic: str) -> str:
-        """Over a network the compressed pictures of a camera, where somebody publishes them."""
+        """Return, over a network, the topic with the compressed pictures of a camera, if it
+        has a publisher; else the topic.
+        """
         full = names.absolute(topic)
         if not self._robot.graph.is_remote:
             return topic
@@ -356,18 +367,20 @@ class Live(Source):
         return compressed.topic if has_both else topic
 
     async def publishing(self, *types: str) -> list[str]:
-        """As `Source.publishing`; only those topics are looked at that have such a type."""
+        """Return the published topics with one of these types, as `Source.publishing`. Only topics
+        with such a type are looked up.
+        """
         graph = self._robot.graph
         rows = [row.name for row in await graph.topics() if not set(types).isdisjoint(row.types)]
         found = await asyncio.gather(*map(graph.endpoints, rows))
         return sorted(one.topic for one in found if any(end.type in types for end in one.publishers))
 
     async def absence(self) -> str:
-        """As `Source.absence`."""
+        """Return the sentence that no robot is there, as `Source.absence`."""
         return await self._robot.graph.absence()
 
     async def graph(self) -> GraphSnapshot:
-        """The graph now, without our own nodes."""
+        """Return the present graph, without this server's own nodes."""
         graph = self._robot.graph
         topics = await graph.topics()
         nodes = await graph.nodes()
@@ -398,7 +411,9 @@ class Live(Source):
         )
 
     async def hung(self, nodes: Sequence[str]) -> Sequence[str]:
-        """Some of these nodes, if not one of them answers: the graph shows for 20 s who was killed or cut off."""
+        """Return some of these nodes if not one of them answers: the graph shows killed or
+        disconnected nodes for another 20 s.
+        """
         offered = {row.name for row in await self._robot.graph.services()}
         asked = [node for node in dict.fromkeys(nodes) if is_of_robot(node) and service_of(node, _QUESTION) in offered]
         asked = asked[:_ASKED_NODES]
@@ -406,7 +421,7 @@ class Live(Source):
         async def answers(node: str, within_s: float = _ANSWER_S) -> bool:
             try:
                 await ask_node(self._robot, node, _QUESTION, {"names": []}, timeout_s=within_s, wait_s=within_s)
-            except RobotError:  # also what is not found: one that hangs is never matched with a new client
+            except RobotError:  # also `NotFound`: a node that hangs never matches a new client
                 return False
             return True
 
@@ -417,7 +432,9 @@ class Live(Source):
         return () if any(await asyncio.gather(*again)) else asked
 
     async def _absent(self, present: TopicEndpoints) -> None:
-        """Says of a topic that is not there what is near: as an error, or as the first progress of a wait for it."""
+        """Report similar names for a topic that does not exist: as an error, or as the
+        first progress of a wait for it.
+        """
         graph, topic = self._robot.graph, present.topic
         near = await graph.near_topic(topic)
         if self._waits or not present.settled:
@@ -430,7 +447,7 @@ class Live(Source):
 
     def _stream(self, listening: Listening, asked_at: float) -> _LiveStream:
         qos = listening.choice.qos
-        # Only now: before its first answer the robot's clock is not known.
+        # Only now: the robot's clock is unknown before its first answer.
         asked_ns = self._robot.now_ns() - round((monotonic() - asked_at) * 1e9)
         return _LiveStream(
             topic=listening.topic,
@@ -447,7 +464,7 @@ class Live(Source):
     async def _capture(
         self, stream: _LiveStream, kept: K, collector: Collector, start_ns: int, end_ns: int
     ) -> Capture[K]:
-        """What was received between both times; of a latched topic also what was there before."""
+        """Return what was received between both times; for a latched topic also the earlier messages."""
         earliest_ns = 0 if stream.is_latched else start_ns
         samples = [sample for sample in collector.samples if earliest_ns <= sample.received_ns <= end_ns]
         for begin in range(0, len(samples), _TURN_SAMPLES):
@@ -458,9 +475,10 @@ class Live(Source):
 
 
 def mixed(type_name: str, publishers: Sequence[Endpoint]) -> str:
-    """In words, whose messages are mixed; empty for one publisher, and for types that many are meant to publish.
+    """Return a sentence on the publishers whose messages are mixed; empty for one publisher, and for types
+    that many nodes usually publish.
 
-    What this server publishes itself is not counted: it keeps publishers that are silent.
+    This server's own publishers are not counted: it keeps some that are silent.
     """
     others = [publisher.node for publisher in publishers if not publisher.ours]
     if len(others) < 2 or type_name in _OF_MANY:
@@ -469,15 +487,15 @@ def mixed(type_name: str, publishers: Sequence[Endpoint]) -> str:
 
 
 async def _matched(streams: Sequence[_LiveStream]) -> None:
-    """Waits, at most half a second, until a message has come on every topic that has a publisher."""
+    """Wait, at most half a second, until a message has come on every topic that has a publisher."""
     deadline = monotonic() + _MATCHING_S
     while monotonic() < deadline and not all(stream.counts.received for stream in streams if stream.publishers):
-        await asyncio.sleep(0.01)  # short beside the 20 ms that matching takes at least
+        await asyncio.sleep(0.01)  # short compared with the 20 ms that matching takes at least
 
 
 class Robots(SourceKind):
     """The robot of this server as a kind of source."""
 
     async def named(self, robot: Robot, store: BagStore, request: SourceRequest) -> Source | None:  # noqa: ARG002
-        """The robot now, if no other source is named."""
+        """Return the live robot, if no other source is named."""
         return None if request.name else Live(robot, waits=request.waits, report=request.report)

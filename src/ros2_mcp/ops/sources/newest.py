@@ -1,4 +1,4 @@
-"""The robot as it is now, for who looks several times a second: a topic that was read stays subscribed."""
+"""The live robot for readers that read several times a second: a topic that was read stays subscribed."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ if TYPE_CHECKING:
     from ros2_mcp.values.cdr import Codec
 
 _FIRST_S = 0.3
-"""For the first message of a topic: what is not here by then is shown with the next look, and holds nothing else up."""
+"""Time for the first message of a topic: a later one is shown with the next read, and delays nothing else."""
 _LISTED_S = 1.0
-"""Which topics there are is asked again only then: people notice a new one a second later as well."""
+"""Age at which the list of topics is read again: a person can wait a second for a new topic."""
 
 
 class NewestOfRobot(Source):
-    """Gives of each topic the newest message alone, at once where it has come before."""
+    """A source that gives only the newest message of each topic, at once if one has arrived before."""
 
     title = "the robot"
     words = "live"
@@ -41,7 +41,7 @@ class NewestOfRobot(Source):
 
     @property
     def codec(self) -> Codec:
-        """Reads its samples, each once."""
+        """The codec for its samples; it decodes each once."""
         if self._codec is None:
             from ros2_mcp.values.cdr import RememberingCodec  # with numpy: not at the start
 
@@ -50,25 +50,25 @@ class NewestOfRobot(Source):
 
     @property
     def transforms(self) -> TransformListener:
-        """What listens to the frames of the robot."""
+        """The listener of the robot's transforms."""
         return self._robot.transforms
 
     async def type_of(self, topic: str) -> str:
-        """As `Source.type_of`."""
+        """Return the type of a topic, as `Source.type_of`."""
         return await self._live.type_of(topic)
 
     async def graph(self) -> GraphSnapshot:
-        """The graph now."""
+        """Return the present graph."""
         return await self._live.graph()
 
     def lasting(self, live_s: float, *, recorded_s: float | None = None, whole: bool = False) -> Source:  # noqa: ARG002
-        """The same: a message that has not come is not waited for longer than `_FIRST_S`."""
+        """Return the same source. Its first message is not awaited for longer than `_FIRST_S`."""
         found = copy.copy(self)
         found.duration_s = min(live_s, _FIRST_S)
         return found
 
     async def publishing(self, *types: str) -> list[str]:
-        """As `Source.publishing`, as it was a second ago at most."""
+        """Return the published topics with one of these types, as they were a second ago at most."""
         at, found = self._listed.get(types, (0.0, []))
         if not at or monotonic() - at > _LISTED_S:
             found = await self._live.publishing(*types)
@@ -86,7 +86,7 @@ class NewestOfRobot(Source):
         latched: bool = True,  # noqa: ARG002
         times_only: bool = False,  # noqa: ARG002
     ) -> AsyncGenerator[Stream, None]:
-        """The newest message; raises as `Source.follow`."""
+        """Give the newest message. Raises the same errors as `Source.follow`."""
         topic = names.absolute(topic)
         newest = newest_of(self._robot, topic)
         sample = newest.sample or await newest.newer(None, max(newest.since + self.duration_s - monotonic(), 0.0))

@@ -1,4 +1,4 @@
-"""The newest message of topics that somebody looks at, as bytes: each is subscribed to once."""
+"""The newest messages, as bytes, of topics that are read repeatedly: each topic is subscribed to once."""
 
 from __future__ import annotations
 
@@ -16,22 +16,23 @@ from ros2_mcp.robot.kept import Kept
 from ros2_mcp.robot.listening import Listening
 
 _IDLE_S = 5.0
-"""After the last look: who looks, looks several times a second, and a page that is gone must not cost anything."""
+"""How long a subscription stays after the last read: readers read several times a second, and a page
+that was closed must cost nothing."""
 _TURN_S = 1.0
-"""Between two looks at whether it is still needed, where nothing comes."""
+"""Seconds between two checks of whether a subscription is still needed, if no message arrives."""
 _AGAIN_S = 2.0
-"""Before a topic that could not be listened to is tried again: its publisher may be coming up."""
+"""Seconds before a failed subscription is tried again: the publisher may be starting."""
 _FITS_S = 3.0
-"""Between two looks at whether another QoS fits the publishers by now. One look costs the bridge a millisecond."""
+"""Seconds between two checks of whether another QoS fits the publishers now. Each costs the bridge a millisecond."""
 _RATE_S = 3.0
-"""The time over which a rate is told: short enough to show a drop, long enough for a topic of 1 Hz."""
+"""The time over which a rate is measured: short enough to show a drop, long enough for a topic of 1 Hz."""
 _logger = logging.getLogger(__name__)
 
 
 @dataclass(eq=False)
 class Newest:
-    """One topic. `since` is when it was first looked at (monotonic, s); `error` says why it is not listened to.
-    `opened_ns` is since when it is listened to, by the robot's clock, where it is latched, else 0.
+    """The newest message of one topic. `since` is when it was first read (monotonic, s); `error` is why there is no
+    subscription. `opened_ns` is when the subscription began, by the robot's clock, if the topic is latched, else 0.
     """
 
     topic: str
@@ -46,7 +47,7 @@ class Newest:
     counted: list[tuple[float, int]] = field(default_factory=list[tuple[float, int]])
 
     async def newer(self, than: Sample | None, timeout_s: float) -> Sample | None:
-        """A sample that is not that one, as soon as there is one; None if none came in time."""
+        """Return a sample other than `than`, as soon as there is one; None if none came in time."""
         self.looked_at = monotonic()
         deadline = monotonic() + timeout_s
         while self.sample is None or self.sample is than:
@@ -57,11 +58,11 @@ class Newest:
         return self.sample
 
     def told_ns(self, sample: Sample) -> int:
-        """When a sample came; of one that was sent before anybody listened here when it was sent."""
+        """Return when a sample was received; for one sent before the subscription, when it was sent."""
         return sample.source_ns if 0 < sample.source_ns < self.opened_ns else sample.received_ns
 
     def rate_hz(self) -> float | None:
-        """How many messages came in a second, of late; None before that is known."""
+        """Return the messages per second of the last `_RATE_S`; None before that is known."""
         if self.listening is None:
             return None
         now, received = monotonic(), self.listening.counts.received
@@ -71,20 +72,20 @@ class Newest:
         return (received - first) / (now - began) if now - began > _RATE_S / 2 else None
 
     def tell(self) -> None:
-        """Wakes everybody who waits for it."""
+        """Wake all tasks that wait for a message."""
         came, self.came = self.came, asyncio.Event()
         came.set()
 
 
 class NewestSamples(Kept):
-    """The newest message of each topic, from the first look until nobody has looked for ten seconds."""
+    """The newest message of each topic, subscribed from the first read until `_IDLE_S` after the last one."""
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
         self._topics: dict[str, Newest] = {}
 
     def of(self, topic: str) -> Newest:
-        """That of a topic, which is listened to from now on."""
+        """Return the newest message of a topic, and subscribe to it from now on."""
         newest = self._topics.get(topic)
         if newest is None or newest.task is None or newest.task.done():
             newest = self._topics[topic] = Newest(topic)
@@ -93,7 +94,7 @@ class NewestSamples(Kept):
         return newest
 
     async def close(self) -> None:
-        """Ends listening."""
+        """End all subscriptions."""
         tasks = [newest.task for newest in self._topics.values() if newest.task]
         self._topics.clear()
         for task in tasks:
@@ -120,7 +121,7 @@ class NewestSamples(Kept):
             del self._topics[newest.topic]
 
     async def _take(self, newest: Newest, listening: Listening) -> None:
-        """Until nobody looks any more, or it has to be listened to in another way."""
+        """Take messages until the topic is no longer read, or another QoS is needed."""
         looked_at = monotonic()
         while monotonic() - newest.looked_at < _IDLE_S:
             if samples := await listening.take(_TURN_S):
@@ -133,5 +134,5 @@ class NewestSamples(Kept):
 
 
 def newest_of(robot: Robot, topic: str) -> Newest:
-    """The newest message of a topic of a robot, which is listened to from now on."""
+    """Return the newest message of a topic of a robot, which is subscribed to from now on."""
     return robot.kept.get(NewestSamples, lambda: NewestSamples(robot)).of(topic)

@@ -1,4 +1,5 @@
-"""Messages whose definition has changed: recordings that carry none are read as the distribution that wrote them does.
+"""Read messages whose definition has changed: a recording without definitions is read with those of
+the distribution that wrote it.
 
 Range, Marker and SolidPrimitive have more fields since Humble or Iron; the definitions are those of `rosbags`.
 """
@@ -19,15 +20,16 @@ if TYPE_CHECKING:
     from ros2_mcp.values.cdr import Codec
 
 _TRIED = 5
-"""Messages of a topic without a definition: they tell whether the newest definition of its type fits."""
+"""How many messages of a topic without a definition are decoded, to see whether the
+newest definition of its type fits."""
 
 _OLDER = ("jazzy", "iron", "humble", "galactic", "foxy", "eloquent", "dashing")
-"""The newest first: what fits several of them is most likely of the newest."""
+"""The newest first: if several definitions fit, the newest is the most likely."""
 
 
 def take(opened: OpenedBag, codec: Codec, topic: StoredTopic) -> None:
-    """Takes the newest older definition that fits the first messages of a topic where that of the newest distribution
-    does not; nothing where none does, or its type never changed.
+    """If the newest distribution's definition does not fit the first messages of a topic, take the newest older one
+    that does. Do nothing if none fits, or the type never changed.
     """
     from ros2_mcp.values.cdr import Codec  # with numpy: not before it is needed
     from ros2_mcp.values.definitions import Definitions
@@ -48,7 +50,7 @@ def take(opened: OpenedBag, codec: Codec, topic: StoredTopic) -> None:
 
 
 def told(opened: OpenedBag, type_name: str) -> str:
-    """What is to be said of messages that are read by an older definition; empty for others."""
+    """Return the sentence on messages that are read by an older definition; empty for others."""
     distro = opened.read_as.get(type_name)
     return f"Read as ROS 2 {distro.capitalize()} defines {type_name}; the newest does not fit." if distro else ""
 
@@ -63,7 +65,7 @@ def _fits(codec: Codec, type_name: str, messages: Sequence[bytes]) -> bool:
 
 
 def _definitions(type_name: str) -> Iterator[tuple[str, dict[str, DefinitionText]]]:
-    """Each distribution whose definition differs from that of the next one."""
+    """Yield each distribution whose definition differs from the next newer one."""
     from rosbags.typesys import Stores, TypesysError, get_typestore
 
     last = ""

@@ -1,4 +1,4 @@
-"""The topic that is meant where a caller names none: the only one of a type."""
+"""Choose the topic if a caller names none: the only one of a type."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from ros2_mcp.model.text import listed, named
 from ros2_mcp.ops.sources.source import Source
 
 _MAX_NAMED = 8
-"""Topics in a sentence: more of one type are better listed."""
+"""The most topics in a sentence."""
 
 
 async def only_topic(source: Source, topic: str, type_name: str, argument: str = "topic_name") -> tuple[str, str]:
-    """The topic, or where it is empty the only one of that type that somebody publishes; and in words which was taken.
+    """Return the topic, or, if it is empty, the only published topic of that type; and a sentence on the choice.
 
-    Of several, the one that is no costmap: costmaps have the type of maps, and somebody who wants one says so.
+    Of several, the only one that is not a costmap is chosen: costmaps have the type of maps, and are requested by name.
 
     Raises:
         NotFound: if there is none.

@@ -1,4 +1,4 @@
-"""A recording that stands for the robot: its topics as a graph, and no ROS anywhere."""
+"""A recording that stands for the robot: its topics as a graph, without ROS."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 def recorded_robot(store: BagStore, keeps: Iterable[Kept] = ()) -> Robot:
-    """The store's subject as a robot: it has topics and their types, and refuses to do anything."""
+    """Return the store's subject as a robot. It has topics and their types, and refuses all commands."""
 
     def no_ros() -> NoReturn:
         started = "This server was started with --bag: it reads a recording, not a robot."
@@ -40,36 +40,36 @@ def recorded_robot(store: BagStore, keeps: Iterable[Kept] = ()) -> Robot:
 
 
 class RecordedGraph(Graph):
-    """The part of a graph that a recording knows: topics, what their publishers offered, and their types."""
+    """The part of a graph that a recording has: topics, the QoS of their publishers, and their types."""
 
     def __init__(self, bridge: Bridge, store: BagStore) -> None:
         super().__init__(bridge)
         self._store = store
 
     async def topics(self, within_s: float | None = None) -> Rows[TopicRow]:  # noqa: ARG002 - nothing has to settle
-        """The recorded topics."""
+        """Return the recorded topics."""
         recorded = (await self._recorded_topics()).values()
         return Rows([TopicRow(found.topic, found.types, len(found.publishers), 0) for found in recorded], settled=True)
 
     async def topics_and_absence(self, count_most: int) -> tuple[Rows[TopicRow], str]:  # noqa: ARG002 - all are known
-        """The recorded topics, and that it is there."""
+        """Return the recorded topics, and no absence: the recording is always there."""
         return await self.topics(), ""
 
     async def absence(self, within_s: float | None = None, found: Rows[NodeRow] | None = None) -> str:  # noqa: ARG002
-        """It is there."""
+        """Return "": a recording is never absent."""
         return ""
 
     async def interfaces(self, within_s: float = REQUEST_S) -> list[str]:  # noqa: ARG002 - a file answers at once
-        """The types of the recorded topics, with those that they refer to."""
+        """Return the types of the recorded topics, with those that they refer to."""
         return sorted(await recorded_definitions(self._store))
 
     async def name_of(self, topic: str) -> str:
-        """The name as it stands in the recording; of what is not there, as it was asked for."""
+        """Return the name as it is in the recording; an unknown name is returned as given."""
         source = await open_bag(self._store, self._store.subject_name, may_be_empty=True)
         return await source.name_of(topic)
 
     async def endpoints(self, topic: str, within_s: float | None = None) -> TopicEndpoints:  # noqa: ARG002 - as above
-        """The publishers of a topic, without names; none if the recording does not have it."""
+        """Return the publishers of a topic, without names; none if the recording does not have it."""
         return (await self._recorded_topics()).get(topic, TopicEndpoints(topic, (), ()))
 
     async def _recorded_topics(self) -> Mapping[str, TopicEndpoints]:
@@ -84,7 +84,7 @@ class RecordedValues(Values):
         self._store = store
 
     async def learn(self, *types: str) -> None:
-        """Looks for the definitions in the recording; raises `UnknownInterface` for a type that is not in it."""
+        """Read the definitions from the recording. Raises `UnknownInterface` for a type that is not in it."""
         if all(self.definitions.knows(defining_type(name)) for name in types):
             return
         recorded = await recorded_definitions(self._store)
@@ -96,7 +96,7 @@ class RecordedValues(Values):
 
 
 async def recorded_definitions(store: BagStore) -> dict[str, DefinitionText]:
-    """Every definition that is known of the types of the recorded topics, with those that they refer to."""
+    """Return every known definition of the types of the recorded topics, with those that they refer to."""
 
     def read() -> list[StoredTopic]:
         with store.reading(store.subject_name) as bag:

@@ -1,4 +1,4 @@
-"""What of a source is read and shown: the selection, the collector of samples, and how they are fitted into bytes."""
+"""Choose what of a source is read and shown: the selection, the collector of samples, and fitting them into bytes."""
 
 from __future__ import annotations
 
@@ -20,25 +20,26 @@ if TYPE_CHECKING:
     from ros2_mcp.values.definitions import Definitions
 
 FIRST_MESSAGE_S = 5.0
-"""How long the next message is waited for, if no limit is given: more than the slowest usual topics (1 s) take."""
+"""How long to wait for the next message if no limit is given: longer than the periods of
+the slowest usual topics (1 s)."""
 LIMITED_S = 20.0
-"""How long a number of messages is waited for without a duration: some clients give a call up after 30 s."""
+"""How long to wait for a number of messages without a duration: some clients give up a call after 30 s."""
 MAX_MESSAGES = 100_000
 MAX_BYTES = 64_000_000
-"""Memory for messages to be shown: sixty raw camera pictures. The result shows 10 kB of them in the end."""
+"""The most bytes of messages to be shown: sixty raw camera pictures. The result finally shows 10 kB of them."""
 MAX_BYTES_IN_TOTAL = 192_000_000
-"""Of all that is collected at the same time, by all clients: as much as one measurement may have."""
+"""The most bytes that all collectors have together, for all clients: as much as one measurement may have."""
 _LITTLE_BYTES = 1_000_000
-"""Who has less than that takes no part of it: a hundred of them are less than two cameras."""
+"""A collector with less than this takes no share of the total: a hundred of them are less than two cameras."""
 _BESIDE_BYTES = 60
-"""What a message takes in the result beside its value: its time in ISO 8601, quotes and commas."""
+"""Bytes of a message in the result besides its value: its time in ISO 8601, quotes and commas."""
 _LEAST_BYTES = 500
-"""The least part of a message that is shown: less than that says nothing of it."""
+"""The least bytes of a message that are shown: fewer would say nothing about it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Selection:
-    """What of a source's messages is read, and how much of them is shown.
+    """The messages of a source that are read, and how much of them is shown.
 
     `fields` are paths (none: all); if they are `shared` by several topics, a type need not have all of them. Arrays are
     shown up to `max_array` elements, only every `every_n`-th message is kept. Reading ends after `duration_s` or
@@ -55,36 +56,37 @@ class Selection:
 
     @property
     def live_s(self) -> float:
-        """How long reading takes at most where messages have yet to come."""
+        """The longest time in s that a live read takes."""
         if self.duration_s is not None:
             return self.duration_s
         return FIRST_MESSAGE_S if self.message_limit is None else LIMITED_S
 
     @property
     def enough(self) -> int | None:
-        """After how many kept messages reading ends early; None is never."""
+        """The number of kept messages after which reading ends; None: never."""
         if self.duration_s is None and self.message_limit is None:
             return 1
         return self.message_limit
 
     def check(self) -> None:
-        """Raises `BadValue` if a number is out of range."""
+        """Raise `BadValue` if a number is out of range."""
         bounded("every_n", self.every_n, 1, 1_000_000, "messages")
         if self.message_limit is not None:
             bounded("message_limit", self.message_limit, 1, MAX_MESSAGES, "messages")
 
     def check_fields(self, definitions: Definitions, type_name: str) -> None:
-        """Raises `BadValue` if the type has no such field, with the nearest that it has."""
+        """Raise `BadValue` if the type has no such field; it names the nearest one."""
         if self.fields:
             from ros2_mcp.values.select import parse_fields
 
             parse_fields(definitions, type_name, self.fields)
 
     def fitting(self, definitions: Definitions, type_name: str) -> tuple[Selection, str]:
-        """The same with those of its shared fields that the type has, and in words which it lacks.
+        """Return the selection with those of its shared fields that the type has, and a
+        sentence on the fields that it lacks.
 
         Raises:
-            BadValue: for a field that the type does not have; of shared ones only if it has none of them.
+            BadValue: for a field that the type does not have; for shared fields only if it has none of them.
         """
         if not self.shared:
             self.check_fields(definitions, type_name)
@@ -106,11 +108,13 @@ class Selection:
 
     @property
     def has_filter(self) -> bool:
-        """Whether its fields ask for elements with a value: messages that have none are none of its messages."""
+        """Return whether its fields select elements by a value: messages without such elements are skipped."""
         return any("==" in path for path in self.fields)
 
     def wanted(self, codec: Codec, type_name: str, samples: Sequence[Sample]) -> Sequence[Sample]:
-        """The samples that pass its filters; what cannot be decoded passes, to be counted by whoever shows it."""
+        """Return the samples that pass its filters. Samples that cannot be decoded pass, and
+        are counted when they are shown.
+        """
         from ros2_mcp.values.select import parse_fields
 
         paths = [path for path in parse_fields(codec.definitions, type_name, self.fields) if "==" in path.path]
@@ -127,11 +131,12 @@ class Selection:
 
 @dataclass(kw_only=True, eq=False)
 class Collector:
-    """Samples within bounds on their number and bytes: the oldest are `dropped`, and counted; `seen` counts all.
+    """Samples within bounds on their number and bytes: the oldest are discarded and counted
+    as `dropped`; `seen` counts all.
 
-    All that collect at the same time share `MAX_BYTES_IN_TOTAL`: each that has more than its part gives way.
+    All collectors share `MAX_BYTES_IN_TOTAL`: one that exceeds its share discards samples.
 
-    With `times_only` no more of their bytes are kept than a header's stamp. It is full as soon as it has kept `enough`
+    With `times_only` only the bytes up to a header's stamp are kept. A collector is full once it has kept `enough`
     samples.
     """
 
@@ -149,7 +154,7 @@ class Collector:
         _collecting.add(self)
 
     def add(self, samples: Iterable[Sample]) -> bool:
-        """Takes samples in; true as soon as there are enough."""
+        """Add samples. Return True as soon as there are enough."""
         most_bytes = min(self.max_bytes, MAX_BYTES_IN_TOTAL // max(1, sum(one.is_large for one in _collecting)))
         for sample in samples:
             self.seen += 1
@@ -166,25 +171,25 @@ class Collector:
 
     @property
     def is_large(self) -> bool:
-        """Whether it has so much that it takes a part of what all may have together."""
+        """Return whether the collector is so large that it takes a share of the total."""
         return self._bytes > _LITTLE_BYTES
 
 
 def _head_of(sample: Sample) -> Sample:
-    """No more of it than a header's stamp."""
+    """Return a sample with only its bytes up to a header's stamp."""
     return replace(sample, data=sample.data[:STAMP_END], whole_bytes=sample.size)
 
 
 _collecting: WeakSet[Collector] = WeakSet()
-"""Those of this process: memory is bounded for it as a whole, whoever reads."""
+"""All collectors of this process: its memory is bounded as a whole."""
 
 
 @dataclass(frozen=True, slots=True)
 class Fitted:
-    """The messages that fit into a result: `values` as JSON, `messages` as they were decoded, for pictures.
+    """The messages that fit into a result: `values` as JSON, `messages` decoded, for pictures.
 
-    Of those that were chosen to be shown, `undecodable` are not what their type says, the first of them for the reason
-    `trouble`; `left_out` had no room. `truncated` has the paths whose values are summaries, each with the field that
+    Of the messages chosen to be shown, `undecodable` cannot be decoded as their type, the first of them for the reason
+    `trouble`; `left_out` did not fit. `truncated` has the paths whose values are summaries, each with the field that
     shows more of it.
     """
 
@@ -198,7 +203,7 @@ class Fitted:
 
     @property
     def note(self) -> str:
-        """In words, what is not shown although it was read."""
+        """A sentence on the messages that were read but are not shown."""
         notes: list[str] = []
         if self.left_out:
             notes.append(
@@ -210,9 +215,9 @@ class Fitted:
 
 
 def fit(codec: Codec, type_name: str, samples: Sequence[Sample], selection: Selection) -> Fitted:
-    """As many of the samples as fit, evenly spread, first and last included. Each is decoded once.
+    """Return as many of the samples as fit, evenly spread, with the first and the last. Each is decoded once.
 
-    How many that are is judged by the newest one that can be decoded. Only what is shown is decoded.
+    Their number follows from the size of the newest one that can be decoded. Only the shown ones are decoded.
 
     Raises:
         BadValue: for a field that the type does not have.
@@ -234,7 +239,7 @@ def fit(codec: Codec, type_name: str, samples: Sequence[Sample], selection: Sele
         options = RenderOptions(max_array=selection.max_array, max_bytes=max_bytes, fields=fields)
         return render(codec.definitions, type_name, message, options=options)
 
-    # The newest message says how many of its size have room. Those after it cannot be decoded and are skipped.
+    # The size of the newest decodable message gives the number that fit. Those after it cannot be decoded.
     last, newest = len(samples), None
     while last and newest is None:
         last -= 1
@@ -261,9 +266,10 @@ def fit(codec: Codec, type_name: str, samples: Sequence[Sample], selection: Sele
 
 
 def message_times(source: Source, samples: Sequence[Sample]) -> tuple[str, list[float]]:
-    """A time in ISO 8601, and how many seconds after it each sample was received, to the microsecond.
+    """Return a time in ISO 8601, and how many seconds after it each sample was received, to the microsecond.
 
-    It is the beginning of the recording; live, or where that is not known, the time of the first sample.
+    The time is the beginning of the recording; for a live source, or if the beginning is unknown, the time of the first
+    sample.
     """
     if not samples:
         return "", []
@@ -272,14 +278,14 @@ def message_times(source: Source, samples: Sequence[Sample]) -> tuple[str, list[
 
 
 def undecodable(count: int, trouble: str = "") -> str:
-    """What is said of messages that are skipped because their bytes do not fit their type."""
+    """Return the sentence on messages that are skipped because their bytes do not fit their type."""
     return (
         f"Left out: {counted(count, 'message')} that cannot be decoded as this type{': ' if trouble else '.'}{trouble}"
     )
 
 
 def spread_indices(count: int, most: int) -> list[int]:
-    """At most `most` of `count` indices, evenly spread: the first and the last are among them, or the last alone."""
+    """Return at most `most` of `count` indices, evenly spread, with the first and the last; for one, the last."""
     if count <= most:
         return list(range(count))
     if most == 1:

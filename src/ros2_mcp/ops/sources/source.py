@@ -1,6 +1,6 @@
-"""What a source is: samples of topics from the robot now, from a bag, from a black box, and what is known around them.
+"""The interface of sources: samples of topics from the live robot, a bag or a black box, and what is known about them.
 
-Operations that read take a `Source`. `is_live` tells live sources from recorded ones, never their text.
+Operations that read take a `Source`. Use `is_live`, never its texts, to tell live sources from recorded ones.
 """
 
 from __future__ import annotations
@@ -27,33 +27,33 @@ if TYPE_CHECKING:
     from ros2_mcp.values.definitions import Definitions
 
 ANSWER_S = 15.0
-"""How long a source may take to answer. A question to a database over a day takes some seconds; if one hangs, there
-must be time left to ask the other sources before clients give the call up."""
+"""How long a source may take to answer. A query of a day in a database takes some seconds; if one hangs, there must be
+time left to ask the other sources before clients give up the call."""
 
 
 class Kept(Protocol):
-    """What is kept of the messages of one topic while they pass. It is asked from one thread at a time."""
+    """Keeps what is needed of the messages of one topic as they pass. Used by one thread at a time."""
 
     def add(self, samples: Sequence[Sample]) -> None:
-        """Takes in messages, in the order of time."""
+        """Add messages, in the order of time."""
         ...
 
 
 K = TypeVar("K", bound=Kept)
 Keep: TypeAlias = "Callable[[Stream], K]"
-"""Makes what keeps the messages of a stream; raises `RobotError` where that cannot be done with its type."""
+"""Makes the keeper of a stream's messages. Raises `RobotError` if the type does not allow it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Capture(Generic[K]):
-    """What was `kept` of the messages of one topic between two times, with what is needed to understand it.
+    """The result of capturing one topic: what was `kept` of its messages between two times, and
+    what is needed to interpret it.
 
-    `start_ns` and `end_ns` are Unix times by the receiver's clock; only a latched message may be older.
-    `received` counts all that came in that time, of which `dropped` were not looked at because of memory
-    bounds; `lost` never came, or None where that cannot be known. `publishers` are names of nodes, empty where they
-    are not known. `source` says in words where the messages are from; `began_ns` is that of the source, `mixed` and
-    `odd_times` those of the stream. `holes` are the times of which a recording cannot be read: a silence or a step over
-    one is none of the robot's.
+    `start_ns` and `end_ns` are Unix times by the receiver's clock; only a latched message may be older. `received`
+    counts all messages of that time, of which `dropped` were discarded because of memory bounds; `lost` never arrived,
+    None if unknown. `publishers` are names of nodes, empty if unknown. `source` describes the source; `began_ns` is the
+    source's, `mixed` and `odd_times` are the stream's. `holes` are the times of which a recording cannot be read: a
+    silence or a step across one does not come from the robot.
     """
 
     topic: str
@@ -74,23 +74,23 @@ class Capture(Generic[K]):
 
     @property
     def duration_s(self) -> float:
-        """How long it is."""
+        """The length of the capture in s."""
         return (self.end_ns - self.start_ns) / 1e9
 
     @property
     def zero_ns(self) -> int:
-        """The time from which seconds count: the recording's beginning, live that of the capture."""
+        """The time from which seconds count: the beginning of the recording, or, live, of the capture."""
         return self.start_ns if self.began_ns is None else self.began_ns
 
     @property
     def definitions(self) -> Definitions:
-        """The definitions that the messages were written with."""
+        """The definitions with which the messages were written."""
         return self.codec.definitions
 
 
 @dataclass(frozen=True, slots=True)
 class Missing:
-    """A topic that could not be captured, and why."""
+    """A topic that could not be captured, with the error."""
 
     topic: str
     error: RobotError
@@ -98,15 +98,15 @@ class Missing:
 
 @dataclass(kw_only=True)
 class Stream:
-    """The samples of one topic one after the other, in batches as they come; an empty batch is only a sign of life.
+    """The samples of one topic in order, in batches as they come; an empty batch only shows that the stream is alive.
 
-    The batches end with the source's time. As it stands here it is a stream of samples that were kept, up to the Unix
-    time `until_ns`; a live one overrides what differs.
+    The batches end with the source's time. This class is a stream of stored samples, up to the Unix time `until_ns`; a
+    live stream overrides what differs.
 
-    `qos` says how it listens, or what was recorded. Samples from before `start_ns` are latched ones. `from_end`: the
-    limit meant the last messages. `thinned`: it is every n-th already. `received` samples have been read so far. With
-    a limit, `further` is the next sample after those that were asked for, in the direction of reading; None where
-    there are no more. `note` is for whoever shows them. `asked_ns` is when a live one was asked for, by the
+    `qos` describes the subscription's QoS, or the recorded one. Samples from before `start_ns` are latched ones.
+    `from_end`: the limit meant the last messages. `thinned`: only every n-th sample is given. `received` samples have
+    been read so far. With a limit, `further` is the next sample after the requested ones, in the direction of reading;
+    None if there is none. `note` is a sentence for the result. `asked_ns` is when a live stream was requested, by the
     robot's clock.
     """
 
@@ -132,60 +132,66 @@ class Stream:
 
     @property
     def mixed(self) -> str:
-        """In words, whose messages are mixed in it though one publisher is expected; who published is known live."""
+        """A sentence on the publishers whose messages are mixed although one is expected;
+        only live streams know publishers.
+        """
         return ""
 
     @property
     def odd_times(self) -> str:
-        """In words, what is odd about the times of a recording of it: messages without one, and where they go back."""
+        """A sentence on irregular times in a recording: messages without a time, and times that go back."""
         return ""
 
     @property
     def left_behind(self) -> str:
-        """In words, how many of its messages a slow link has left on the robot; empty where there are none."""
+        """A sentence on messages that a slow link has left on the robot; empty if there are none."""
         return ""
 
     @property
     def counts(self) -> Counts:
-        """What became of the messages so far. Kept ones are not dropped; how many were lost nobody knows."""
+        """The counts of messages so far. Stored ones are not dropped; the number of lost ones is unknown."""
         return Counts(self.received, 0, None)
 
     @property
     def covered_s(self) -> float:
-        """How much of the source's time its samples are of."""
+        """The length in s of the source's time that the samples cover."""
         return (self.end_ns - self.start_ns) / 1e9
 
     @property
     def end_ns(self) -> int:
-        """How far it has come, as Unix time."""
+        """The time that the stream has reached, as Unix time in ns."""
         return self.until_ns
 
     @property
     def holes(self) -> Sequence[tuple[int, int]]:
-        """The times of which nothing of it can be read, in order, as far as that is known when it has been read."""
+        """The times of which nothing can be read, in order, as far as they are known after reading."""
         return ()
 
     @property
     def tells_replayed(self) -> bool:
-        """Whether enough has come for `is_replayed` to be sure; at the end it is as sure as it can be."""
+        """Return whether enough samples have come for `is_replayed` to be certain; at the end
+        it is as certain as it can be.
+        """
         return True
 
     def is_replayed(self, sample: Sample) -> bool:
-        """Whether it was sent before the source's time, and came only because a late subscriber is given it, too."""
+        """Return whether a sample was sent before the source's time, and came only
+        because late subscribers get it, too.
+        """
         return sample.received_ns < self.start_ns or 0 < sample.source_ns < self.asked_ns
 
     async def why_no_more(self, last: Sample | None) -> str:
-        """In words, why no sample came after `last`; None where none came at all."""
+        """Return a sentence on why no sample came after `last`, which is None if there was no sample at all."""
         return f"The recording has {'no more' if last else 'nothing'} of it in that part."
 
 
 @dataclass(frozen=True, slots=True)
 class GraphSnapshot:
-    """What a source knows of the graph. `nodes` has a name as often as nodes share it, `services` the types of each;
-    None is not known.
+    """The graph as far as a source knows it; None means unknown. `nodes` has a name as often as nodes share it;
+    `services` has the types of each service.
 
-    `absence` says in words that no robot is there; `left` is what was seen of it earlier in this session, and `ran` the
-    topics that were a stream then.
+    `absence` is a sentence if no robot is there; `left` is what was seen earlier in this session and is gone; `ran` are
+    the topics that were streams then.
     """
 
     topics: Mapping[str, TopicEndpoints]
@@ -199,11 +205,11 @@ class GraphSnapshot:
 
 @dataclass(frozen=True, slots=True)
 class SourceRequest:
-    """Which source is meant, in the caller's words: its name, a beginning and an end, the bucket of a database.
+    """The caller's description of a source: its name, a beginning and an end, the bucket of a database.
 
-    `names` are the caller's arguments for the beginning and the end, for errors and for how to read on. `waits`: the
-    caller has given a time to wait, so that a topic that is not there yet is waited for, which `report` is told; else
-    that is an error as soon as discovery has settled.
+    `names` are the caller's arguments for the beginning and the end, for errors and for hints on reading on. `waits`:
+    the caller has given a time to wait, so that a topic that does not exist yet is awaited, with progress to `report`;
+    else it is an error as soon as discovery has settled.
     """
 
     name: str = ""
@@ -216,21 +222,22 @@ class SourceRequest:
 
 
 class Source(ABC):
-    """Where samples come from: the robot for some time from now on, or a part of what somebody has kept.
+    """The source of samples: the robot for some time from now on, or a part of a recording.
 
-    A new kind of source sets these attributes, implements what is abstract here, and has a `SourceKind`.
+    A new kind of source sets these attributes, implements the abstract methods, and has a `SourceKind`.
     """
 
     title: str
-    """What it is, as in `the bag run`."""
+    """The source in words, as in `the bag run`."""
     words: str
-    """The same with its time, for results and people: `live, 5 s`."""
+    """The source with its time, for results and people: `live, 5 s`."""
     duration_s: float
-    """How much time it covers."""
+    """The length of its time in s."""
     began_ns: int | None = None
-    """For `model/times.recorded_time`: when a recording began, from which `12 s in` counts; None where it does not."""
+    """When a recording began (Unix time, ns), from which `12 s in` counts (`model/times.recorded_time`);
+    None if it has no fixed beginning."""
     is_live: bool = False
-    """Whether its messages have yet to come. Of what was kept, nothing has to be waited for."""
+    """Whether its messages have yet to come. Stored messages need no waiting."""
     from_end: bool = False
     """Whether a limit means the last messages."""
     keeps_types: bool = True
@@ -239,18 +246,18 @@ class Source(ABC):
     @property
     @abstractmethod
     def codec(self) -> Codec:
-        """Reads its samples; knows the types of the topics that were asked for."""
+        """The codec for its samples; it knows the types of the topics that were requested."""
 
     async def name_of(self, topic: str) -> str:
-        """The full name of a topic that somebody asks for; raises `BadName` where there can be none of that name."""
+        """Return the full name of a requested topic. Raises `BadName` if the name is not valid."""
         return names.absolute(topic)
 
     @abstractmethod
     async def type_of(self, topic: str) -> str:
-        """The type of a topic, which `codec` knows from then on.
+        """Return the type of a topic, which `codec` knows from then on.
 
         Raises:
-            NotFound: if the topic is not there (yet).
+            NotFound: if the topic does not exist (yet).
             TypeConflict: if it has several types.
         """
 
@@ -265,16 +272,16 @@ class Source(ABC):
         latched: bool = True,
         times_only: bool = False,
     ) -> AbstractAsyncContextManager[Stream]:
-        """Every sample of a topic in order, from the beginning of the source's time to its end.
+        """Read every sample of a topic in order, from the beginning of the source's time to its end.
 
         Args:
-            topic: its name; live it need not be there yet.
-            type_name: needed only if the topic has several types, or live none yet.
+            topic: its name; a live topic need not exist yet.
+            type_name: needed only if the topic has several types, or, live, none yet.
             limit: how many samples are needed; of a recording without a start these are the last ones. A live stream
                 goes on: its reader stops.
             every_n: live, and of a recording with a limit, only every n-th sample is given, counted from the first.
-            latched: whether a recording also gives the earlier messages that a late subscriber would still have got.
-            times_only: no more of the samples is needed than their sizes and the bytes of a header's stamp.
+            latched: whether a recording also gives the earlier messages that a late subscriber would have received.
+            times_only: only the sizes of the samples and their bytes up to a header's stamp are needed.
 
         Raises:
             NotFound: if the topic does not appear in that time.
@@ -282,11 +289,12 @@ class Source(ABC):
         """
 
     def lasting(self, live_s: float, *, recorded_s: float | None = None, whole: bool = False) -> Source:  # noqa: ARG002
-        """The source for so long: live for `live_s` from now on, of a recording at most `recorded_s` (None: all of it).
+        """Return the source limited in time: live for `live_s` from now on, of a recording at most
+        `recorded_s` (None: all of it).
 
-        `recorded_s` is what the caller has given, if anything: live, a topic that is not there is then waited for.
-        Of a longer part of a recording it is the beginning if a start was given, else the end. `whole`: the time
-        counts from when a topic is there, however long that takes; else waiting for it counts too.
+        `recorded_s` is the caller's argument, if given: live, a topic that does not exist is then awaited. Of a longer
+        part of a recording, the beginning is used if a start was given, else the end. `whole`: the time counts from
+        when a topic exists, however long that takes; else it includes the wait for the topic.
 
         Raises:
             BadValue: if the time is out of range.
@@ -294,56 +302,62 @@ class Source(ABC):
         return self
 
     def part(self, start_ns: int, end_ns: int) -> Source:  # noqa: ARG002 - what is live has no other time
-        """The part of it between two Unix times of receipt, as far as it has them; live it is the source itself."""
+        """Return the part between two Unix times of receipt, as far as the source has
+        them; a live source returns itself.
+        """
         return self
 
     def from_beginning(self) -> Source:
-        """The same with all that was received before it, for what holds from when it was told on; live it is itself."""
+        """Return the same source with all earlier messages, for values that hold since they were
+        published; a live source returns itself.
+        """
         return self
 
     @property
     def covers_ns(self) -> tuple[int, int] | None:
-        """The Unix times of receipt between which it has messages, where that is known; None for what is live."""
+        """The Unix times of receipt (ns) between which it has messages, if known; None for a live source."""
         return None
 
     @property
     def transforms(self) -> TransformListener | None:
-        """What has been listening to the frames of a robot; None for a recording, which is read when it is asked."""
+        """The listener of a robot's transforms; None for a recording, which is read on request."""
         return None
 
     def judging(self) -> Source:
-        """The same for those who judge a state by its messages: live, of what was sent before only the newest counts.
-        A recording gives all that it has, in the order of its time.
+        """Return the same source for readers that judge a state: live, of the messages sent before only the newest
+        counts. A recording gives all its messages, in the order of time.
         """
         return self
 
     def prompt(self) -> Source:
-        """The same for those who react to each message: live, none waits in the bridge for long."""
+        """Return the same source for readers that react to each message: live, no message waits long in the bridge."""
         return self
 
     async def lightest(self, topic: str) -> str:
-        """The topic with the same pictures that is the least to read: itself, where that makes no difference."""
+        """Return the topic with the same pictures that is smallest to read; the topic itself
+        if there is no such difference.
+        """
         return topic
 
     async def publishing(self, *types: str) -> list[str]:
-        """The names of the topics of one of these types that somebody publishes, or has published, in order."""
+        """Return the names of the topics of one of these types that have, or had, a publisher, sorted."""
         topics = (await self.graph()).topics
         return sorted(name for name, found in topics.items() if any(one.type in types for one in found.publishers))
 
     async def absence(self) -> str:
-        """That no robot is there, as a sentence; empty where one is, and of what was kept."""
+        """Return a sentence if no robot is there; empty if there is one, and for recordings."""
         return ""
 
     def words_after(self, took_s: float) -> str:  # noqa: ARG002 - what was kept is read in no time
-        """`words`, where reading may have ended before the source's time did: `live, 0.26 s of at most 5 s`."""
+        """Return `words` for a read that may have ended before the source's time: `live, 0.26 s of at most 5 s`."""
         return self.words
 
     async def graph(self) -> GraphSnapshot:
-        """What is known of the graph."""
+        """Return what is known of the graph."""
         return GraphSnapshot({})
 
     async def hung(self, nodes: Sequence[str]) -> Sequence[str]:  # noqa: ARG002 - a recording cannot be asked
-        """Some of these nodes, if they are asked a question that every node answers, and not one of them does."""
+        """Return some of these nodes if none of them answers a question that every node answers."""
         return ()
 
     async def captures(
@@ -354,9 +368,9 @@ class Source(ABC):
         *,
         times_only: bool = False,  # noqa: ARG002 - of what was kept by others, messages come as they are
     ) -> Sequence[Capture[K] | Missing]:
-        """What `keep` makes of every message of each topic, all over the same time.
+        """Return what `keep` makes of every message of each topic, all over the same time.
 
-        With `times_only` the samples need no more bytes than those of a header's stamp.
+        With `times_only` the samples need only the bytes up to a header's stamp.
         """
         found: list[Capture[K] | Missing] = []
         for number, topic in enumerate(topics):
@@ -374,10 +388,10 @@ class Source(ABC):
 
 
 class SourceKind:
-    """A kind of source: how its sources are found. A kind overrides one method or both."""
+    """A kind of source, which finds its sources. A kind overrides one method or both."""
 
     async def named(self, robot: Robot, store: BagStore, request: SourceRequest) -> Source | None:  # noqa: ARG002
-        """The source that is meant, or None if it is not of this kind."""
+        """Return the requested source, or None if it is not of this kind."""
         return None
 
     async def kept(
@@ -386,12 +400,14 @@ class SourceKind:
         store: BagStore,  # noqa: ARG002
         request: SourceRequest,  # noqa: ARG002
     ) -> Sequence[Callable[[], Awaitable[Source]]]:
-        """For each of its sources that may have earlier messages a function that opens it, the likeliest first."""
+        """Return a function for each source that may have earlier messages, which opens
+        it; the likeliest source first.
+        """
         return ()
 
 
 def captured(source: Source, stream: Stream, kept: K, received: int) -> Capture[K]:
-    """What was kept of a stream that has ended, of which so many samples came."""
+    """Return the capture of a stream that has ended, of which `received` samples came."""
     counts = stream.counts
     return Capture(
         topic=stream.topic,
@@ -413,6 +429,6 @@ def captured(source: Source, stream: Stream, kept: K, received: int) -> Capture[
 
 
 async def in_batches(samples: Sequence[Sample]) -> AsyncGenerator[Sequence[Sample], None]:
-    """Samples that are all there already."""
+    """Yield samples that are all present already, as one batch."""
     if samples:
         yield samples

@@ -1,4 +1,4 @@
-"""Times in a recording, as people and programs write them: ISO 8601, UNIX time, or relative to the recording."""
+"""Parse times in a recording as people and programs write them: ISO 8601, UNIX time, or relative to the recording."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _FRACTION = re.compile(r"[.,]([0-9]{1,9})[0-9]*")
 _UNIX = re.compile(
     r"(?P<whole>[0-9]{1,40})(?:\.(?P<fraction>[0-9]{1,40}))?(?:e\+?(?P<exponent>[0-9]{1,2}))?", re.IGNORECASE
 )
-"""Of a bounded length: Python refuses to read a number of more than 4300 digits."""
+"""The length is bounded because Python refuses to read a number of more than 4300 digits."""
 _YEAR = re.compile(r"((?:19|20)[0-9]{2})(?:(0[1-9]|1[0-2])(0[1-9]|[12][0-9]|3[01]))?")
 """A year, or a date in ISO's basic form: as a UNIX time it would be one of 1970."""
 _UNITS_NS = ((10**11, 10**9), (10**14, 10**6), (10**17, 1000))
@@ -28,7 +28,7 @@ _UNITS_NS = ((10**11, 10**9), (10**14, 10**6), (10**17, 1000))
 10^17 on in nanoseconds, as stamps of bags and of Python programs are."""
 _NS_DIGITS = 17
 _NOT_AGO_S = 1e9
-"""A number of seconds ago that is as large (32 years) is a UNIX time: that of 2001 or later."""
+"""A number of seconds ago from this size on (32 years) is a UNIX time: that of 2001 or later."""
 _MILLISECOND_NS = 1_000_000
 """Times in a recording are written in whole milliseconds after its beginning."""
 _EARLIEST = -(2**63)
@@ -44,15 +44,16 @@ def span_of(
     *,
     within: bool = False,
 ) -> Span:
-    """The span between two times of a recording from `first_ns` to `last_ns`; empty is its beginning or its end.
+    """Return the span between two times of a recording from `first_ns` to `last_ns`; an
+    empty time is its beginning or end.
 
     `last 30 s` and `30 s ago` count back from the recording's end; `2 min in` is the time two minutes after its
-    beginning, and so is `first 2 min`. An end that is a moment is part of the span: all of the microsecond that a time
-    names, and of the millisecond that `2.5 s in` does. `names` are the caller's arguments for both. With `within`, a
-    time that is not in the recording is an error; without, only a number is that cannot be meant as a UNIX time.
+    beginning, and so is `first 2 min`. An end that names a moment is part of the span: the whole microsecond of an
+    absolute time, the whole millisecond of `2.5 s in`. `names` are the caller's arguments for both. With `within`, a
+    time outside the recording is an error; without it, only a number too small for a UNIX time is.
 
     Raises:
-        BadValue: if one is not written like a time or is not in the recording, or the end lies before the start.
+        BadValue: if a time is malformed or not in the recording, or the end lies before the start.
     """
     times_ns: list[int] = []
     for name, text in zip(names, (start, end), strict=True):
@@ -72,7 +73,7 @@ def span_of(
 
 
 def _outside(name: str, text: str, at_ns: int, covers: tuple[int, int]) -> BadValue:
-    """The error of a time that is not in the recording, with what may have been meant."""
+    """Return the error for a time outside the recording, with a suggestion."""
     first_ns, last_ns = covers
     meant = f'To count from its beginning, write "{text} s in". ' if _UNIX.fullmatch(text) else ""
     until = recorded_time(last_ns, first_ns)
@@ -84,31 +85,35 @@ def _outside(name: str, text: str, at_ns: int, covers: tuple[int, int]) -> BadVa
 
 
 def parsed_ns(name: str, text: str, first_ns: int | None, last_ns: int) -> int:
-    """One time as Unix time in nanoseconds, at most 64 bits; raises as `span_of`, also if it needs no `first_ns`."""
+    """Return one time as Unix time in nanoseconds, at most 64 bits. Raises the same errors as `span_of`, also if a
+    relative time needs an unknown `first_ns`.
+    """
     relative = _RELATIVE.fullmatch(text.strip())
     found_ns = _relative_ns(name, relative, first_ns, last_ns) if relative else absolute_ns(name, text.strip())
     return min(max(found_ns, _EARLIEST), FOREVER)
 
 
 def is_relative(text: str) -> bool:
-    """Whether it counts from the beginning or the end of a recording."""
+    """Return whether a time counts from the beginning or the end of a recording."""
     return _RELATIVE.fullmatch(text.strip()) is not None
 
 
 def is_seconds_ago(text: str) -> bool:
-    """Whether it is a number so small that it can only be meant as seconds ago, and not as a UNIX time."""
+    """Return whether a text is a number so small that it can only mean seconds ago, not a UNIX time."""
     return _UNIX.fullmatch(text.strip()) is not None and float(text) < _NOT_AGO_S
 
 
 def _is_small(text: str) -> bool:
-    """Whether it is a number that cannot be meant as a UNIX time, but of a recording of simulated time."""
+    """Return whether a text is a number too small for a UNIX time, except one of a recording of simulated time."""
     return is_seconds_ago(text) and not _YEAR.fullmatch(text.strip())
 
 
 def last_ns_of(text: str, at_ns: int) -> int:
-    """The last nanosecond of what a text names: of a time the whole microsecond, unless it is written more exactly.
+    """Return the last nanosecond that a text names: for a time the end of its microsecond,
+    unless it is written more exactly.
 
-    Of `12.3 s in` the whole millisecond, as which such times are written; any other relative one names none.
+    For `12.3 s in` it is the end of the millisecond, the unit of such times; other relative times name a single
+    nanosecond.
     """
     if relative := _RELATIVE.fullmatch(text.strip()):
         return min(at_ns + _MILLISECOND_NS, FOREVER) - 1 if (relative["after"] or "").lower() == "in" else at_ns
@@ -120,7 +125,7 @@ def last_ns_of(text: str, at_ns: int) -> int:
 
 
 def taken_as(text: str) -> str:
-    """How a time is taken that does not say it all: without a zone, a UNIX time, `first 1 s`; else empty."""
+    """Return how an incomplete time was interpreted: without a zone, a UNIX time, `first 1 s`; else empty."""
     text = text.strip()
     relative = _RELATIVE.fullmatch(text)
     if relative and (relative["before"] or "").lower() == "first":
@@ -149,10 +154,10 @@ def _relative_ns(name: str, relative: re.Match[str], first_ns: int | None, last_
 
 
 def absolute_ns(name: str, text: str, hint: str = _HINT) -> int:
-    """A time in ISO 8601 (UTC where it names no zone) or a UNIX time as Unix time in nanoseconds.
+    """Return the Unix time in nanoseconds of a time in ISO 8601 (UTC if it names no zone) or a UNIX time.
 
     Raises:
-        BadValue: if it is no such time.
+        BadValue: if the text is not such a time.
     """
     if year := _YEAR.fullmatch(text):
         text = "-".join(part or "01" for part in (year[1], year[2], year[3]))
@@ -168,13 +173,13 @@ def absolute_ns(name: str, text: str, hint: str = _HINT) -> int:
 
 
 def _date(text: str, fraction: re.Match[str] | None) -> datetime:
-    """A time in ISO 8601 without its fraction of a second; raises `ValueError`."""
+    """Return a time in ISO 8601 without its fraction of a second. Raises `ValueError`."""
     whole = text[: fraction.start()] + text[fraction.end() :] if fraction else text
     return datetime.fromisoformat(re.sub(r"[zZ]$", "+00:00", whole))
 
 
 def _unix_ns(unix: re.Match[str]) -> int:
-    """A UNIX time in nanoseconds, in whatever unit its size says it is; exact, which a float would not be."""
+    """Return a UNIX time in nanoseconds; its size gives its unit. The result is exact, which a float would not be."""
     fraction = unix["fraction"] or ""
     digits, shift = int(unix["whole"] + fraction), int(unix["exponent"] or 0) - len(fraction)
     size = digits * 10**shift if shift >= 0 else digits // 10**-shift

@@ -1,5 +1,5 @@
-"""Whether the robot is observed to stand after a stop.
+"""Stop the robot, and observe whether it is stationary afterwards.
 
-`judge.py` decides by the messages alone: which of them were published after the stop, and whether they show motion.
-`observe.py` finds the topics that report motion and listens to them.
+`stop.py` carries out the stop. `judge.py` decides by the messages alone which of them were published after the stop,
+and whether they show motion. `observe.py` finds the topics that report motion and subscribes to them.
 """

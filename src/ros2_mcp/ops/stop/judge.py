@@ -1,8 +1,9 @@
-"""Which messages were published after a stop, and whether they show that the robot moves. Pure: no clock and no ROS.
+"""Judge which messages were published after a stop, and whether they show that the robot
+moves. Pure: no clock and no ROS.
 
-An acknowledged zero does not prove that the robot stands, and neither does a message from before the zero. A late
+An acknowledged zero does not prove that the robot is stationary, nor does a message from before the zero. A late
 subscriber to a transient_local publisher gets such a message, and a driver that has lost its hardware may publish its
-last one again and again.
+last message again and again.
 """
 
 from __future__ import annotations
@@ -19,27 +20,31 @@ from ros2_mcp.model.text import named
 State = Literal["moving", "still", "not observed"]
 
 _AHEAD_NS = 100_000_000
-"""A stamp further ahead of its receipt is from a clock that is ahead: with chrony or PTP clocks agree better."""
+"""If a source timestamp is ahead of its receipt by more than this, the publisher's clock is ahead: clocks kept by
+chrony or PTP agree better."""
 _SAME_CLOCK_NS = 60_000_000_000
-"""A header whose stamp is further from the time of sending is from another clock: pipelines lag by seconds at most."""
+"""If a header stamp differs from the time of sending by more than this, it is from another clock:
+pipelines lag by seconds at most."""
 _OWN_CLOCK_NS = 946_684_800_000_000_000
-"""The year 2000. An earlier stamp is from a clock that counts from its own start: of a simulation, or of a controller
+"""The year 2000. An earlier stamp is from a clock that starts at zero, such as that of a simulation, or of a controller
 without a real-time clock."""
 JOINT_WINDOW_S, JOINT_STANDS = 0.4, 0.002
-"""A joint stands if it moves by less than this (rad or m) in that time: a 12-bit encoder flickers by 0.0015 rad."""
+"""A joint is stationary if it moves by at most `JOINT_STANDS` (rad or m) within `JOINT_WINDOW_S`: a 12-bit
+encoder flickers by 0.0015 rad."""
 _POSE_NOISE_M, _POSE_NOISE_RAD = 0.002, 0.005
-"""How much the pose of a standing robot may change by noise, beyond the speed that counts as standing. Not measured."""
+"""By how much noise may change the pose of a stationary robot, on top of the speed that
+counts as stationary. Not measured."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reading:
     """One message about motion: when it was received, sent and measured, and what it reports.
 
-    `heard_s` is when the judge got it, by a steady clock. Other times are Unix times in ns, 0 where there is none:
-    `received_ns` by the receiver's clock, `source_ns` by the publisher's (the source timestamp of DDS), `header_ns` by
-    the clock of whoever measured. `velocity` is linear x, y, z in m/s and angular x, y, z in rad/s; `position` is in m,
-    `orientation` a quaternion (x, y, z, w); `joints` are positions in rad or m, not finite where the message gives
-    none.
+    `heard_s` is when the judge got the message, by a monotonic clock. The other times are Unix times in ns, 0 if
+    unknown: `received_ns` by the receiver's clock, `source_ns` by the publisher's (the source timestamp of DDS),
+    `header_ns` by the clock of the node that measured. `velocity` is linear x, y, z in m/s and angular x, y, z in
+    rad/s; `position` is in m, `orientation` a quaternion (x, y, z, w); `joints` are positions in rad or m, not finite
+    if the message gives none.
     """
 
     heard_s: float
@@ -52,8 +57,8 @@ class Reading:
     joints: Mapping[str, float] = field(default_factory=dict[str, float])
 
     def since_s(self, before: Reading) -> float:
-        """The time since another one, in s: no more than has passed by each of two clocks. That of the publisher may be
-        set meanwhile; of the steady one, messages that waited on their way arrive together.
+        """Return the time since another reading in s: the smaller of the intervals by two clocks. The publisher's clock
+        may be set in between, and by the monotonic clock messages that were delayed arrive together.
         """
         sent_ns = (self.source_ns or self.received_ns) - (before.source_ns or before.received_ns)
         return min(sent_ns / 1e9, self.heard_s - before.heard_s)
@@ -61,8 +66,8 @@ class Reading:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Still:
-    """What counts as standing: every speed is at most `linear` (m/s) and `angular` (rad/s), and the means over
-    `window_s` are at most `mean_linear` and `mean_angular`.
+    """The thresholds for a stationary robot: every speed is at most `linear` (m/s) and `angular` (rad/s), and the means
+    over `window_s` are at most `mean_linear` and `mean_angular`.
     """
 
     linear: float = 0.03
@@ -73,14 +78,14 @@ class Still:
 
 
 HOVERING = Still(linear=0.3, angular=0.2, mean_linear=0.1, mean_angular=0.1, window_s=1.0)
-"""A vehicle that holds its position in gusts sways at several times the drift of the simulated one, but over a second
-it stays where it is. One that climbs at 0.25 m/s does not."""
+"""Thresholds for a vehicle that hovers. In gusts it sways at several times the drift of the simulated vehicle, but
+stays in place over a second. A vehicle that climbs at 0.25 m/s does not."""
 
 
 class Freshness:
-    """Which readings of one topic were published after `began_ns` (Unix time), and measured after it as well.
+    """Checks whether readings of one topic were published after `began_ns` (Unix time), and measured after it as well.
 
-    `is_latched` says that the subscription also gets what was published before it.
+    `is_latched`: the subscription also receives messages that were published before it.
     """
 
     def __init__(self, began_ns: int, *, is_latched: bool) -> None:
@@ -89,8 +94,8 @@ class Freshness:
         self._headers: dict[str, int] = {}
 
     def problem(self, reading: Reading, key: str = "") -> str:
-        """Why a reading shows nothing about now; empty if it does. Headers must advance from one reading to the next of
-        the same `key`, such as a joint, as several publishers may share a topic.
+        """Return why a reading shows nothing about the present; empty if it does. Header stamps must advance between
+        readings with the same `key`, such as a joint's name, because several publishers may share a topic.
         """
         return self._problem_of_source(reading) or self._problem_of_header(reading, key)
 
@@ -120,20 +125,20 @@ class Freshness:
 
 
 class Judge(Protocol):
-    """What judges the readings of one topic."""
+    """Judges from the readings of one topic whether the robot moves."""
 
     def hear(self, reading: Reading) -> None:
-        """Takes in the next one."""
+        """Add the next reading."""
         ...
 
     @property
     def state(self) -> State:
-        """What the readings so far show."""
+        """The verdict from the readings so far."""
         ...
 
     @property
     def why(self) -> str:
-        """In words: what they report, or why they show nothing."""
+        """A phrase: what the readings report, or why they show nothing."""
         ...
 
 
@@ -150,7 +155,7 @@ class BaseJudge:
         self._problem = NOTHING_CAME
 
     def hear(self, reading: Reading) -> None:
-        """Takes in a message; one without a finite velocity shows nothing."""
+        """Add a reading; one without a finite velocity shows nothing."""
         if reading.velocity is None or not all(map(math.isfinite, reading.velocity)):
             self._problem = "it did not report the robot's speed"
             return
@@ -163,7 +168,7 @@ class BaseJudge:
 
     @property
     def state(self) -> State:
-        """`still` only after a whole window in which nothing moved; one fast message is enough for `moving`."""
+        """`still` only after a whole window without motion; one fast reading is enough for `moving`."""
         if not self._fresh:
             return "not observed"
         linear, angular = self.speeds
@@ -176,7 +181,7 @@ class BaseJudge:
 
     @property
     def why(self) -> str:
-        """What it reports, or why that shows nothing."""
+        """A phrase: what the topic reports, or why that shows nothing."""
         if not self._fresh:
             return self._problem
         linear, angular = self.speeds
@@ -189,7 +194,7 @@ class BaseJudge:
 
     @property
     def speeds(self) -> tuple[float, float]:
-        """The latest ones, in m/s and rad/s."""
+        """The latest linear and angular speed, in m/s and rad/s."""
         velocity = self._fresh[-1].velocity or (0.0,) * 6
         return math.hypot(*velocity[:3]), math.hypot(*velocity[3:])
 
@@ -202,7 +207,9 @@ class BaseJudge:
         return math.hypot(*velocity[:3]) <= self._still.linear and math.hypot(*velocity[3:]) <= self._still.angular
 
     def _keeps_its_place(self) -> bool:
-        """Whether the means over the window are small: of the velocities, and by the distance between the poses."""
+        """Return whether the mean motion over the window is small, by the velocities and by the distance between the
+        first and the last pose.
+        """
         first, last = self._fresh[0], self._fresh[-1]
         elapsed_s = last.since_s(first)
         means = [
@@ -219,10 +226,10 @@ class BaseJudge:
 
 
 class JointJudge:
-    """Judges all joints of a topic by their positions over time, not by the velocities in its messages, which a
-    broadcaster may leave out or fill with noise.
+    """Judges all joints of a topic by their positions over time. The velocities in the messages are ignored: a
+    broadcaster may leave them out or fill them with noise.
 
-    `expected` are the joints that it reported before: one that has fallen silent does not count as standing.
+    `expected` are the joints that the topic reported before: one without new positions does not count as stationary.
     """
 
     def __init__(self, freshness: Freshness, expected: Sequence[str] = ()) -> None:
@@ -231,7 +238,7 @@ class JointJudge:
         self._problem = NOTHING_CAME
 
     def hear(self, reading: Reading) -> None:
-        """Takes in a message, which need not have all joints."""
+        """Add a reading, which need not have all joints."""
         for name, position in reading.joints.items():
             told = self._joints.setdefault(name, deque())
             if not math.isfinite(position):
@@ -245,14 +252,14 @@ class JointJudge:
 
     @property
     def state(self) -> State:
-        """`still` if every joint was reported for a whole window and did not move; one that moves makes it `moving`."""
+        """`still` if every joint was reported for a whole window and did not move; `moving` once one joint moves."""
         if any(self._way(told) > JOINT_STANDS for told in self._joints.values()):
             return "moving"
         return "still" if self._joints and all(map(self._is_whole, self._joints.values())) else "not observed"
 
     @property
     def why(self) -> str:
-        """What it reports, or why that shows nothing."""
+        """A phrase: what the topic reports, or why that shows nothing."""
         if self.state == "moving":
             return f"reports that {named(max(self._joints, key=lambda name: self._way(self._joints[name])))} moves"
         if self.state == "still":
@@ -264,7 +271,7 @@ class JointJudge:
 
     @property
     def names(self) -> Sequence[str]:
-        """All joints that it has reported."""
+        """All joints that the topic has reported, and the expected ones."""
         return list(self._joints)
 
     @staticmethod
@@ -278,14 +285,14 @@ class JointJudge:
 
 
 def distance_m(one: Sequence[float] | None, other: Sequence[float] | None) -> float:
-    """The distance between two positions; 0 where one is not given or not finite."""
+    """Return the distance between two positions; 0 if one of them is missing or not finite."""
     if one is None or other is None or not all(map(math.isfinite, (*one, *other))):
         return 0.0
     return math.dist(one, other)
 
 
 def angle_rad(one: Sequence[float] | None, other: Sequence[float] | None) -> float:
-    """The rotation between two quaternions of any length; 0 where one is not given, not finite, or zero."""
+    """Return the angle between two quaternions of any length; 0 if one of them is missing, not finite, or zero."""
     if one is None or other is None or not all(map(math.isfinite, (*one, *other))):
         return 0.0
     (ax, ay, az, aw), (bx, by, bz, bw) = one, other
@@ -300,7 +307,9 @@ NO_ODOMETRY = "Not observed: no odometry reports whether the robot has stopped."
 
 @dataclass(frozen=True, slots=True)
 class Account:
-    """What one topic shows, and in words what it reports or why it shows nothing; `is_base` if of velocities."""
+    """The verdict on one topic, with a phrase: what it reports, or why that shows nothing. `is_base`: it reports the
+    velocity of the base, not joints.
+    """
 
     topic: str
     state: State
@@ -310,9 +319,10 @@ class Account:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Observation:
-    """`verdict`, and a sentence that says by what it is known. `is_moving` if the robot was still moving at the end;
-    `is_open` if something that reports its motion, or should, does not show whether it stands. Where neither is set and
-    the verdict is *not observed*, nothing on this robot reports motion. `has_base` if odometry was among the reports.
+    """The verdict on the robot, and a sentence with the evidence. `is_moving`: the robot was moving at the end.
+    `is_open`: a topic that reports motion, or should, does not show whether the robot is stationary. If neither is set
+    and the verdict is *not observed*, no topic reports the motion of the robot, or of a part of it. `has_base`:
+    odometry was among the reports.
     """
 
     verdict: Observed
@@ -323,17 +333,17 @@ class Observation:
 
     @property
     def stands(self) -> bool:
-        """Whether the robot was seen to stand."""
+        """Return whether the robot was observed to be stationary, or to hover."""
         return self.verdict != "not observed"
 
 
 def observation(
     accounts: Sequence[Account], *, missing: Sequence[str] = (), unreported: Sequence[str] = (), hovers: bool = False
 ) -> Observation:
-    """Whether the robot stands: everything that reports motion must say so.
+    """Judge whether the robot is stationary: every topic that reports motion must show it.
 
-    `missing` says in words what should report and does not; `unreported` says which parts nothing reports. Without any
-    account, nothing reports motion.
+    `missing` are phrases about topics that should report motion and do not; `unreported`, about parts of the robot
+    whose motion no topic reports. Without any account, no topic reports motion.
     """
     said = "; ".join(f"{account.topic} {account.why}" for account in accounts if account.state != "not observed")
     silent = [f"{account.topic}: {account.why}" for account in accounts if account.state == "not observed"]
@@ -356,8 +366,9 @@ def observation(
 
 
 def is_confirmed(doubts: Sequence[str], seen: Observation, unsettled: Sequence[object]) -> bool:
-    """Whether a stop is confirmed: the robot was seen to stand after it, nothing is in doubt (somebody else commands
-    it, a zero did not arrive, a goal continues), and nothing is `unsettled`: sent since the robot last stood, with no
-    known way to stop what it began.
+    """Return whether a stop is confirmed: the robot was observed to be stationary after it, and both lists are empty.
+    `doubts`, such as: another node commands the robot, a zero did not arrive, a goal continues. `unsettled`: calls and
+    messages sent since the robot was last stationary, which started something that this server does not know how to
+    stop.
     """
     return seen.stands and not doubts and not unsettled

@@ -1,4 +1,4 @@
-"""Finds the topics that report the robot's motion, and listens until they show whether it stands after a stop."""
+"""Find the topics that report the robot's motion, and read them until they show whether it is stationary."""
 
 from __future__ import annotations
 
@@ -34,40 +34,43 @@ from ros2_mcp.robot.kept import Kept
 from ros2_mcp.robot.seen import is_of_robot
 
 _KINDS: Mapping[str, int] = {ODOMETRY: 4, JOINT_STATE: 8}
-"""The types that report motion, and how many topics of each are read: wheels, fused, visual; arms, grippers, wheels.
-All of them must report that the robot stands."""
+"""The types that report motion, and how many topics of each are read: wheel, fused and visual odometry; arms, grippers,
+wheels. All of them must show that the robot is stationary."""
 _MOST_INPUTS = 5
-"""Command topics that are looked up where nothing reports their motion: a base, its multiplexer, a servo."""
+"""Command topics that are looked up if no topic reports the motion that they cause: a
+base, its multiplexer, a servo.
+"""
 _SETTLED_S = 2.0
-"""For discovery to settle, which takes about a second after the start of a bridge."""
+"""Time for discovery to settle, which takes about a second after the start of a bridge."""
 _FOUND_S = 0.3
-"""For a further look at the graph: the bridge knows it at once."""
+"""Time for each further look-up in the graph: the bridge has it at once."""
 _FIRST_S = 2.5
-"""For a first message: publishers are matched in 0.02 to 0.2 s on one host, and report motion at 1 Hz or more."""
+"""Time for a first message: publishers are matched in 0.02 to 0.2 s on one host, and report motion at 1 Hz or more."""
 _RESTS_S = 1.5
-"""For joints to come to rest: a hold arrives within tenths of a second, and the arm then brakes."""
+"""Time for joints to come to rest: a hold arrives within tenths of a second, and the arm then brakes."""
 _BRAKED_S = 3.0
-"""From 5 m/s at the 2.5 m/s² at which ArduCopter brakes by default, and a second until the mode takes effect."""
+"""Time to brake from 5 m/s at the 2.5 m/s² at which ArduCopter brakes by default, and a
+second until the mode takes effect."""
 _BEGINS_S = 0.5
-"""For subscribing, in addition to the time that the robot has to come to rest."""
+"""Time for subscribing, in addition to the time that the robot has to come to rest."""
 _TAKE_S = 0.1
-"""How often the time is checked while nothing arrives."""
+"""The interval at which the time is checked while no message arrives."""
 _MESSAGE_BYTES = 1_000_000
-"""The most that may wait: a second of odometry at 1 kHz with its covariances."""
+"""The most bytes that may be queued: a second of odometry at 1 kHz with its covariances."""
 _MOST_NOTED = 1000
-"""Joints of each topic, and topics: more than any robot has. No more are noted."""
+"""The most joints of each topic, and the most topics, that are remembered: more than any robot has."""
 
 
 class _Reported(Kept):
-    """The joints that each topic of joint states has reported in this session, so that they are missed once they fall
-    silent.
+    """The joints that each topic of joint states has reported in this session, so that a joint which is
+    no longer reported is noticed.
     """
 
     def __init__(self) -> None:
         self._joints: dict[str, dict[str, None]] = {}
 
     def note_joints(self, topic: str, joints: Collection[str]) -> None:
-        """Notes that a topic reported these joints."""
+        """Remember that a topic reported these joints."""
         if topic in self._joints or len(self._joints) < _MOST_NOTED:
             known = self._joints.setdefault(topic, {})
             known.update(dict.fromkeys([*joints][: max(0, _MOST_NOTED - len(known))]))
@@ -79,7 +82,9 @@ class _Reported(Kept):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Source:
-    """A topic that reports motion: of joints where `path` is None. `most_s` is the time for coming to rest."""
+    """A topic that reports motion: of joints if `path` is None, else of the base, with its velocity at that field path.
+    `most_s` is the time to come to rest, subscribing included.
+    """
 
     topic: str
     type: str
@@ -89,10 +94,10 @@ class _Source:
 
 
 async def observe_still(robot: Robot, *, hovers: bool = False) -> Observation:
-    """Listens to all topics that report motion until they show that the robot stands: at most for the time that it has
-    to come to rest, or for 2.5 s where one is silent. Never raises a `RobotError`.
+    """Read all topics that report motion until they show that the robot is stationary: at most for the time that it has
+    to come to rest, or for 2.5 s if one of them shows nothing. Never raises a `RobotError`.
 
-    A vehicle that `hovers` gets time to brake, and may sway where it is.
+    A vehicle that `hovers` gets time to brake, and may sway in place.
     """
     began_ns = robot.now_ns()
     try:
@@ -104,7 +109,9 @@ async def observe_still(robot: Robot, *, hovers: bool = False) -> Observation:
 
 
 async def _sources(robot: Robot, hovers: bool) -> tuple[Sequence[_Source], Sequence[str], Sequence[str]]:
-    """The topics to read; in words, what should report motion and does not; in words, what nothing reports on."""
+    """Return the topics to read; phrases about what should report motion and does not;
+    phrases about what no topic reports.
+    """
     rows = await robot.graph.topics(_SETTLED_S)
     found = {kind: sorted(row.name for row in rows if kind in row.types and row.publishers) for kind in _KINDS}
     odometry, joint_states = await asyncio.gather(
@@ -153,7 +160,7 @@ def _base_source(feedback: Feedback, hovers: bool) -> _Source:
 
 
 async def _published(robot: Robot, topics: Sequence[str], kind: str) -> Sequence[str]:
-    """Those that a node of the robot publishes, not only this server or another one, in order."""
+    """Return, sorted, the topics that a node of the robot publishes, and not only this server or another one."""
     found = await asyncio.gather(*(robot.graph.endpoints(topic, _FOUND_S) for topic in topics))
     return sorted(
         present.topic
@@ -163,7 +170,7 @@ async def _published(robot: Robot, topics: Sequence[str], kind: str) -> Sequence
 
 
 async def _subscribed(robot: Robot, rows: Iterable[TopicRow], kinds: Collection[str]) -> Sequence[str]:
-    """The command topics of these types that a node of the robot subscribes to."""
+    """Return the command topics of these types to which a node of the robot subscribes."""
     topics = sorted(row.name for row in rows if row.subscribers and not {*kinds}.isdisjoint(row.types))
     found = await asyncio.gather(*(robot.graph.endpoints(topic, _FOUND_S) for topic in topics[:_MOST_INPUTS]))
     return sorted(
@@ -172,7 +179,7 @@ async def _subscribed(robot: Robot, rows: Iterable[TopicRow], kinds: Collection[
 
 
 async def _account(robot: Robot, source: _Source, began_ns: int) -> Account:
-    """Listens to one topic until it shows that the robot stands, or the time is over."""
+    """Read one topic until it shows that the robot is stationary, or the time is over."""
     began_at = monotonic()
     judge: BaseJudge | JointJudge
     try:
@@ -200,7 +207,9 @@ async def _account(robot: Robot, source: _Source, began_ns: int) -> Account:
 
 
 def reading_of(message: Mapping[str, Any], sample: Sample, path: str | None) -> Reading:
-    """What a message reports of motion: the velocity at a path and the pose beside it, or the joints without a path."""
+    """Return the motion that a message reports: the velocity at a path and the pose beside it, or
+    the joints if the path is None.
+    """
     seconds, nanoseconds = _at(message, "header.stamp.sec") or 0, _at(message, "header.stamp.nanosec") or 0
     is_base = path is not None
     pose = (_at(message, "pose.pose") or _at(message, "pose")) if is_base else None
@@ -217,7 +226,7 @@ def reading_of(message: Mapping[str, Any], sample: Sample, path: str | None) -> 
 
 
 def velocity_of(message: Mapping[str, Any], path: str) -> Sequence[float] | None:
-    """`linear` and `angular` below a path, x, y, z of each; None where they are missing, or not finite."""
+    """Return `linear` and `angular` below a path, x, y, z of each; None if they are missing or not finite."""
     found = _at(message, path)
     linear, angular = (_numbers(_at(found, part), "xyz") for part in ("linear", "angular"))
     if linear is None or angular is None or not all(map(math.isfinite, (*linear, *angular))):
@@ -233,14 +242,14 @@ def _joints_of(message: Mapping[str, Any]) -> Mapping[str, float]:
 
 
 def _at(message: Any, path: str) -> Any:
-    """The field at a path; None where there is none."""
+    """Return the field at a dotted path; None if there is none."""
     for part in path.split(".") if path else ():
         message = cast("Mapping[str, Any]", message).get(part) if isinstance(message, Mapping) else None
     return message
 
 
 def _numbers(of: Any, fields: str) -> Sequence[float] | None:
-    """These fields as numbers; None where one is missing or no number."""
+    """Return these fields as numbers; None if one is missing or not a number."""
     if not isinstance(of, Mapping):
         return None
     try:

@@ -1,4 +1,4 @@
-"""Stop everything that this server has set in motion, and say what was confirmed."""
+"""Stop everything that this server has set in motion, and report what was confirmed."""
 
 from __future__ import annotations
 
@@ -30,30 +30,40 @@ from ros2_mcp_common.wire.protocol import StoppedTopic as Zero
 from ros2_mcp_common.wire.protocol import StopReply
 
 ENDED_S = 3.0
-"""An action server that is alive ends a cancelled goal within its control period; the answer must come soon."""
+"""Time for a cancelled goal to end. A live action server ends it within its control
+period; the stop must answer soon.
+"""
 _BRIDGE_S = 5.0
-"""For a bridge that is starting, once more after one that is lost: the answer must come soon, confirmed or not."""
+"""Time for a bridge that is starting, and again for the successor of a lost one: the stop must
+answer soon, confirmed or not."""
 _OTHERS_S = 1.0
-"""For looking up who else publishes: the bridge knows it at once, unless discovery is still under way."""
+"""Time to look up other publishers and running goals: the bridge has them at once,
+unless discovery is still under way.
+"""
 _OUT_OF_REACH_S = 2.3
-"""Who was not heard of for so long: the link lease of a robot elsewhere (2 s) has lapsed there, and what this server
-drove stands (bar: 0.3 s later). More waiting would change nothing for the robot."""
+"""After a silence of this length, the link lease of a remote robot (2 s) has lapsed there, and what this server drove
+has stopped (required: within 0.3 s of that). More waiting would change nothing for the robot."""
 LATCHED_S = 0.5
-"""A stop lasts that long at least before its answer waits no more: its latch is written by then. Chosen."""
+"""A stop waits at least this long, even for a robot that is out of reach: longer than `_LATCH_S`, so
+that its latch is written by then."""
 _LOOK_S = 0.05
-"""Between two looks at whether a robot is out of reach. Chosen."""
+"""Seconds between two checks of whether a robot is out of reach."""
 _LATCH_S = 0.2
-"""A bridge that is alive has ended what moves, and sent its zeros, within a tenth of that."""
+"""Time that the bridge gets before the latch is written: a live one has ended what moves, and sent its
+zeros, within a tenth of that."""
 _UNANSWERED_S = 0.5
-"""For a server that did not answer the last stop: a dead one does not cost each stop its time."""
+"""Time-out for an action server that did not answer the last stop, so that a dead one does
+not cost each stop the full time."""
 _MOST_RUNNING = 4
-"""Goals of others that are told with the call that ends each; the result has all."""
+"""Goals of other clients that the note names with the call that ends each; the result has all."""
 _MOST_NAMED = 20
-"""Of each kind: enough to see what it was. All else is counted."""
+"""The most names of each kind, so that the result stays short."""
 _MOST_GONE = 3
-"""Nodes that took commands and are gone, in one sentence: a base, its multiplexer, a logger."""
+"""The most nodes in the sentence about nodes that took commands and left the graph: a
+base, its multiplexer, a logger.
+"""
 _going_on: set[asyncio.Task[Stopped]] = set()
-"""Stops that go on behind their answer; a task that nobody holds may vanish."""
+"""Stops that continue after their answer. The set keeps a reference to each task, which asyncio does not."""
 _NOTHING: StopReply = {"repeats": 0, "relays": 0, "dropped": [], "topics": []}
 
 
@@ -122,7 +132,9 @@ class Stopped:
     is_doubted: bool = field(default=False, metadata=HIDDEN)
 
     def summary(self) -> str:
-        """One line: what is confirmed of what it knows how to stop, and then what it cannot judge."""
+        """Return one line: first what is confirmed of the things this server knows how to
+        stop, then what it cannot judge.
+        """
         verdict = "NOT confirmed" if self.is_doubted else "Stopped" if self.confirmed else "Stopped, partly confirmed"
         ended = (self.repeats_stopped, self.relays_stopped, self.topics, self.goals, self.flights, self.dropped)
         if not any(ended):
@@ -142,17 +154,19 @@ class Stopped:
         told = ", ".join(words for count, words in parts if count)
         if self.confirmed and unheard and not any((*ended[:2], len(self.topics) - unheard, *ended[3:])):
             return f"Nothing to stop: {told}. {self.note}".rstrip()  # as when the base has left the graph
-        if self.is_doubted:  # why comes first: who reads no further knows what may still move
+        if self.is_doubted:  # the reason comes first, in case the reader stops there
             return f"{verdict}: {self.note} Done: {told}." if told else f"{verdict}: {self.note}"
         return f"{verdict}: {f'{told}. ' if told else ''}{self.note}".rstrip()
 
 
 async def stop(robot: Robot, by: str = "", *, client: str = LOCAL.name) -> Stopped:
-    """Ends what this server has set in motion: from the beginning of this call on, nothing leaves that was accepted
-    before it; repeated publishing, relays and playbacks end, every velocity topic that was driven gets its zero, every
-    goal is cancelled. Says what of it was confirmed, and never raises a `RobotError`.
+    """Stop everything that this server has set in motion, and return what of it was
+    confirmed. Never raises a `RobotError`.
 
-    A stop by a person, who is named by `by`, sets the latch; that of an agent does so under a policy. The audit names
+    From the beginning of this call, nothing that was accepted before it is sent. Repeats, relays and playbacks end,
+    every driven velocity topic gets its zero, and every goal is cancelled.
+
+    A stop by a person, named by `by`, sets the latch; a stop by an agent sets it only under a policy. The audit names
     the person, or else the `client`.
     """
     _begin(robot, by)
@@ -160,8 +174,8 @@ async def stop(robot: Robot, by: str = "", *, client: str = LOCAL.name) -> Stopp
 
 
 async def stop_in_reach(robot: Robot, client: str = LOCAL.name) -> Stopped:
-    """As `stop`; but the answer waits no longer for a robot elsewhere once that is out of reach: it says so, and the
-    stop goes on behind it.
+    """Stop as `stop` does, but do not wait for a remote robot once it is out of reach: the result says so, and the stop
+    continues in the background.
     """
     _begin(robot, "")
     task, begun_at = asyncio.ensure_future(_carry_out(robot, client)), monotonic()
@@ -173,12 +187,12 @@ async def stop_in_reach(robot: Robot, client: str = LOCAL.name) -> Stopped:
 
 
 def is_out_of_reach(robot: Robot) -> bool:
-    """Whether a robot elsewhere that was reached is silent for so long that it stands by itself."""
+    """Return whether a remote robot was reached once, and has been silent for so long that it has stopped by itself."""
     return robot.graph.is_remote and robot.graph.was_reached and robot.graph.unheard_s > _OUT_OF_REACH_S
 
 
 def unreached(robot: Robot) -> str:
-    """What is to be said of a robot whose stop goes on behind the answer."""
+    """Return the note for a robot whose stop continues in the background."""
     silent_s = robot.graph.unheard_s
     since = f"nothing has come from it for {silent_s:.1f} s" if math.isfinite(silent_s) else "its link is lost"
     return (
@@ -188,7 +202,7 @@ def unreached(robot: Robot) -> str:
 
 
 async def _carry_out(robot: Robot, by: str) -> Stopped:
-    with anyio.CancelScope(shield=True):  # it is finished also where its own call is cancelled
+    with anyio.CancelScope(shield=True):  # the stop is completed even if its call is cancelled
         stopped = await _stop(robot)
         if robot.guard.audit:
             robot.guard.audit.note(
@@ -204,7 +218,9 @@ async def _carry_out(robot: Robot, by: str) -> Stopped:
 
 
 async def stop_unreached(robot: Robot, note: str) -> Stopped:
-    """The same for a robot that this server has never reached: nobody is looked for."""
+    """Stop a robot that this server has never reached: raise the stop epoch, and under a policy set the latch. The
+    robot is not asked for anything.
+    """
     _begin(robot, "")
     unwritten = await asyncio.to_thread(robot.guard.latch.write)
     notes = [f"The latch could not be saved ({unwritten}): it is lost when this server ends."] if unwritten else []
@@ -215,7 +231,7 @@ async def stop_unreached(robot: Robot, note: str) -> Stopped:
         relays_stopped=0,
         topics=(),
         goals=(),
-        confirmed=False,  # nobody has seen whether it stands
+        confirmed=False,  # whether the robot is stationary is unknown
         latched=is_latched,
         note=" ".join(notes),
         is_doubted=bool(unwritten),
@@ -223,7 +239,7 @@ async def stop_unreached(robot: Robot, note: str) -> Stopped:
 
 
 def not_stopped(note: str, *, is_latched: bool = False) -> Stopped:
-    """What is to be said where a stop did not come to its end."""
+    """Return the result of a stop that was not completed."""
     return Stopped(
         repeats_stopped=0,
         relays_stopped=0,
@@ -237,7 +253,11 @@ def not_stopped(note: str, *, is_latched: bool = False) -> Stopped:
 
 
 def _begin(robot: Robot, by: str) -> None:
-    """From now on nothing is sent that was accepted before; to be called before anything is awaited."""
+    """Raise the stop epoch, so that nothing accepted before is sent, and hold the latch for a
+    person's stop or under a policy.
+
+    Must be called before anything is awaited.
+    """
     robot.raise_stop_epoch()
     if by or robot.policy.in_force:
         robot.guard.latch.hold(
@@ -248,7 +268,7 @@ def _begin(robot: Robot, by: str) -> None:
 async def _stop(robot: Robot) -> Stopped:
     has_asked = anyio.Event()
     (ended, problem), jobs, goals, flights, unwritten = await asyncio.gather(
-        _stop_bridge(robot, has_asked),  # it writes first
+        _stop_bridge(robot, has_asked),  # its request is written first
         robot.jobs.stop_moving("ros2_stop"),
         cancel_goals(robot),
         brake_flights(robot),
@@ -303,8 +323,11 @@ async def _stop(robot: Robot) -> Stopped:
 
 
 async def _write_latch(robot: Robot, has_asked: anyio.Event) -> str:
-    """Makes a latch that is held last, once the bridge has had its time to send the zeros: it looks at the file, too,
-    and would end in its name what the stop is to tell of. What kept it from being written; "" if nothing did.
+    """Write a latch that is held, once the bridge has had time to send the zeros. Return why it
+    could not be written, or nothing.
+
+    The bridge watches the latch's file, too. If it saw the latch first, it would report the latch, instead of the stop,
+    as the cause of all that it ends.
     """
     with anyio.move_on_after(_LATCH_S):
         await has_asked.wait()
@@ -312,10 +335,11 @@ async def _write_latch(robot: Robot, has_asked: anyio.Event) -> str:
 
 
 async def _stop_bridge(robot: Robot, has_asked: anyio.Event) -> tuple[StopReply, str]:
-    """What the bridge says it has ended; and what is to be said if it has not been asked, or not the one that moved it.
+    """Ask the bridge to stop. Return what it says it has ended, and a problem: that it could not be asked, or that the
+    bridge which moved the robot was lost; empty if there is none.
 
-    A bridge that is lost meanwhile has a successor that sends the zeros by itself; it is asked once more, for its
-    successor knows nothing of what was under way.
+    The successor of a lost bridge sends the zeros by itself. It is asked as well, because it knows nothing of what was
+    under way.
     """
     try:
         with anyio.fail_after(_BRIDGE_S):
@@ -335,12 +359,12 @@ async def _stop_bridge(robot: Robot, has_asked: anyio.Event) -> tuple[StopReply,
 
 
 def _topics(robot: Robot, zeros: Mapping[tuple[str, str], Zero]) -> Sequence[tuple[str, str]]:
-    """Topic and type of all that this server drives or has just stopped."""
+    """Return topic and type of everything that this server drives or has just stopped."""
     return list(dict.fromkeys([*((driven.topic, driven.type) for driven in robot.failsafes.driven), *zeros]))
 
 
 async def _judged(robot: Robot, topic: str, zero: Zero | None, missing: str) -> StoppedTopic:
-    """What became of the zero on a topic, and who else publishes there."""
+    """Return the delivery of the zero on a topic, and the other publishers on it."""
     if zero is None:
         return StoppedTopic(topic, 0, False, error=f"{topic} got no zero: {missing[0].lower()}{missing[1:]}.")
     if problem := zero.get("problem"):
@@ -358,8 +382,9 @@ async def _judged(robot: Robot, topic: str, zero: Zero | None, missing: str) -> 
 
 
 def _gone(robot: Robot, topic: str, zero: Zero, present: TopicEndpoints) -> tuple[Sequence[str], bool]:
-    """Who took commands on a topic and is gone, and whether nobody is left: a base that has lost its power or radio may
-    still move. A subscriber without a name may be one that took commands.
+    """Return the nodes that took commands on a topic and have left the graph, and whether no such node is left.
+
+    A base that has lost its power or radio may still move. A subscriber without a name may be one that took commands.
     """
     driven = next((one for one in robot.failsafes.driven if (one.topic, one.type) == (topic, zero["type"])), None)
     if driven is None:
@@ -372,13 +397,15 @@ def _gone(robot: Robot, topic: str, zero: Zero, present: TopicEndpoints) -> tupl
 
 
 async def cancel_goals(robot: Robot) -> list[StoppedGoal]:
-    """Cancels all goals that this server sent, and waits a little for their end; what became of each."""
+    """Cancel all goals that this server sent, and wait a little for their end. Return the outcome of each."""
     found = await asyncio.gather(*(_cancel(robot, goal) for goal in robot.jobs.running(Goal)))
     return [goal for goal in found if goal]
 
 
 async def _others_running(robot: Robot, of: Sequence[RunningGoal] = ()) -> Sequence[RunningGoal]:
-    """The goals that run and that this server does not know of, or those actions' alone; none where nobody can say."""
+    """Return the running goals that this server did not send; with `of`, only those of the same actions. If they cannot
+    be determined in time, return `of`.
+    """
     actions = {goal.action_name: [goal.action_type] for goal in of} or None
     try:
         with anyio.fail_after(_OTHERS_S):
@@ -389,8 +416,8 @@ async def _others_running(robot: Robot, of: Sequence[RunningGoal] = ()) -> Seque
 
 
 async def _cancel(robot: Robot, goal: Goal) -> StoppedGoal | None:
-    """Cancels a goal and sees it end; one that its server does not know, or no longer, is not running. None for one
-    that had not been sent yet.
+    """Cancel a goal and wait for its end. A goal that its server does not know, or no longer knows, is not running.
+    Return None for a goal that had not been sent yet.
     """
     within_s = _UNANSWERED_S if goal.is_unanswered else ENDED_S
     try:
@@ -413,7 +440,7 @@ async def _cancel(robot: Robot, goal: Goal) -> StoppedGoal | None:
         return StoppedGoal(
             goal.action, goal.id, "UNKNOWN", False, error=f"{told.rstrip('.')}: goal {goal.id} may go on."
         )
-    cancelled = cancelled or result.status == "CANCELED"  # by the bridge, which has seen the latch first
+    cancelled = cancelled or result.status == "CANCELED"  # cancelled by the bridge, which saw the latch first
     confirmed = (is_unknown and result.status == STATUS[0]) or result.status_code in TERMINAL
     return StoppedGoal(goal.action, goal.id, result.status, confirmed, cancelled)
 
@@ -422,10 +449,10 @@ async def _cancel(robot: Robot, goal: Goal) -> StoppedGoal | None:
 
 
 def _doubts(topics: Sequence[StoppedTopic], goals: Sequence[StoppedGoal], seen: Observation) -> list[str]:
-    """Why it is not confirmed that the topics are still and the goals have ended; nothing if it is.
+    """Return why the stop of the topics and goals is not confirmed, as sentences; empty if it is.
 
-    Where the robot was seen to stand, a subscriber that does not acknowledge needs no acknowledgement, and, by its
-    odometry, one that left beside others that stay was a logger or the like.
+    If the robot was observed to be stationary, a subscriber that never acknowledges needs no acknowledgement. If
+    odometry showed it, a subscriber that left the graph while others stayed was a logger or the like.
     """
     doubts: list[str] = []
     for topic in topics:
@@ -451,7 +478,9 @@ def _doubts(topics: Sequence[StoppedTopic], goals: Sequence[StoppedGoal], seen: 
 
 
 def _unknown(unsettled: Sequence[tuple[str, str]]) -> list[str]:
-    """That it is not known how to stop these, by kinds and names; nothing if there are none."""
+    """Return a sentence on the services called and topics published on whose effects this server does not know how to
+    stop; empty if there are none. `unsettled` has kind and name of each.
+    """
     services, topics = ([name for of, name in unsettled if of == kind] for kind in ("service", "topic"))
     sent = [f"called {counted(len(services), 'service')}"] if services else []
     sent += [f"published on {counted(len(topics), 'topic')} without velocities"] if topics else []
@@ -470,7 +499,7 @@ def _facts(
     others: Sequence[StoppedGoal | StoppedFlight],
     jobs: Mapping[Job, str],
 ) -> list[str]:
-    """What else is to be said."""
+    """Return the other facts of a stop, as sentences."""
     facts: list[str] = []
     if dropped := _dropped(ended):
         facts.append(f"{counted(len(dropped), 'request')} had not been sent yet and will not be sent.")
@@ -489,12 +518,14 @@ def _facts(
 
 
 def _dropped(ended: StopReply) -> list[str]:
-    """Publications and calls that had not been sent; what had not been fed to a relay is counted with that."""
+    """Return the publications and calls that had not been sent. Messages that had not been fed to a
+    relay are counted by the relay.
+    """
     words = {"publish": "publishing on", "call": "calling"}
     return [f"{words[op]} {name}" for op, name in ended["dropped"] if op in words]
 
 
 def _first(names: Sequence[str]) -> list[str]:
-    """The first names, and how many more there are."""
+    """Return the first names, and a text with the number of the others."""
     more = len(names) - _MOST_NAMED
     return [*names[:_MOST_NAMED], *([f"and {more} more"] if more > 0 else [])]

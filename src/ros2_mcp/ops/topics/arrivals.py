@@ -1,4 +1,4 @@
-"""When the messages of a topic came, and how old they were then by their header's stamp.
+"""The arrival times of a topic's messages, and their ages by the header's stamp.
 
 Import it inside functions only: it needs NumPy.
 """
@@ -15,15 +15,17 @@ from ros2_mcp.ops.measure.columns import Arrivals, Room
 from ros2_mcp.ops.sources.source import Stream
 
 OLD_S = 1.0
-"""Stamps that are farther from now are of no use to tf2 and Nav2, which wait for tenths of a second. All messages of a
-span must be, so that one moment in which a machine stood still is none of the sensor's faults."""
+"""Stamps further than this from the time of receipt are of no use to tf2 and Nav2, which wait for tenths of a second.
+All messages of a span must be so, so that one moment in which a machine hung is not reported as a fault of the sensor.
+"""
 _OTHER_CLOCK_S = 1e6
-"""A stamp that is eleven days off is not of this clock: simulated time begins at zero."""
+"""A stamp further than this (eleven days) from the time of receipt is from another clock:
+simulated time begins at zero."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ages:
-    """How old messages were when they came, by their header's stamp; negative where that lies in the future."""
+    """The ages of messages when they were received, by the header's stamp; negative if the stamp is in the future."""
 
     min_s: float
     mean_s: float
@@ -31,7 +33,7 @@ class Ages:
 
     @property
     def trouble(self) -> str:
-        """In words, what is wrong with all of them; empty where nothing is."""
+        """A sentence on a fault that all ages show; empty if there is none."""
         if self.min_s > OLD_S:
             return f"Its stamps are {self.mean_s:.3g} s old on average: messages are late, or its clock is behind."
         if self.max_s < -OLD_S:
@@ -40,9 +42,9 @@ class Ages:
 
 
 class AgedArrivals(Arrivals):
-    """Of messages that begin with a header also their ages: how many, and their mean, least and largest.
+    """Arrival times and, for messages that begin with a header, ages: their number, mean, least and largest.
 
-    Stamps of 0 are `unstamped`, those that are not of this clock are `of_other_clock`; neither have an age.
+    Stamps of 0 are counted in `unstamped`, stamps of another clock in `of_other_clock`; neither has an age.
     """
 
     def __init__(self, stream: Stream, room: Room) -> None:
@@ -59,18 +61,18 @@ class AgedArrivals(Arrivals):
 
     @property
     def age_mean_s(self) -> float:
-        """The mean age."""
+        """The mean age in s."""
         return self._age_sum_s / self.aged if self.aged else 0.0
 
     @property
     def ages(self) -> Ages | None:
-        """The ages; None where there are none."""
+        """The ages; None if there are none."""
         if not self.aged:
             return None
         return Ages(self.age_min_s, self.age_mean_s, self.age_max_s)
 
     def add(self, samples: Sequence[Sample]) -> None:
-        """Takes in messages, in the order of time."""
+        """Add messages, in the order of time."""
         number = self.count
         super().add(samples)
         for sample in samples if self._has_header else ():
@@ -84,7 +86,9 @@ class AgedArrivals(Arrivals):
 
     @property
     def goes_back(self) -> str:
-        """In words, where the stamps of its one publisher go back; empty where they do not, or there are several."""
+        """A sentence on where the stamps of the only publisher go back; empty if they do not,
+        or there are several publishers.
+        """
         if not self.stamp_backs or len(self.publishers) > 1:
             return ""
         more = f", and {counted(self.stamp_backs - 1, 'time')} more" if self.stamp_backs > 1 else ""

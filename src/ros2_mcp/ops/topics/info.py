@@ -1,4 +1,4 @@
-"""One topic in detail, as `ros2 topic info --verbose` shows it, and why endpoints do not match."""
+"""Show one topic in detail, as `ros2 topic info --verbose` does, and why endpoints do not match."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class TopicInfo:
     mismatches: Sequence[str] = field(metadata=SAID)
 
     def summary(self) -> list[str]:
-        """One line, and one for each mismatch."""
+        """Return one line, and one for each mismatch."""
         publishers, subscribers = (
             f"{counted(len(side), what)}{_of_these_ours(side)}"
             for side, what in ((self.publishers, "publisher"), (self.subscribers, "subscriber"))
@@ -54,10 +54,10 @@ class TopicInfo:
 
 
 async def topic_info(robot: Robot, topic: str) -> TopicInfo:
-    """The endpoints of a topic with their QoS, and why pairs of them do not match.
+    """Return the endpoints of a topic with their QoS, and why pairs of them do not match.
 
     Raises:
-        NotFound: if nobody publishes or subscribes to it.
+        NotFound: if the topic has neither a publisher nor a subscriber.
     """
     topic = await robot.graph.name_of(topic)
     found = await robot.graph.endpoints(topic)
@@ -75,7 +75,7 @@ async def topic_info(robot: Robot, topic: str) -> TopicInfo:
 
 
 def mismatches(publishers: Sequence[Endpoint], subscribers: Sequence[Endpoint]) -> list[str]:
-    """One sentence for each pair that exchanges no messages."""
+    """Return one sentence for each pair that exchanges no messages."""
     pairs = [(publisher, subscriber) for publisher in publishers for subscriber in subscribers]
     reasons = [_pair_mismatch(publisher, subscriber) for publisher, subscriber in pairs]
     return [f"{pair[0].who} → {pair[1].who}: {why}." for pair, why in zip(pairs, reasons, strict=True) if why]
@@ -113,6 +113,6 @@ def _seconds(duration_ns: int | None) -> float | None:
 
 
 def _of_these_ours(side: Sequence[EndpointInfo]) -> str:
-    """How many of the endpoints are this server's own; empty if none is."""
+    """Return a phrase with the number of this server's own endpoints; empty if there are none."""
     count = sum(endpoint.ours for endpoint in side)
     return f" ({count} of this server)" if count else ""

@@ -1,4 +1,4 @@
-"""Listing topics, as `ros2 topic list` does."""
+"""List topics, as `ros2 topic list` does."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ros2_mcp.ops.results.results import IF_ANY, ON_REQUEST, SAID, list_note
 from ros2_mcp.robot import Robot
 
 _FEW = 8
-"""So many such topics are no clutter: a robot without Nav2 has hardly as many."""
+"""Up to this many internal topics are listed: a robot without Nav2 has hardly as many."""
 _INTERNAL_TYPES = frozenset(
     {
         "bond/msg/Status",
@@ -50,19 +50,21 @@ class TopicList:
     note: str = field(metadata=IF_ANY)
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         return f"{len(self.topics)} of {self.total} topics. {self.note}".rstrip()
 
 
 def is_internal(name: str, types: Sequence[str]) -> bool:
-    """Whether nodes keep a topic for themselves or for finding faults, as Nav2 and its lifecycle nodes do by dozens."""
+    """Return whether a topic is internal to nodes or for debugging, like dozens of topics
+    of Nav2 and its lifecycle nodes.
+    """
     return not _INTERNAL_TYPES.isdisjoint(types) or name.rpartition("/")[2] in _INTERNAL_NAMES
 
 
 async def list_topics(
     robot: Robot, pattern: str = "", include_hidden: bool = False, limit: int = 200, *, with_fields: bool = False
 ) -> TopicList:
-    """The topics whose names or types match the pattern (a glob, or any part of one), sorted by name."""
+    """Return the topics whose names or types match the pattern (a glob, or any part of one), sorted by name."""
     found, absence = await robot.graph.topics_and_absence(count_most=limit)
     visible = {row.name: row for row in found if include_hidden or not names.is_hidden(row.name)}
     chosen = names.matching(sorted(visible), pattern, lambda name: visible[name].types)

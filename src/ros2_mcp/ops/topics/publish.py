@@ -1,4 +1,4 @@
-"""Publishing once or repeatedly, and saying who received it."""
+"""Publish once or repeatedly, and report how many subscribers received it."""
 
 from __future__ import annotations
 
@@ -25,13 +25,15 @@ from ros2_mcp.robot.session import Session
 from ros2_mcp_common.wire.limits import MAX_DURATION_S, MAX_RATE_HZ, MIN_RATE_HZ
 
 MATCH_S = 1.0
-"""How long the bridge waits for a first subscriber to match. A running node matches within milliseconds; one that has
-only just come up within this time, and then it does not miss the message."""
+"""How long the bridge waits for a first subscriber to match. A running node matches within milliseconds, one that has
+just started within this time, so that it does not miss the message."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PublishRequest:
-    """What to publish where: once, or at `frequency` in Hz for `duration` in seconds. An empty type is the topic's."""
+    """What to publish, and where: once, or at `frequency` in Hz for `duration` in seconds.
+    An empty type means the topic's.
+    """
 
     topic_name: str
     message_type: str
@@ -63,7 +65,7 @@ class Published:
     ours: int = field(default=0, metadata=HIDDEN)
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         if self.error:
             return f"{self.topic_name}: {self.error}"
         others = self.subscribers - self.ours
@@ -80,18 +82,18 @@ class PublishedSeveral:
     topics: Sequence[Published]
 
     def summary(self) -> list[str]:
-        """A line for each topic."""
+        """Return a line for each topic."""
         return [published.summary() for published in self.topics]
 
 
 async def publish(robot: Robot, session: Session, request: PublishRequest, report: Report = silent) -> Published:
-    """Publishes, after every value has been checked against its definition; nothing is sent if one does not fit.
+    """Publish a message, after checking every value against its definition; nothing is sent if one does not fit.
 
     Raises:
-        BadValue: naming the path of a value that does not fit, or a limit that is out of range.
+        BadValue: if a value does not fit, with its path, or a limit is out of range.
         TypeConflict: if the topic has another type.
         Stopped: if a stop came before anything was sent.
-        Refused: if this server is read-only, or drives as many velocity topics as it can already.
+        Refused: if this server is read-only, or already drives as many velocity topics as it can.
     """
     rate_hz, duration_s = request.frequency, request.duration
     if (rate_hz is None) != (duration_s is None):
@@ -147,7 +149,7 @@ async def publish(robot: Robot, session: Session, request: PublishRequest, repor
 async def publish_several(
     robot: Robot, session: Session, requests: Sequence[PublishRequest], report: Report = silent
 ) -> PublishedSeveral:
-    """Publishes on several topics at the same time; the `error` of one does not end the others.
+    """Publish on several topics at the same time; the `error` of one does not stop the others.
 
     Raises:
         BadInput: if there are no topics.
@@ -166,13 +168,15 @@ async def publish_several(
 
 
 class Repetition(Job):
-    """One message that is published again and again; its call waits for the end. `sent` is the result."""
+    """One message that is published repeatedly; its call waits for the end. `sent` is the result."""
 
     kind = "repeat"
     most_running = 256
-    """More topics than anybody publishes on at once; `ros2_publish_multiple_topics` counts as many as it has topics."""
+    """More topics than a client publishes on at once; `ros2_publish_multiple_topics`
+    counts one for each of its topics."""
     patience_s = 1.0
-    """`ros2_stop` ends repetitions in the bridge first and the jobs then; the bridge's answer is under way by then."""
+    """`ros2_stop` ends repeats in the bridge first and the jobs afterwards; the
+    bridge's answer is on its way by then."""
 
     def __init__(self, robot: Robot, session: Session, command: Repeat | Move) -> None:
         super().__init__(owner=command.principal, moves=[command.name])
@@ -182,14 +186,16 @@ class Repetition(Job):
         self.sent: Sent | None = None
 
     async def run(self) -> None:
-        """Publishes in the bridge until its time is over or the bridge ends it (`ros2_stop`)."""
+        """Publish in the bridge until the time is over or the bridge ends it (`ros2_stop`)."""
         assert self._command
         await self._robot.values.learn(self._command.type)  # as long as it is starting, a stop ends it at once
         self.begun()
         self.sent = await self._robot.do(self._command, self._session)
 
     async def stop_for(self, reason: str) -> None:
-        """Has the bridge end it with its zero. Its call's answer gives the reason. Raises as `Graph.ask` and `stop`."""
+        """Make the bridge end the repeat with its zero; the result gives the reason. Raises the same
+        errors as `Graph.ask` and `stop`.
+        """
         self.stop_reason, self.is_stopping = reason, True
         try:
             await self._robot.end_repeat(self.id)
@@ -197,11 +203,11 @@ class Repetition(Job):
             await self.stop()
 
     async def wind_down(self) -> None:
-        """Does nothing: the bridge ends the repetition, and its answer with what was sent is still awaited."""
+        """Do nothing: the bridge ends the repeat, and its answer with the counts is still awaited."""
 
 
 async def _repeat(robot: Robot, session: Session, command: Repeat, report: Report) -> tuple[Sent, str]:
-    """What was sent, and what ended it before its time."""
+    """Publish repeatedly. Return what was sent, and what ended it early."""
     repetition = Repetition(robot, session, command)
     topic, duration_s = command.name, command.duration_s
 
@@ -213,7 +219,7 @@ async def _repeat(robot: Robot, session: Session, command: Repeat, report: Repor
         nonlocal said
         begun_at = robot.graph.repeat_begun_at(repetition.id)
         if begun_at is None and not repetition.is_running:
-            return  # what became of it is told by its result
+            return  # the result reports how it ended
         elapsed_s = 0.0 if begun_at is None else min(monotonic() - begun_at, duration_s)
         line = waits if begun_at is None else f"{topic}: publishing for {elapsed_s:.0f} of {duration_s:g} s"
         if line != said:
@@ -235,13 +241,13 @@ async def _repeat(robot: Robot, session: Session, command: Repeat, report: Repor
 async def _note(robot: Robot, sent: Sent, reason: str) -> str:
     notes = [ended_by(reason)] if reason else []
     if not sent.matched and reason:
-        notes.append("Nobody received it.")  # many may be stopped at once: no more is asked of the bridge for each
+        notes.append("Nobody received it.")  # many may be stopped at once: no more requests for each
     elif not sent.matched:
         found = await robot.graph.endpoints(sent.topic)
         ours = [publisher for publisher in found.publishers if publisher.node in robot.graph.own_nodes]
         reasons = mismatches(ours, found.subscribers)
         notes.append(f"Nobody received it: {' '.join(reasons)}" if reasons else "Nobody received it.")
-        if not found.subscribers:  # most likely a slip in the name: a topic with subscribers was meant
+        if not found.subscribers:  # most likely a typing error in the name of a topic with subscribers
             subscribed = [row.name for row in await robot.graph.topics() if row.subscribers and row.name != sent.topic]
             near = names.nearest(sent.topic, subscribed)
             notes.append(f"Did you mean {near}?" if near else "")

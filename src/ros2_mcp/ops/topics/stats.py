@@ -1,6 +1,6 @@
-"""How messages flow: rate, jitter, gaps, bandwidth and age, as `ros2 topic hz`, `bw` and `delay` measure them.
+"""Measure the flow of messages: rate, jitter, gaps, bandwidth and age, as `ros2 topic hz`, `bw` and `delay` do.
 
-Of a message nothing but the header's stamp is decoded, so that fast topics and large messages can be measured, too.
+Only the header's stamp of a message is decoded, so that fast topics and large messages can be measured, too.
 """
 
 from __future__ import annotations
@@ -48,15 +48,15 @@ if TYPE_CHECKING:
     from ros2_mcp.ops.topics.arrivals import AgedArrivals
 
 MAX_TOPICS = 64
-"""All of a usual robot. Each is a subscription, which the bridge serves beside all others."""
+"""The topics of a usual robot. Each is a subscription, which the bridge serves besides all others."""
 _SILENCE_S = 0.5
 """A shorter silence at the end is not reported: a slow machine makes one now and then."""
 _MAX_NODES = 3
-"""Publishers that are named in a line; all are in the table."""
+"""The most publishers that are named in a line; the table has all."""
 _IRREGULAR = 2.0
-"""Usual periods: a longest one of more is told, because a message was missing there or came very late."""
+"""A longest period of more than this many usual periods is reported: a message was missing there or came very late."""
 _LEAST_S = 1e-3
-"""A recording, or part of one, that is shorter has no rate of bytes: it is a single moment."""
+"""A recording, or part of one, that is shorter has no byte rate: it is a single moment."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,7 +99,7 @@ class TopicStats:
     irregularity: float = field(default=0.0, metadata=HIDDEN)
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         if self.error:
             return f"{named(self.topic_name)}: {self.error}"
         facts = ["rate unknown" if self.rate_hz is None else f"{self.rate_hz:.2f} Hz", _bytes(self.bytes_per_second)]
@@ -131,7 +131,9 @@ class Stats:
     is_live: bool = field(default=True, metadata=HIDDEN)
 
     def summary(self) -> list[str]:
-        """A line for each topic, after one that names the recording; and one that names the least regular topic."""
+        """Return a line for each topic, after one that names the recording; and one that
+        names the least regular topic.
+        """
         lines = [*(topic.summary() for topic in self.topics), *([self.note] if self.note else [])]
         worst = max(self.topics, key=lambda topic: topic.irregularity, default=None)
         if worst and worst.irregularity > _IRREGULAR and len(self.topics) > 1:
@@ -142,14 +144,14 @@ class Stats:
 
 
 async def measure(source: Source, topics: Sequence[str] | None = None, report: Report = silent) -> Stats:
-    """Measures several topics at once; the `error` of one does not end the others.
+    """Measure several topics at once; the `error` of one does not stop the others.
 
-    Without `topics` all are measured that somebody publishes, except hidden ones and those that every node has: the
-    first `MAX_TOPICS` in the order of their names, pictures and clouds before all others.
+    Without `topics`, all published topics are measured, except hidden ones and those that every node has: the first
+    `MAX_TOPICS` by name, pictures and clouds before all others.
 
     Raises:
         BadInput: if no topic is given, or too many are.
-        NotFound: if none is given and nobody publishes on any.
+        NotFound: if none is given and no topic has a publisher.
         AllFailed: if none could be measured.
     """
     note = ""
@@ -172,7 +174,9 @@ async def measure(source: Source, topics: Sequence[str] | None = None, report: R
 def _with_publishers(
     results: Sequence[TopicStats], full: Mapping[str, str], graph: GraphSnapshot
 ) -> Sequence[TopicStats]:
-    """Those that could not be measured with who publishes on them, which may be why: with several types, for one."""
+    """Return the results; those with an error get the topic's types and publishers, which may explain
+    it, for instance several types.
+    """
 
     def known(found: TopicStats) -> TopicStats:
         topic = graph.topics.get(full[found.topic_name]) if found.error else None
@@ -185,7 +189,7 @@ def _with_publishers(
 
 
 async def _published(source: Source) -> tuple[list[str], str]:
-    """The topics to measure where none is named, and which of them were too many."""
+    """Return the topics to measure if none is named, and a sentence on those beyond the limit."""
     graph = await source.graph()
     published = [topic for topic in graph.topics.values() if topic.publishers]
     published = [row for row in published if not is_hidden(row.topic) and row.topic not in OF_EVERY_NODE]
@@ -199,7 +203,7 @@ async def _published(source: Source) -> tuple[list[str], str]:
 
 
 async def _live(source: Source, topic: str, report: Report) -> TopicStats:
-    """Each topic for the whole time, which begins when the topic is there."""
+    """Measure one topic for the whole time, which begins when the topic exists."""
     from ros2_mcp.ops.measure.columns import Room
     from ros2_mcp.ops.topics.arrivals import AgedArrivals
 
@@ -218,7 +222,7 @@ async def _live(source: Source, topic: str, report: Report) -> TopicStats:
 
 
 async def _recorded(source: Source, topics: Sequence[str], report: Report) -> list[TopicStats]:
-    """All topics in one go through the recording."""
+    """Measure all topics in one pass through the recording."""
     from ros2_mcp.ops.measure.columns import Room
     from ros2_mcp.ops.topics.arrivals import AgedArrivals
 

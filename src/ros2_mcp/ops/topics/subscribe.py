@@ -1,6 +1,6 @@
-"""Reading the messages of topics, live or recorded, as `ros2 topic echo` does; `collect` serves bags and history, too.
+"""Read the messages of topics, live or recorded, as `ros2 topic echo` does; `collect` serves bags and history, too.
 
-Samples stay bytes until it is known which of them are shown: decoding is what costs most, and few of many are shown.
+Samples stay bytes until it is known which of them are shown: decoding costs most, and few of many are shown.
 """
 
 from __future__ import annotations
@@ -55,11 +55,12 @@ if TYPE_CHECKING:
     from ros2_mcp.ops.sources.source import Source, Stream
 
 MAX_PICTURES = 4
-"""Of one topic: clients count a picture as some 1500 tokens, and two usually show what moved."""
+"""The most pictures of one topic: clients count a picture as some 1500 tokens, and two usually show what moved."""
 _TRIED = 32
-"""Messages of a recording among which the first that can be decoded is looked for; one that cannot is rare."""
+"""How many messages of a recording are tried to find one that can be decoded; undecodable ones are rare."""
 _LEAST_BYTES = 1000
-"""Of the result for one of several topics: two messages at the 500 bytes below which a message says nothing."""
+"""The least bytes of the result for one of several topics: two messages at the 500 bytes
+below which a message says nothing."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -97,7 +98,7 @@ class Reading(WithPictures):
     received_ns: Sequence[int] = field(default=(), metadata=HIDDEN)
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         if self.error:
             return f"{self.topic_name}: {self.error}"
         shown = "" if self.count == self.received else f", {self.count} shown"
@@ -116,7 +117,7 @@ class Readings(WithPictures):
     duration: float
 
     def summary(self) -> list[str]:
-        """A line for each topic."""
+        """Return a line for each topic."""
         return [reading.summary() for reading in self.topics]
 
 
@@ -144,7 +145,7 @@ class Echo(WithPictures):
     is_live: bool = field(metadata=HIDDEN)
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         what = "a message" if self.received else "no message"
         where = f"after {self.waited:.2f} s" if self.is_live else f"in {self.source}"
         if self.from_before:
@@ -155,11 +156,11 @@ class Echo(WithPictures):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Collected:
-    """What was read of a topic, still as bytes.
+    """The messages read from a topic, still as bytes.
 
     `received` counts all messages that came; `dropped` of them are not among the samples because of memory bounds, or
-    because a link was too slow for them, which `left_behind` says in words.
-    `more` says in words how to read on where there are more; `why_no_more` why fewer came than were asked for.
+    because a link was too slow (see the sentence `left_behind`). `more` is a sentence on how to read on if there are
+    more; `why_no_more` says why fewer came than requested.
     """
 
     stream: Stream
@@ -183,18 +184,19 @@ async def collect(
     latched: bool = True,
     names: tuple[str, str] = ("start", "end"),
 ) -> Collected:
-    """The samples of one topic that the selection asks for; `names` are the arguments with which a caller reads on.
+    """Return the samples of one topic that the selection asks for; `names` are the
+    arguments by which a caller reads on.
 
     Raises:
-        NotFound: if the topic is not there and its type is not given.
-        TypeConflict: if it has several types, or another than the given one.
+        NotFound: if the topic does not exist and its type is not given.
+        TypeConflict: if the topic has several types, or another than the given one.
         BadValue: if a limit is out of range, or a field is not in the type.
     """
     selection.check()
     limit, every_n, filtered = selection.enough, selection.every_n, selection.has_filter
     if limit == 1 and not filtered:
-        source = source.judging()  # the bridge keeps all back but the newest of what was kept
-    # A source cannot count what passes a filter: then it gives all, and the first or the last ones are kept here.
+        source = source.judging()  # the bridge omits all replayed messages but the newest
+    # A source cannot count what passes a filter: it gives all, and the first or last ones are kept here.
     asked, asked_n = (None, 1) if filtered else (limit, every_n)
     async with source.follow(topic, type_name, limit=asked, every_n=asked_n, latched=latched) as stream:
         if stream.type:
@@ -231,7 +233,7 @@ async def collect(
             more = f"There are earlier messages: to read them, give {names[1]} {before}."
         elif further:
             more = f"There are later messages: to read them, give {names[0]} {exact_time(further.received_ns)}."
-        # Those between every n-th are counted where they stayed; the robot's count has those that were dropped, too.
+        # Thinned-out messages are counted in the bridge; its count also has those that were dropped.
         received = counts.received if stream.thinned else collector.seen
         received += 0 if stream.thinned and source.is_live else counts.dropped
         return Collected(
@@ -248,8 +250,8 @@ async def collect(
 
 
 class _Kept:
-    """Holds back what a latched topic kept, the oldest of which come first, until the newest of it have come: where a
-    `limit` is asked for, they are meant. None: nothing is held back.
+    """Holds back the replayed messages of a latched topic, the oldest of which come first, until the newest have come:
+    a request for `limit` messages means the newest. With `limit` None nothing is held back.
     """
 
     def __init__(self, stream: Stream, limit: int | None) -> None:
@@ -258,7 +260,7 @@ class _Kept:
         self.left_out = 0
 
     def let_through(self, batch: Sequence[Sample]) -> Sequence[Sample]:
-        """What goes on now; an empty batch says that nothing more came for a while."""
+        """Return the samples to pass on now; an empty batch means that no message came for a while."""
         if self._held is None:
             return batch
         for number, sample in enumerate(batch):
@@ -269,15 +271,15 @@ class _Kept:
         return self.remaining() if self._held and not batch else ()
 
     def remaining(self) -> Sequence[Sample]:
-        """What is still held back; from now on nothing is."""
+        """Return the samples that are still held back, and hold back nothing from now on."""
         held, self._held = self._held or (), None
         return list(held)
 
 
 async def read(source: Source, topic: str, type_name: str, selection: Selection, report: Report = silent) -> Reading:
-    """Messages of one topic, for as long as the selection says; raises as `collect`.
+    """Return messages of one topic, for as long as the selection says. Raises the same errors as `collect`.
 
-    Pictures are read compressed over a network, unless a type or fields are asked for.
+    Over a network, compressed pictures are read, unless a type or fields are given.
     """
     source = source.lasting(selection.live_s, recorded_s=selection.duration_s)
     chosen = topic if type_name or selection.fields else await source.lightest(topic)
@@ -288,7 +290,8 @@ async def read(source: Source, topic: str, type_name: str, selection: Selection,
 async def read_several(
     source: Source, topics: Sequence[tuple[str, str, Selection]], report: Report = silent
 ) -> Readings:
-    """Messages of several topics (name, type or "", selection), at the same time; the `error` of one ends no other.
+    """Return messages of several topics (name, type or "", selection), read at the same time; the `error`
+    of one does not stop the others.
 
     Raises:
         BadInput: if there are no topics.
@@ -311,15 +314,15 @@ async def read_several(
 
 
 async def echo(source: Source, topic: str, topic_type: str, selection: Selection) -> Echo:
-    """The next message of a topic, waiting for the topic and for the message as long as the source lasts; of those that
-    a latched topic replays the newest.
+    """Return the next message of a topic, waiting for the topic and for the message as long as the source lasts; of the
+    messages that a latched topic replays, the newest.
     """
     started, source = monotonic(), source.judging()
     selection = replace(selection, message_limit=1)
     chosen = topic if topic_type or selection.fields else await source.lightest(topic)
     collected = await collect(source, chosen, topic_type, selection)
     reading = _told(await _shown(source, collected, selection), as_asked=chosen == topic)
-    if collected.samples and not reading.messages and not source.is_live:  # the next one that is what its type says
+    if collected.samples and not reading.messages and not source.is_live:  # then the next message that can be decoded
         several = await collect(source, topic, topic_type, replace(selection, message_limit=_TRIED))
         found, note = await asyncio.to_thread(_first_readable, several)
         if found:
@@ -346,7 +349,7 @@ async def echo(source: Source, topic: str, topic_type: str, selection: Selection
 
 
 def _told(reading: Reading, *, as_asked: bool) -> Reading:
-    """With a note, if another topic was read than the one that was asked for."""
+    """Return the reading, with a note if another topic was read than the requested one."""
     if as_asked:
         return reading
     why = f"The robot is reached over a network, so the compressed pictures on {named(reading.topic_name)} were read."
@@ -355,7 +358,9 @@ def _told(reading: Reading, *, as_asked: bool) -> Reading:
 
 
 def _first_readable(collected: Collected) -> tuple[Sample | None, str]:
-    """The first sample that can be decoded, from the end where the last ones were asked for; and what was skipped."""
+    """Return the first sample that can be decoded (the last, if the last ones were requested),
+    and a note on the skipped ones.
+    """
     stream, trouble = collected.stream, ""
     ordered = collected.samples[::-1] if stream.from_end else collected.samples
     for skipped, sample in enumerate(ordered):
@@ -380,9 +385,9 @@ async def _shown(source: Source, collected: Collected, selection: Selection) -> 
     if stream.type in (IMAGE, COMPRESSED_IMAGE):
         images, said = await asyncio.to_thread(pictures_of, stream.type, fitted)
     start, times_s = message_times(source, fitted.samples)
-    # Who sees the picture needs no advice on how to read its bytes.
+    # With the picture, a hint on how to read its bytes is not needed.
     hint = summarised({path: by for path, by in fitted.truncated.items() if not images or path != "data"})
-    # Fewer than were asked for, and there are more: they were too much to keep.
+    # Fewer than requested although there are more: they were too many to keep.
     cut = collected.more if len(collected.samples) < (selection.enough or 0) else ""
     if collected.dropped and collected.samples and not collected.left_behind:
         since = exact_time(collected.samples[0].received_ns)
@@ -427,7 +432,9 @@ async def _shown(source: Source, collected: Collected, selection: Selection) -> 
 
 
 def pictures_of(type_name: str, fitted: Fitted) -> tuple[list[Picture], str]:
-    """Pictures of the shown messages, from what is already decoded, and of which; or why there are none."""
+    """Return pictures of the shown messages, from the decoded ones, and a note on which messages
+    they show, or why there are none.
+    """
     from ros2_mcp.pictures.messages import picture_of  # numpy: not at the start of the server
 
     try:

@@ -1,1 +1,1 @@
-"""Watching a robot, so that clients are notified when something changes."""
+"""Watch a robot, and notify clients when something changes."""

@@ -1,4 +1,4 @@
-"""What can be watched: topics, the graph, goals, diagnostics, parameters, the log."""
+"""The subjects that can be watched: topics, the graph, goals, diagnostics, parameters, the log."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from ros2_mcp.ops.measure.diagnostics import DIAGNOSTICS, DiagnosticTable
 from ros2_mcp.robot import Robot
 from ros2_mcp_common.wire.protocol import Keep
 
-# How late a change of the graph is noticed: people take it for at once, and the bridge answers from memory.
+# Seconds between two looks at the graph: people perceive that delay as none, and the bridge answers from memory.
 POLL_S = 0.25
-# How often the publishers' QoS is compared with ours: publishers with another QoS are rare, and only heard late.
+# Seconds between comparisons of the publishers' QoS with ours: other QoS are rare, and cost only a delay.
 _ENDPOINTS_S = 2.0
-# One wait of the bridge; it is begun anew as long as somebody watches.
+# One wait of the bridge; it is repeated as long as a client watches.
 _APPEARS_S = 60.0
-# What comes within that time was there before, and is no change: matching takes up to 200 ms on one host. An action's
+# Messages within that time were published before, and are no change: matching takes up to 200 ms on a host. An action's
 # status gets more time, because a goal that had ended before would else count as one that ends now.
 _LATCHED_S = 0.5
 _MATCHING_S = 0.2
-# Samples that wait while a client is notified, which takes 0.2 s: those of a topic at 5 kHz.
+# Samples queued while a client is notified, which takes 0.2 s: those of a topic at 5 kHz.
 _MAX_SAMPLES = 1000
 
 
@@ -37,7 +37,7 @@ _Arrived: TypeAlias = "tuple[str, list[Sample], Callable[[Sample], bool]]"
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """The newest sample of a topic, with its type; `is_old`: it was sent before anybody listened here."""
+    """The newest sample of a topic, with its type; `is_old`: it was sent before this server subscribed."""
 
     type: str
     sample: Sample
@@ -46,22 +46,22 @@ class Seen:
 
 @dataclass(frozen=True, slots=True)
 class Unchanging:
-    """What stays as it is, such as a definition."""
+    """A subject that never changes, such as a definition."""
 
     async def changes(self, robot: Robot) -> AsyncGenerator[Any, None]:  # noqa: ARG002
-        """Nothing ever."""
+        """Yield once, and never again."""
         yield None
         await asyncio.Event().wait()
 
 
 @dataclass(frozen=True, slots=True)
 class TopicSamples:
-    """The samples of a topic, which need not be there yet."""
+    """The samples of a topic, which need not exist yet."""
 
     topic: str
 
     async def changes(self, robot: Robot) -> AsyncGenerator[Seen | None, None]:
-        """The newest sample, whenever there is one."""
+        """Yield the newest sample (None at first, if there is none), then each newer one."""
         async with aclosing(_samples(robot, self.topic, "latest")) as arrivals:
             type_name, samples, is_old = await anext(arrivals)
             yield Seen(type_name, samples[-1], is_old(samples[-1])) if samples else None
@@ -72,12 +72,14 @@ class TopicSamples:
 
 @dataclass(frozen=True, slots=True)
 class GraphParts:
-    """Parts of the graph: `nodes`, `topics`, `services`. Which subscribers a topic has does not count: we are one."""
+    """Parts of the graph: `nodes`, `topics`, `services`. The subscribers of a topic do
+    not count, as this server is one.
+    """
 
     parts: Sequence[str]
 
     async def changes(self, robot: Robot) -> AsyncGenerator[None, None]:
-        """Whenever something came or went."""
+        """Yield at the beginning, and whenever something appeared or disappeared."""
         before: list[Any] | None = None
         while True:
             now = [await _outline(robot, part) for part in self.parts]
@@ -89,10 +91,10 @@ class GraphParts:
 
 @dataclass(frozen=True, slots=True)
 class GoalsEnded:
-    """The goals of every action, and the actions."""
+    """The goals of every action, and the list of actions."""
 
     async def changes(self, robot: Robot) -> AsyncGenerator[None, None]:
-        """Whenever a goal has ended, or an action came or went."""
+        """Yield at the beginning, and whenever a goal has ended, or an action appeared or disappeared."""
         ended, followers = asyncio.Event(), dict[str, asyncio.Task[None]]()
         before: set[str] | None = None
         try:
@@ -116,7 +118,9 @@ class WorseDiagnostics:
     """The components that report on /diagnostics."""
 
     async def changes(self, robot: Robot) -> AsyncGenerator[DiagnosticTable, None]:
-        """The table of all components, which stays up to date, whenever one got worse."""
+        """Yield the table of all components, which stays up to date, at the beginning and
+        whenever a component's level worsens.
+        """
         table = DiagnosticTable()
         async with aclosing(_samples(robot, DIAGNOSTICS, "all")) as arrivals:
             type_name, samples, _ = await anext(arrivals)
@@ -134,7 +138,7 @@ class ParametersOf:
     node: str
 
     async def changes(self, robot: Robot) -> AsyncGenerator[None, None]:
-        """Whenever the node says that one has changed."""
+        """Yield at the beginning, and whenever the node reports that a parameter has changed."""
         async with aclosing(_samples(robot, "/parameter_events", "all")) as arrivals:
             await anext(arrivals)
             yield None
@@ -146,13 +150,13 @@ class ParametersOf:
 
 @dataclass(frozen=True, slots=True)
 class LogLines:
-    """The lines of /rosout from a level on, of one node or of all; the names are those of `ops.log.LogRequest`."""
+    """The lines of /rosout from a level on, of one node or of all; the fields are those of `ops.log.LogRequest`."""
 
     level: str = ""
     node: str = ""
 
     async def changes(self, robot: Robot) -> AsyncGenerator[None, None]:
-        """Whenever there is such a line."""
+        """Yield at the beginning, and whenever such a line arrives."""
         least, arrived = log.level_number(self.level), asyncio.Event()
 
         def check(level: int, sample: Sample) -> None:
@@ -172,10 +176,11 @@ class LogLines:
 
 
 async def _samples(robot: Robot, topic: str, keep: Keep) -> AsyncGenerator[_Arrived, None]:
-    """The type of a topic, its samples as they come, following its publishers' QoS, and which are from before that.
+    """Yield the type of a topic, its new samples, and a function that says whether a sample is from before the
+    subscription. The subscription follows the publishers' QoS.
 
-    Whenever listening begins: what came until every publisher had matched, or nothing. Also nothing while the topic
-    is not there yet.
+    Whenever a subscription begins, yield the samples that arrived until every publisher had matched, or none. While the
+    topic does not exist, yield no samples.
     """
     present = await robot.graph.endpoints(topic)
     while True:
@@ -199,7 +204,7 @@ async def _samples(robot: Robot, topic: str, keep: Keep) -> AsyncGenerator[_Arri
 async def _follow_goals(
     robot: Robot, action: str, ended: asyncio.Event, followers: dict[str, asyncio.Task[None]]
 ) -> None:
-    """Starts following the goals of an action, unless that goes on already; returns when it has begun or failed."""
+    """Start following the goals of an action, unless that is under way already. Return when it has begun or failed."""
     if action not in followers or followers[action].done():
         begun = asyncio.Event()
         followers[action] = asyncio.create_task(_goals(robot, action, ended, begun))
@@ -207,7 +212,7 @@ async def _follow_goals(
 
 
 async def _goals(robot: Robot, action: str, ended: asyncio.Event, begun: asyncio.Event) -> None:
-    """Sets `ended` whenever the action's status names a goal as ended that it did not before."""
+    """Set `ended` whenever the action's status reports further goals as ended."""
     try:
         with suppress(NotFound):
             async with robot.listen(f"{action}/_action/status", STATUS_TYPE, keep="latest") as listening:
@@ -224,7 +229,7 @@ async def _goals(robot: Robot, action: str, ended: asyncio.Event, begun: asyncio
 
 
 async def _ended_goals(robot: Robot, samples: Sequence[Sample]) -> set[str]:
-    """The goals that the newest status says have ended."""
+    """Return the goals that the newest status reports as ended."""
     if not samples:
         return set()
     message: Any = (await robot.values.decode_all(STATUS_TYPE, samples[-1:]))[0]
@@ -236,7 +241,7 @@ async def _ended_goals(robot: Robot, samples: Sequence[Sample]) -> set[str]:
 
 
 async def _outline(robot: Robot, part: str) -> list[Any]:
-    """What of a part of the graph counts as a change."""
+    """Return the facts about a part of the graph whose change is reported."""
     if part == "topics":
         topics = [row for row in await robot.graph.topics() if not is_hidden(row.name)]
         return sorted((row.name, row.types, row.publishers) for row in topics)

@@ -1,8 +1,8 @@
-"""Watching a robot for those who want to be told of changes.
+"""Watch a robot, and notify listeners of changes.
 
-Nothing is watched while nobody listens: the first listener of a subject starts its watch, the last one to leave ends
-it. A watch is shared by all clients that listen to its subject, so it is no job, which has one owner: it ends with
-them, and moves nothing.
+A subject is watched only while it has listeners: the first listener starts its watch, the last one to leave ends it. A
+watch is shared by all clients that listen to its subject. So it is no job, which has one owner: it ends with its
+listeners, and moves nothing.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ import anyio
 from ros2_mcp.model.errors import LinkError, RobotError
 from ros2_mcp.robot import Robot
 
-# Between two notifications of one subject, so that a fast topic floods no client; changes in between count as one.
+# Seconds between notifications of a subject, so that a fast topic floods no client; changes in between count as one.
 MIN_PERIOD_S = 0.2
-# How long a subscription is waited for before a client gets its answer all the same: a topic may not be there yet.
+# How long a client's answer waits for the subscription to begin: a topic may not exist yet.
 BEGIN_S = 5.0
-# Before a watch that failed is begun again, longer with each failure in a row.
+# Seconds before a failed watch is started again, longer with each failure in a row.
 _PAUSES_S = (0.2, 0.5, 1.0, 2.0, 5.0)
 _logger = logging.getLogger(__name__)
 
@@ -33,10 +33,10 @@ class Subject(Protocol):
     """Something that changes. Equal subjects share one watch."""
 
     def changes(self, robot: Robot) -> AsyncGenerator[Any, None]:
-        """Yields first what is there when the watch has begun (None if nothing), then something for each change.
+        """Yield first the present state when the watch has begun (None if there is none), then a value for each change.
 
-        The next value is asked for up to `MIN_PERIOD_S` later: changes in between may be yielded as one. Errors of the
-        link end it; it is then begun again.
+        The next value is requested up to `MIN_PERIOD_S` later: changes in between may be yielded as one. Errors of the
+        link end the watch; it is then started again.
         """
         ...
 
@@ -51,9 +51,10 @@ class Watcher:
         self._watches: dict[Subject, _Watch] = {}
 
     def watch(self, subject: Subject, changed: Changed) -> Callable[[], None]:
-        """Calls `changed` on every change of the subject from now on; returns what ends that, safe to call twice.
+        """Call `changed` on every change of the subject from now on. Return a function that
+        ends this, safe to call twice.
 
-        `changed` must neither wait nor raise.
+        `changed` must neither block nor raise.
         """
         watch = self._watches.get(subject)
         if watch is None:
@@ -70,24 +71,24 @@ class Watcher:
         return leave
 
     async def begun(self, *subjects: Subject) -> None:
-        """Waits (bounded) until nothing that happens to the watched subjects from now on is missed, or one failed."""
+        """Wait, at most `BEGIN_S`, until no later change of these subjects can be missed, or their watch has failed."""
         with anyio.move_on_after(BEGIN_S):
             for subject in subjects:
                 if watch := self._watches.get(subject):
                     await watch.begun.wait()
 
     def newest(self, subject: Subject) -> Any:
-        """What the watch of the subject saw last; None if there is none, or it has not seen anything."""
+        """Return the newest value of the subject's watch; None if there is no watch, or no value yet."""
         watch = self._watches.get(subject)
         return watch.newest if watch else None
 
     @property
     def watched(self) -> list[Subject]:
-        """What somebody listens to now."""
+        """The subjects that have listeners now."""
         return list(self._watches)
 
     async def close(self) -> None:
-        """Ends every watch and waits for its end."""
+        """End every watch and wait for its end."""
         tasks = [watch.task for watch in self._watches.values()]
         self._watches.clear()
         for task in tasks:
@@ -97,7 +98,7 @@ class Watcher:
 
 
 class _Watch:
-    """One subject with those who listen to it; goes on when the bridge has been lost."""
+    """One subject and its listeners. The watch continues after the bridge has been lost."""
 
     def __init__(self, robot: Robot, subject: Subject) -> None:
         self.listeners: dict[object, Changed] = {}
@@ -113,7 +114,7 @@ class _Watch:
                 async with aclosing(self._subject.changes(self._robot)) as changes:
                     self.newest = await anext(changes)
                     failures = 0
-                    if self.begun.is_set():  # begun again: nobody knows what was missed, so that is a change
+                    if self.begun.is_set():  # started again: changes may have been missed, so this counts as one
                         self._notify()
                     self.begun.set()
                     async for self.newest in changes:
