@@ -1,1 +1,1 @@
-"""Where things are: frames and transforms."""
+"""The robot in space: coordinate frames, transforms, joints, sensors and the scene."""

@@ -1,4 +1,4 @@
-"""The robot's body in words: how large it is, and where its sensors sit, each with how that is known."""
+"""The robot's body in words: footprint and sensor mounts, each with its source (URDF, TF or costmap)."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from ros2_mcp.world.transforms import FrameTree
 from ros2_mcp.world.urdf import Urdf
 
 _STEEP_DEG = 75.0
-"""A camera that looks up or down more steeply has no direction seen from above."""
+"""Elevation beyond which a camera is reported as looking straight up or down, without a yaw."""
 _UPRIGHT = 0.5
-"""Of an axis' part along z."""
+"""Largest z component of a camera's z axis with which its frame is still taken as optical; above it z points up."""
 _TILTED_DEG = 2.0
-"""Less is how exactly anybody mounts a sensor."""
+"""Roll and pitch below this are mounting tolerance and not reported."""
 _LEAST_ROUND, _ROUND = 8, 0.95
-"""Of an outline: from so many corners on, with radii that differ by 5 % at most, it is a circle."""
+"""A footprint of 8 or more corners whose radii differ by less than 5 % is reported as a circle."""
 
 
 @dataclass(frozen=True, slots=True)
 class MountInWords:
-    """Where a frame is in that of the base: `at` x y z in m and how it is turned, empty if it is the base's own or not
-    known, and what is to be said of that.
+    """The mount of a frame in words: `at` is x y z in m and the rotation, in the base's frame; it is empty if the frame
+    is the base's own or the mount is unknown. `note` qualifies it, e.g. names the joint that moves the frame.
     """
 
     at: str = ""
@@ -41,8 +41,9 @@ NO_MOUNT = MountInWords(note=" (mount unknown)")
 def footprint_in_words(
     urdf: Urdf | None, tree: FrameTree, base: str, published: Sequence[tuple[float, float, float]], frame: str
 ) -> str:
-    """As it lies about the origin of the base: from the description; where that has meshes alone for a part, the
-    outline that Nav2 publishes in `frame`; else that it is a least size, or not known.
+    """Describe the robot's footprint about the origin of `base`. The size comes from the URDF. If the URDF has only
+    meshes for a part, or no shape at all, use the footprint `published` by Nav2 in `frame`; without one, report the
+    size of the other parts as a least size, or that the footprint is unknown.
     """
     root = urdf.root if urdf and base not in urdf.links else base
     size = reach(outline(urdf, root)) if urdf else None
@@ -60,14 +61,16 @@ def footprint_in_words(
 
 
 def _made_of(urdf: Urdf) -> str:
-    """What the outline takes for the body where that is a choice."""
+    """Return which pose or parts the footprint assumes: straight legs, no arms, or the area swept by rotors; else
+    empty.
+    """
     if legs_of(urdf):
         return " (legs straight, without arms)" if arms_of(urdf) else " (legs straight)"
     return ", swept by the rotors" if rotors_of(urdf) else ""
 
 
 def _stands_on(urdf: Urdf, base: str) -> bool:
-    """Whether the base is fixed in the world by something that has a shape, such as a table."""
+    """Return whether the base is fixed in the world on something that has a shape, such as a table."""
     is_fixed = urdf.root.lower() in WORLDS and urdf.fixed_to(base) == urdf.root
     held = [joint.parent for joint in urdf.way_up(base)] if is_fixed else []
     return any(urdf.links[name].collisions or urdf.links[name].visuals for name in held if name in urdf.links)
@@ -78,7 +81,9 @@ def _first(links: Sequence[str]) -> str:
 
 
 def _of_costmap(tree: FrameTree, base: str, published: Sequence[tuple[float, float, float]], frame: str) -> str:
-    """What Nav2 takes for its outline, in the frame of its base; empty if nothing is told, or not where."""
+    """Describe the footprint published by Nav2, in m in the frame of `base`; empty if none is published, or no
+    transform from `frame` is known.
+    """
     found = tree.newest(base, frame) if base and frame != base else None
     if len(published) < 3 or (found is None and frame != base):
         return ""
@@ -92,7 +97,7 @@ def _of_costmap(tree: FrameTree, base: str, published: Sequence[tuple[float, flo
 
 
 def _reaches_in_words(front_m: float, rear_m: float, left_m: float, right_m: float) -> str:
-    """How far it goes to each side of the base's origin, without saying the same twice."""
+    """Return the distances from the base's origin to each side, in m; "centred" if opposite sides are equal."""
     front, rear, left, right = (f"{round(side, 2) + 0.0:.2f}" for side in (front_m, rear_m, left_m, right_m))
     if front == rear and left == right:
         return ", centred"
@@ -109,8 +114,8 @@ def mounted(
     *,
     is_camera: bool = False,
 ) -> MountInWords:
-    """Where a sensor sits: from the transforms; else from the description and the joints' positions, and then it says
-    so, for nobody has told it as a transform. Of a camera it tells where that looks.
+    """Return the mount of a sensor's frame: from TF, else from the URDF and the joints' `positions`, with a note that
+    it is not from TF. For a camera, the viewing direction is given instead of the rotation.
     """
     frame = frame.lstrip("/")
     if frame == base:
@@ -129,8 +134,9 @@ def mounted(
 
 
 def _at(pose: Pose, frame: str, *, is_camera: bool) -> str:
-    """Of a camera in a frame that is not called optical where its z points, into the picture as sensor_msgs/Image has
-    it; but where that is up, some simulator has given its pictures the frame of the camera's body.
+    """Return the position in m, with the viewing direction of a camera or else the rotation. A camera frame not called
+    optical is taken as optical too (z into the picture, as in sensor_msgs/Image), unless its z points up: some
+    simulators stamp images with the frame of the camera's body.
     """
     x, y, z = (f"{round(part, 2) + 0.0:g}" for part in pose.translation)
     if "optical" in frame:
@@ -141,7 +147,9 @@ def _at(pose: Pose, frame: str, *, is_camera: bool) -> str:
 
 
 def _turned(pose: Pose) -> str:
-    """By how much it is turned, in degrees; a yaw alone where it is level."""
+    """Return the rotation in whole degrees: roll, pitch and yaw, those below 0.5° omitted; only yaw if the frame is
+    level.
+    """
     angles_deg = [math.degrees(angle) for angle in pose.roll_pitch_yaw_rad]
     if max(map(abs, angles_deg[:2])) < _TILTED_DEG:
         angles_deg[:2] = [0.0, 0.0]
@@ -150,8 +158,8 @@ def _turned(pose: Pose) -> str:
 
 
 def _looking(pose: Pose) -> str:
-    """The direction in which a camera looks, which is along z of its optical frame (REP 103): seen from above, and how
-    far up or down.
+    """Return the viewing direction of a camera, which is +z of its optical frame (REP 103): its yaw in the base's
+    frame, and its elevation.
     """
     x, y, z = rotated(pose.rotation, (0.0, 0.0, 1.0))
     up_deg, yaw_deg = math.degrees(math.asin(min(max(z, -1.0), 1.0))), math.degrees(math.atan2(y, x))
@@ -163,5 +171,5 @@ def _looking(pose: Pose) -> str:
 
 
 def _whole(angle_deg: float) -> int:
-    """Rounded; half a turn has one name."""
+    """Round to whole degrees; -180 becomes 180."""
     return 180 if round(angle_deg) == -180 else round(angle_deg)

@@ -1,4 +1,4 @@
-"""The robot in brief: one line for each thing, and as many lines of each part as four kilobytes hold."""
+"""The brief description of the robot: one line per item, with each part cut so that the whole fits into 4 kB."""
 
 from __future__ import annotations
 
@@ -12,22 +12,23 @@ from ros2_mcp.ops.results.results import ON_REQUEST, SAID, as_json
 from ros2_mcp.ops.results.text import as_text
 
 MOST_BYTES = 4_000
-"""Of the answer: it is read at the beginning of most sessions."""
+"""Size limit of the whole answer: it is read at the beginning of most sessions."""
 Part = Literal[
     "", "unhealthy", "command_inputs", "other_actions", "waited_for", "command_services", "sensors", "also_told",
     "joints", "controllers",
 ]  # fmt: skip
-"""Of what is told; empty for all of them."""
+"""A part of the answer; empty for all parts."""
 _WEIGHTS: Mapping[str, float] = {
     "unhealthy": 0.5, "command_inputs": 0.8, "other_actions": 1.2, "waited_for": 1.2, "command_services": 1.6,
     "sensors": 0.6, "also_told": 1.2, "joints": 1.0, "controllers": 0.9,
 }  # fmt: skip
-"""Which part loses its last line where the whole is too long: that with the most bytes times this."""
+"""Weights for shortening: while the whole is too long, the part with the largest product of bytes and weight loses its
+last line."""
 _ACCOUNT = 50
-"""Bytes of the line that counts what is left out of a part."""
+"""Bytes reserved for the line that counts the omitted lines of a part."""
 _MOST_HEAD, _MOST_NAME, _MOST_TEXT = 1_200, 60, 200
-"""Bytes of what is no part; where there are more, characters of its name and of each sentence: somebody has made them
-to be long."""
+"""Limit in bytes of the fields that belong to no part; where they exceed it, the limits in characters of the name and
+of each other text. Nodes can report texts of any length."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,7 +73,7 @@ class RobotInBrief:
     read_from: str | None = field(default=None, metadata=ON_REQUEST)
 
     def summary(self) -> str:
-        """A line: the rest stands in the values."""
+        """Return the first lines of the text; the values hold the rest."""
         health = "" if self.unhealthy else " Nothing unhealthy seen."
         not_read = f" Not read: {', '.join(self.not_read)}." if self.not_read else ""
         left_out = f" {self.left_out} lines are left out: part shows all of one part." if self.left_out else ""
@@ -80,7 +81,7 @@ class RobotInBrief:
 
 
 def within(whole: RobotInBrief, most_bytes: int) -> RobotInBrief:
-    """All of it, or of each part as many lines as fit."""
+    """Return the whole if it has at most `most_bytes`; else shorten its parts until it fits."""
     if _size(whole) <= most_bytes:
         return whole
     lines = _lines(whole)
@@ -98,7 +99,7 @@ def within(whole: RobotInBrief, most_bytes: int) -> RobotInBrief:
 
 
 def one_part(whole: RobotInBrief, part: Part) -> RobotInBrief:
-    """One part in full beside what is unhealthy; of the others how many lines they have."""
+    """Return one part in full, and `unhealthy`; for each other part only the count of its lines."""
     lines = _lines(whole)
     return _with_first(whole, lines, {name: len(lines[name]) if name in (part, "unhealthy") else 0 for name in lines})
 
@@ -108,7 +109,7 @@ def _lines(whole: RobotInBrief) -> dict[str, Sequence[str]]:
 
 
 def _with_first(head: RobotInBrief, lines: Mapping[str, Sequence[str]], kept: Mapping[str, int]) -> RobotInBrief:
-    """The first lines of each part, as many as are kept, and how many there are besides."""
+    """Return `head` with the first `kept` lines of each part, and a line that counts the omitted ones."""
     parts: dict[str, Sequence[str]] = {}
     left_out = 0
     for part, all_of in lines.items():
@@ -120,7 +121,9 @@ def _with_first(head: RobotInBrief, lines: Mapping[str, Sequence[str]], kept: Ma
 
 
 def _head(whole: RobotInBrief) -> RobotInBrief:
-    """The same without any line of its parts, and with room for their number; its texts cut where they are too long."""
+    """Return `whole` with all parts empty and room for the count in `left_out`; texts are cut if they exceed
+    `_MOST_HEAD`.
+    """
     head = replace(whole, left_out=99_999, **dict.fromkeys(_WEIGHTS, ()))
     if _size(head) <= _MOST_HEAD:
         return head
@@ -131,11 +134,11 @@ def _head(whole: RobotInBrief) -> RobotInBrief:
 
 
 def _cost(line: str) -> int:
-    """Bytes of a line in JSON, or in the text, whichever is more."""
+    """Return the bytes of a line in JSON or in the text, whichever is more."""
     return max(len(json.dumps(line, ensure_ascii=False).encode()) + 1, len(line.encode()) + 3)
 
 
 def _size(brief: RobotInBrief) -> int:
-    """Bytes of its JSON, or of its text, whichever is more."""
+    """Return the bytes of the answer as JSON or as text, whichever is more."""
     value = json.dumps(as_json(brief), ensure_ascii=False, separators=(",", ":"))
     return max(len(value.encode()), len(as_text(brief).encode()))

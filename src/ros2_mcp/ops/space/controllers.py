@@ -1,4 +1,4 @@
-"""The controllers of a robot in brief: what moves it first, what is not active said so."""
+"""The ros2_control controllers of a robot: those that command joints first; inactive ones are marked as such."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from ros2_mcp.ops.sources.source import GraphSnapshot
 from ros2_mcp.robot import Robot
 
 LIST_CONTROLLERS = "/list_controllers"
-"""The service of a controller manager, below its name."""
+"""The service by which a controller manager lists its controllers, below the manager's name."""
 _LIST = "controller_manager_msgs/srv/ListControllers"
 _ANSWER_S = 1.0
-"""One that is alive answers within milliseconds, and the whole answer is to be there in two seconds."""
+"""Time-out of a call: a live manager answers within milliseconds, and the whole tool result is due within 2 s."""
 _SPAWNER = re.compile(r"(ros2_control_|hardware_)?(un)?spawner_")
-"""Nodes of the scripts that load controllers, as the package controller_manager names them."""
+"""Names of the spawner nodes of the package controller_manager."""
 _TELLS = ("broadcaster", "status")
-"""In the type of a controller that moves nothing: it only publishes."""
+"""Words in the type of a controller that only publishes and commands no joint."""
 
 
 @dataclass(frozen=True, slots=True)
 class Controller:
-    """A controller by its full name; `type` is empty of those that only publish, `state` of those that are active."""
+    """A controller. `name` is its full name; `type` is empty if it only publishes; `state` is empty if it is active."""
 
     name: str
     type: str = ""
@@ -34,13 +34,13 @@ class Controller:
 
     @property
     def line(self) -> str:
-        """`/arm_controller JointTrajectoryController is inactive`."""
+        """The controller in words, such as `/arm_controller JointTrajectoryController is inactive`."""
         kind = f" {named(self.type)}" if self.type else ""
         return f"{named(self.name)}{kind}{f' is {named(self.state)}' if self.state else ''}"
 
 
 async def listed_hardware(robot: Robot, node: str) -> Sequence[Mapping[str, Any]] | None:
-    """What a controller manager says of its hardware components; None where it does not tell."""
+    """Return the hardware components listed by a controller manager; None if it does not answer within 1 s."""
     service, kind = f"{node}/list_hardware_components", "controller_manager_msgs/srv/ListHardwareComponents"
     try:
         asked = robot.ask_service(service, kind, {}, timeout_s=_ANSWER_S)
@@ -50,7 +50,8 @@ async def listed_hardware(robot: Robot, node: str) -> Sequence[Mapping[str, Any]
 
 
 async def listed_controllers(robot: Robot, graph: GraphSnapshot) -> Mapping[str, Sequence[Mapping[str, Any]]]:
-    """What each controller manager says of its controllers, by its node; empty where none is there, or answers.
+    """Return the controllers listed by each controller manager, by the manager's node name; empty if no manager
+    answers.
 
     Raises:
         UnknownInterface: where controller_manager_msgs is not installed.
@@ -64,7 +65,7 @@ async def listed_controllers(robot: Robot, graph: GraphSnapshot) -> Mapping[str,
             found[service.rpartition("/")[0]] = answer["controller"]
         except UnknownInterface:
             raise
-        except (RobotError, asyncio.TimeoutError):  # one manager that does not answer takes nothing from another
+        except (RobotError, asyncio.TimeoutError):  # a manager that fails does not prevent the others from answering
             pass
 
     services = [name for name in graph.services or () if name.endswith(LIST_CONTROLLERS)]
@@ -75,7 +76,9 @@ async def listed_controllers(robot: Robot, graph: GraphSnapshot) -> Mapping[str,
 def controllers_of(
     graph: GraphSnapshot, managed: Mapping[str, Sequence[Mapping[str, Any]]], *, is_controlled: bool
 ) -> list[Controller]:
-    """Those that move something first; without a manager's answer what the graph tells."""
+    """Return the controllers, those that command joints first. Without an answer of a manager, they are found in the
+    graph.
+    """
     moved = {name for name in _movers(graph) if graph.nodes is None or name in graph.nodes}
     if not managed:
         own = {name for name in graph.nodes or () if is_controlled and _is_controller(name)}
@@ -94,14 +97,16 @@ def controllers_of(
 
 
 def idle_movers(graph: GraphSnapshot, managed: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[str]:
-    """That no controller that takes goals is active, as after a protective stop; empty where one is, or none exists."""
+    """Return a warning if controllers that take goals exist and none is active, as after a protective stop; else
+    empty.
+    """
     movers = _movers(graph)
     are_idle = bool(movers) and movers <= idle_nodes(managed)
     return ["No controller that moves joints is active."] if are_idle else []
 
 
 def idle_nodes(managed: Mapping[str, Sequence[Mapping[str, Any]]]) -> set[str]:
-    """The nodes of the controllers that are not active."""
+    """Return the nodes of the controllers that are not active."""
     return {
         f"{listed_by.rpartition('/')[0]}/{one['name']}"
         for listed_by, controllers in managed.items()
@@ -111,13 +116,13 @@ def idle_nodes(managed: Mapping[str, Sequence[Mapping[str, Any]]]) -> set[str]:
 
 
 def _is_controller(node: str) -> bool:
-    """By its name; a spawner is none, which waits for the manager: `spawner_arm_controller`."""
+    """Return whether a node's name is that of a controller; spawners (`spawner_arm_controller`) are excluded."""
     last = node.rpartition("/")[2]
     return last.endswith(("_controller", "_broadcaster")) and not _SPAWNER.match(last)
 
 
 def _movers(graph: GraphSnapshot) -> set[str]:
-    """Controllers that have an action."""
+    """Return the nodes of the controllers that provide an action of control_msgs."""
     return {
         one.topic.rpartition("/_action/")[0].rpartition("/")[0]
         for one in graph.topics.values()

@@ -1,4 +1,4 @@
-"""What the robot's description says of a frame that no transform names."""
+"""Explain from the robot's description (URDF) why a frame has no transform."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from ros2_mcp.world.urdf import Urdf, parse
 
 _TOPIC, _TYPE = "/robot_description", "std_msgs/msg/String"
 _LISTEN_S = 1.0
-"""It is latched, and comes with the matching."""
+"""Time to wait for the description: it is latched, and arrives as soon as the subscription matches."""
 
 
 async def described_frame(source: Source, frame: str) -> str:
-    """In a sentence; empty where there is no description, or it has no such link."""
+    """Explain in a sentence why `frame` has no transform; empty if no description is found, or it has no such link."""
     await load("ros2_mcp.values.cdr")  # with numpy: not before it is needed
     try:
         await source.type_of(_TOPIC)
@@ -30,7 +30,7 @@ async def described_frame(source: Source, frame: str) -> str:
 
 
 def link_in_words(urdf: Urdf, frame: str) -> str:
-    """What a description says of a link, and so why no transform names it."""
+    """Describe the link `frame` of a description: its parent and joint, and which transforms are not published."""
     if frame in urdf.joints and frame not in urdf.links:
         return f"{named(frame)} is a joint of the description; its link is {named(urdf.joints[frame].child)}."
     if frame not in urdf.links:

@@ -1,4 +1,4 @@
-"""The robot's description as it gives it: on a latched topic, or as a parameter of its state publisher."""
+"""The robot's description (URDF): from a latched topic, or from a parameter of robot_state_publisher."""
 
 from __future__ import annotations
 
@@ -14,22 +14,23 @@ from ros2_mcp.world.urdf import Urdf, parse
 
 _PUBLISHER = "robot_state_publisher"
 _ANSWER_S = 2.0
-"""A node that spins answers within milliseconds."""
+"""Time-out of a call: a node that spins answers within milliseconds."""
 
 
 async def described(robot: Robot, topic: str = "") -> Urdf:
-    """The URDF of the robot: that of the given topic, else of the only topic of that name, else of the parameter.
+    """Return the parsed URDF of the robot: from the given topic, else from the only topic of that name, else from the
+    parameter of a state publisher.
 
     Raises:
-        NotFound: if none is there.
-        BadInput: if there are several and none is given.
-        BadData: if what is there is no URDF.
+        NotFound: if no description is found.
+        BadInput: if there are several topics and none is given.
+        BadData: if the text is no valid URDF.
     """
     return parse(await description_text(robot, topic))
 
 
 async def description_text(robot: Robot, topic: str = "") -> str:
-    """The text of it; raises as `described`."""
+    """Return the text of the robot's description; raises NotFound and BadInput as `described` does."""
     if not topic:
         found = await robot.kept.of(RobotJoints).description_topics()
         if len(found) > 1 and found[0] != f"/{DESCRIPTION}":
@@ -48,14 +49,14 @@ async def description_text(robot: Robot, topic: str = "") -> str:
 
 
 async def _parameter(robot: Robot) -> str:
-    """What the first state publisher has as its parameter; empty where there is none."""
+    """Return the description held as a parameter by the first state publisher that has one; empty if none has."""
     nodes = [row.name for row in await robot.graph.nodes() if row.name.rpartition("/")[2] == _PUBLISHER]
     found = await asyncio.gather(*(parameter_of(robot, node, DESCRIPTION) for node in nodes[:4]))
     return next((text for text in found if isinstance(text, str) and text), "")
 
 
 async def parameter_of(robot: Robot, node: str, name: str) -> object:
-    """One parameter of a node; None where it has none, or does not answer."""
+    """Return the value of a node's parameter; None if the node has no such parameter or does not answer."""
     kind = "rcl_interfaces/srv/GetParameters"
     try:
         answer = await ask_node(robot, node, kind, {"names": [name]}, timeout_s=_ANSWER_S, wait_s=_ANSWER_S / 2)

@@ -1,4 +1,4 @@
-"""The edges of the frame tree as results show them: who tells each, how often, and when last."""
+"""The edges of the frame tree as shown in results: publisher, rate, age and problems of each."""
 
 from __future__ import annotations
 
@@ -14,35 +14,38 @@ from ros2_mcp.world.no_transform import UNIX_FROM_NS, is_since_boot, seconds_in_
 from ros2_mcp.world.transforms import OTHER_CLOCK_NS, FrameTree
 
 _PERIODS = 5.0
-"""An edge that was last told so many of its usual periods ago has stopped."""
+"""An edge is stale if it was last published longer ago than this many of its usual periods …"""
 _LEAST_STALE_NS = 1_000_000_000
-"""The slowest usual publishers tell an edge once a second, and a busy machine makes pauses."""
+"""… and longer ago than this: the slowest usual publishers send once a second, and a busy machine makes pauses."""
 _IN_TURN = 3
-"""Jumps of the stamps: a clock that is set jumps once, a bag in a loop not while another publisher tells the edge."""
+"""More stamp jumps than this, with several publishers, mean two clocks: a clock that is set jumps once, and a looped
+bag has no second publisher."""
 _FROZEN = 10
-"""Messages in a row with a stamp that was there already; nobody resends as often on purpose."""
+"""More messages in a row than this with a repeated stamp are a fault; no publisher resends that often on purpose."""
 _SAME_M, _SAME_DEG = 1e-3, 0.1
-"""What two publishers tell is the same up to there: the rounding of float32, and of a description."""
+"""Transforms of two publishers that differ by less are equal: it is the rounding of float32 and of URDF values."""
 _RARELY_HZ = 1 / 1.5
-"""The slowest usual publishers of what moves send once a second."""
+"""A moving edge below this rate is reported as too slow: the slowest usual publishers send once a second."""
 _AHEAD_NS = 2_500_000_000
-"""Localisations stamp up to 1 s ahead, on purpose (`transform_tolerance`)."""
+"""Stamps further ahead than this are reported: localisation nodes stamp up to 1 s ahead on purpose
+(`transform_tolerance`)."""
 _NOW_S = -5e-4
-"""No clock of another machine is set better; what is stamped later is stamped ahead."""
+"""An age below this is reported as stamped ahead: smaller differences are within the accuracy of synchronised
+clocks."""
 _LATE_PAUSES = 2
-"""An edge that comes in bursts has stopped when none came for so many of its usual pauses."""
+"""An edge published in bursts is stale after this many of its usual pauses without a message."""
 _STALE, _PROBABLY = "is stale", "probably "
 _MOST_EDGES = 4
-"""Stale edges that are named in a sentence; the tree marks all of them."""
+"""The most stale edges named in one sentence; the tree marks all of them."""
 _TWO_PARENTS, _ON_BOTH = "has two parents at the same time", f"is published on {TF}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EdgeRow:
-    """One edge: where `child` is in `parent`. `age_s` is how long before the time of the answer it was last told (null
-    for a static one, which holds for all times; below 0: it is stamped ahead), `rate_hz` how often, by its stamps.
-    `publisher` is the node that tells it: `probably …` where several publish and it is concluded, `one of …` where that
-    is not known; empty in a recording, which does not keep it.
+    """One edge: the transform from `child` to `parent`. `age_s` is its age at the time of the answer (null for a static
+    edge, which holds at all times; below 0 if it is stamped ahead). `rate_hz` is its rate by its stamps. `publisher` is
+    the node that publishes it: `probably …` if that is concluded among several publishers, `one of …` if it is not
+    known; empty in a recording, which does not hold the publishers.
     """
 
     parent: str
@@ -53,12 +56,12 @@ class EdgeRow:
     age_s: float | None = None
     problem: str = ""
     stale_s: float | None = field(default=None, metadata=HIDDEN)
-    """How long ago it was last told, where that alone is wrong: what one publisher has left stale is said once."""
+    """Age in s if staleness is the only problem: stale edges of one publisher are reported together."""
     of: str = field(default="", metadata=HIDDEN)
-    """The one node that tells it, where that is known."""
+    """The one node that publishes the edge, if it is known."""
 
     def words(self) -> str:
-        """It in brackets, behind a name."""
+        """Return rate, age and publisher, to be put in brackets after a name."""
         told = [] if self.is_static else [f"{self.rate_hz:.3g} Hz" if self.rate_hz else "published once"]
         told = ["static"] if self.is_static else told
         if self.age_s is not None:
@@ -69,7 +72,7 @@ class EdgeRow:
 
 
 def age_in_words(age_s: float) -> str:
-    """How old something is by its stamp, which may be ahead of the clock."""
+    """Return an age in words; a negative one means a stamp ahead of the clock."""
     said = seconds_in_words(round(age_s * 1e9))
     return f"stamped {said} ahead" if age_s < _NOW_S else f"{said if age_s > 0 else '0 ms'} old"
 
@@ -83,15 +86,17 @@ def edge_row(
     time_stands: bool = False,
     is_within: bool = False,
 ) -> EdgeRow:
-    """An edge as it is at a time by the receiver's clock; `time_stands`: all stamps stand still, which is said once and
-    not of each; `is_within`: the time is one in a recording, after which more of it was told.
+    """Return the row of an edge at `at_ns`, a time of the receiver's clock.
+
+    `time_stands`: no stamp in the tree advances; that is reported once, not for each edge. `is_within`: `at_ns` is a
+    time inside a recording, which continues after it.
     """
     newest = edge.newest
     age_ns = at_ns - edge.stamps[-1] - tree.clock_ns if edge.moving else None
     if edge.moving and is_within:
         age_ns = edge.age_ns(at_ns - tree.clock_ns)
     is_other_clock = bool(edge.moving) and abs(edge.lag_ns - tree.clock_ns) > OTHER_CLOCK_NS
-    if is_other_clock or (edge.unstamped and not edge.moving):  # its stamps say nothing about its age
+    if is_other_clock or (edge.unstamped and not edge.moving):  # the stamps say nothing about the age
         age_ns = max(at_ns - edge.last_received_ns, 0)
     is_with_others = edge.moving and tree.advanced_ns - edge.moving[-1].received_ns <= _LEAST_STALE_NS
     publisher = tellers.of(edge) if tellers else ""
@@ -119,7 +124,7 @@ def _is_one(publisher: str) -> bool:
 
 
 def stale_in_words(rows: Sequence[EdgeRow]) -> str:
-    """That one publisher's edges are stale, all of them in one sentence."""
+    """Return one sentence for all stale edges of one publisher."""
     youngest, publisher = min(row.stale_s or 0.0 for row in rows), rows[0].publisher
     edges = [f"{named(row.parent)} → {named(row.child)}" for row in rows]
     more = f" and {len(edges) - _MOST_EDGES} more" if len(edges) > _MOST_EDGES else ""
@@ -131,14 +136,18 @@ def stale_in_words(rows: Sequence[EdgeRow]) -> str:
 
 
 def in_words(row: EdgeRow) -> str:
-    """What is wrong with an edge, as a sentence; it is a frame that has parents, not an edge."""
+    """Return the problem of an edge as a sentence. Its subject is the frame, not the edge, if the frame has two parents
+    or the edge has none.
+    """
     is_of_frame = row.problem.startswith((_TWO_PARENTS, _ON_BOTH)) or not row.parent
     edge = named(row.child) if is_of_frame else f"{named(row.parent)} → {named(row.child)}"
     return f"{edge} {row.problem}."
 
 
 def _who_tells(tree: FrameTree, edge: Edge, tellers: Tellers | None) -> list[str]:
-    """Whether several tell it, and how far what they tell is apart."""
+    """Return the problems with the edge's publishers: two parents, several publishers, and how far their transforms
+    differ.
+    """
     parts: list[str] = []
     if edge.two_parents:
         parents = [f"{named(one)}{tellers.by_whom(edge, one) if tellers else ''}" for one in edge.parents]
@@ -165,7 +174,9 @@ def _who_tells(tree: FrameTree, edge: Edge, tellers: Tellers | None) -> list[str
 
 
 def _how_told(edge: Edge, at_ns: int, publisher: str) -> list[str]:
-    """What is wrong with its messages, whenever they came."""
+    """Return the problems with the edge's messages: refused values, missing stamps, a leading slash, jumps of the
+    stamps.
+    """
     parts: list[str] = []
     by = f", by {publisher}" if publisher else ""
     if edge.refused and _is_refused_since(edge):
@@ -197,7 +208,9 @@ def _how_told(edge: Edge, at_ns: int, publisher: str) -> list[str]:
 
 
 def _first_of(received_ns: Sequence[int], what: str, at_ns: int) -> str:
-    """Behind the last of several: how many there are, and when the first was; empty where there is one."""
+    """Return the number of events and the age of the first, to be put after the age of the last; empty if there is only
+    one.
+    """
     if len(received_ns) < 2:
         return ""
     first = seconds_in_words(max(at_ns - received_ns[0], 0))
@@ -205,12 +218,14 @@ def _first_of(received_ns: Sequence[int], what: str, at_ns: int) -> str:
 
 
 def _is_refused_since(edge: Edge) -> bool:
-    """Whether all that came since the last good one is refused."""
+    """Return whether every message since the last valid one was refused."""
     return edge.refused_ns >= edge.last_received_ns
 
 
 def _leaps(edge: Edge, at_ns: int) -> list[str]:
-    """Whether it went suddenly to another place; a localisation may once, when it finds where it is."""
+    """Return the sudden jumps of the transform. A single jump of odom is no problem: it is a localisation that found
+    its pose.
+    """
     leaps, corrects = edge.leaps, edge.child.rpartition("/")[2] == "odom"
     if not leaps or (corrects and len(leaps) == 1):
         return []
@@ -227,13 +242,15 @@ def _leaps(edge: Edge, at_ns: int) -> list[str]:
 
 
 def _when_told(tree: FrameTree, edge: Edge, at_ns: int, publisher: str, *, is_other_clock: bool) -> list[str]:
-    """Whether it is late, silent or early, by its stamps and by when it came."""
+    """Return the problems with the edge's timing (stale, delayed, slow, in bursts, ahead), from stamps and times of
+    receipt.
+    """
     if not edge.moving:
         return []
     silent_ns = at_ns - edge.last_received_ns
-    # What is stamped ahead, as AMCL does, is as old as its receipt.
+    # The age of an edge that is stamped ahead, as by AMCL, is counted from its receipt.
     age_ns, ahead_ns = max(at_ns - edge.stamps[-1] - tree.clock_ns, silent_ns), tree.clock_ns - edge.lag_ns
-    # On a slow simulation it comes more seldom than it is stamped, in bursts more often.
+    # The rate of receipt is below that of the stamps on a slow simulation, and above it in bursts.
     slowest_hz = min(filter(None, (edge.rate_hz, edge.received_hz)), default=0.0)
     limit_ns = max(_LEAST_STALE_NS, _PERIODS * (1e9 / slowest_hz if slowest_hz else 0))
     by = f", by {publisher}" if publisher else ""
@@ -275,7 +292,7 @@ def _when_told(tree: FrameTree, edge: Edge, at_ns: int, publisher: str, *, is_ot
 
 
 def _other_clock(tree: FrameTree, edge: Edge, publisher: str) -> str:
-    """By which other clock than most it is stamped, and whose mistake that is."""
+    """Describe which clock the edge's stamps come from, unlike those of the other edges, and the likely cause."""
     away = f"{seconds_in_words(edge.lag_ns)} {'behind' if edge.lag_ns > 0 else 'ahead of'} the robot's clock"
     if tree.clock_ns and abs(edge.lag_ns) < OTHER_CLOCK_NS:
         others = "simulated time" if tree.has_clock else "another time (simulated, or a bag that is played)"

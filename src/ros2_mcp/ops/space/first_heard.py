@@ -1,7 +1,8 @@
-"""What a bridge that has just begun has not heard yet: how long `ros2_robot` waits for it, and what it says then.
+"""Waiting for the first messages of a bridge that has just started: how long `ros2_robot` waits, and what it then
+reports.
 
-Most of what a robot is stands in the graph. Where it is, and what is wrong with it, comes in messages, of which
-diagnostics are published once a second.
+Most of what describes a robot is found in the graph. Its pose and its faults arrive as messages; diagnostics are
+published once a second.
 """
 
 from __future__ import annotations
@@ -14,26 +15,30 @@ from ros2_mcp.robot.transforms import TF, TransformListener
 from ros2_mcp.world.transforms import FrameTree
 
 YOUNG_S = 10.0
-"""Of the bridge. Publishers and its first subscriptions find each other within 3 s, also on a slow network. What is
-silent after that stays silent, and is not worth a wait in every call."""
+"""Age of a bridge, in s, up to which a call waits for first messages. Publishers and the first subscriptions match
+within 3 s, also on a slow network; a topic without messages after that is not worth a wait in every call."""
 FIRST_S = 4.0
-"""So long a young bridge waits for the first message of what is published: four of what comes once a second."""
+"""Time that a young bridge waits for the first message: four periods of a topic published once a second."""
 _USUALLY = {"diagnostics": "; usually one message a second: ask again in 2 s"}
 
 
 async def frames_heard(listener: TransformListener, published: Sequence[str], deadline: float) -> None:
-    """Returns when what is published of transforms was heard once, or at the deadline (monotonic, in s)."""
+    """Wait until a first transform of the `published` topics was received, or until the deadline (monotonic clock, in
+    s).
+    """
     while not _is_heard(listener.tree, published) and (left_s := deadline - monotonic()) > 0:
         await listener.news(left_s)
 
 
 def _is_heard(tree: FrameTree, published: Sequence[str]) -> bool:
-    """Where somebody publishes on /tf, what is latched on /tf_static is not all that there is."""
+    """Return whether transforms were received; if /tf has a publisher, the latched ones of /tf_static are not
+    enough.
+    """
     if any(topic.endswith(TF) for topic in published):
         return any(edge.moving or edge.unstamped for edge in tree.edges.values())
     return bool(tree.edges) or not published
 
 
 def not_heard_in_words(part: str, topics: Sequence[str], waited_s: float) -> str:
-    """That a part was not heard: on which topics, for how long, and when to ask again."""
+    """Describe a part without messages: its topics, the time waited, and when to ask again."""
     return f"{', '.join(map(named, topics))} (no message in {waited_s:.1f} s{_USUALLY.get(part, '')})"

@@ -1,7 +1,7 @@
-"""The frames of a source, and where one frame is in another: what everything that knows of space builds on.
+"""The frame tree of a source, and the pose of one frame in another: the base of all spatial operations.
 
-`pose_in(source, "map", "base_link")` is where the robot is; it raises `NoTransform` with the reason in words.
-`frames_of(source)` is the whole tree, for those who ask it several questions.
+`pose_in(source, "map", "base_link")` is the robot's pose; it raises `NoTransform`, with the reason in words.
+`frames_of(source)` is the whole tree, for callers with several questions.
 """
 
 from __future__ import annotations
@@ -19,32 +19,34 @@ from ros2_mcp.world.transforms import FrameTree, Located
 
 MAP = "map"
 WORLDS = (MAP, "odom", "world", "earth")
-"""Frames in which a robot's place is meant, the better first (REP 105)."""
+"""Frames in which a robot's pose is given, in order of preference (REP 105)."""
 APPEARING_S = 4.0
-"""A publisher may be discovered up to 3 s late, and sends once a second at least; after that a frame is not there."""
+"""Time after which a missing frame is taken as absent: discovery takes up to 3 s, and publishers send at least once a
+second."""
 _SETTLED_S = 0.5
-"""From the first question on: by then a second publisher of what moves has told its share, and there are rates."""
+"""Time to listen from the first question on: by then every publisher of a moving edge has sent, and rates can be
+measured."""
 _ELSEWHERE_S = 1.0
-"""Without any frame, before it is looked whether there are some in a namespace: discovery has begun by then."""
+"""Time without any frame before namespaces are searched for transforms: discovery has found topics by then."""
 _BURST_S = 0.05
-"""For the rest of a burst of messages, which come as fast as the network carries them."""
+"""Time for the rest of a burst of messages to arrive."""
 _NEWS_S = 0.5
-"""For what is about to come to a tree that has listened for longer: a time just passed, or an edge that is slow."""
+"""Least wait on a tree that has listened for longer: for a time just past, or for a slow edge."""
 _BEFORE_NS, _AFTER_NS = 10_000_000_000, 1_000_000_000
-"""The part of a recording that is read for one time: what tf2 would keep, and what may be stamped ahead."""
+"""The part of a recording read for one time: as much as tf2 keeps before it, and what may be stamped ahead after it."""
 
 
 async def pose_in(source: Source, target: str, frame: str, at_ns: int | None = None) -> Located:
-    """Where a frame is in the target: `Located.pose`, with its stamp and the chain of edges.
+    """Return the pose of `frame` in `target`: `Located.pose`, with its stamp and the chain of edges.
 
     Args:
         source: the robot, or a recording.
-        target: the frame in which the answer is meant, such as `map`.
-        frame: the frame that is asked for, such as `base_link`.
-        at_ns: by the stamps; None: as late as all edges between them allow (of a recording, at its end).
+        target: the frame in which the pose is expressed, such as `map`.
+        frame: the frame whose pose is wanted, such as `base_link`.
+        at_ns: a time by the stamps; None: the latest that all edges of the chain allow (in a recording, at its end).
 
     Raises:
-        NoTransform: with the reason, in words, once it is clear that waiting does not help.
+        NoTransform: with the reason in words, once waiting longer cannot help.
         UnknownInterface: if the robot has no tf2_msgs.
         LinkError: if there is no bridge.
     """
@@ -57,9 +59,10 @@ async def pose_in(source: Source, target: str, frame: str, at_ns: int | None = N
 
 
 def separate_roots(tree: FrameTree) -> Sequence[str]:
-    """The roots of the trees between which a transform is missing, that of the largest first.
+    """Return the roots of the trees that lack a transform between them, that of the largest tree first.
 
-    MAVROS always tells odom with its copies for other axes (odom_ned) in a tree of their own, which lacks nothing.
+    MAVROS always publishes odom with its copies in other axes (odom_ned, odom_frd) as a tree of its own; it is
+    excluded. So are trees connected only by a frame with two parents.
     """
     largest, *others = tree.roots or [""]
     of_copies = {
@@ -73,8 +76,8 @@ def separate_roots(tree: FrameTree) -> Sequence[str]:
 
 
 def disputed_roots(tree: FrameTree) -> set[str]:
-    """The roots of trees to which a frame with two parents would belong as well: what lies between them is told by
-    somebody, and is in dispute. Of those of one frame all but the largest's.
+    """Return the roots of trees that are connected only through a frame with two parents. For each such frame, the root
+    of its largest tree is excluded: the others would belong to it if the conflict were resolved.
     """
     order = tree.roots
     found = set[str]()
@@ -93,14 +96,14 @@ async def frames_of(
     patience_s: float = APPEARING_S,
     report: Report = silent,
 ) -> FrameTree:
-    """The frames of a robot now, or of a recording around a time; live it is not complete before `until` holds.
+    """Return the frame tree of a robot now, or of a recording around a time; live, wait until `until` holds.
 
     Args:
         source: the robot, or a recording.
         at_ns: of a recording, the time by the stamps around which it is read; None: its end.
-        until: whether the tree has what is needed; if not, a little is waited for it, and of a recording all is read.
-        patience_s: live, how long after the first question what is not there may still appear.
-        report: is told how far the reading of a long recording has come.
+        until: returns whether the tree holds what is needed; if not, wait a little, or read the whole recording.
+        patience_s: live, how long after the first question a missing frame may still appear.
+        report: is called with the progress of reading a long recording.
 
     Raises:
         UnknownInterface: if the robot has no tf2_msgs.
@@ -121,7 +124,7 @@ async def _live(listener: TransformListener, until: Callable[[FrameTree], bool],
         is_there = until(tree)
         end = settled if is_there else deadline
         if monotonic() >= end:
-            if is_there and was_waited_for:  # it may be the first message of a burst, of which the last is the newest
+            if is_there and was_waited_for:  # this may be the first message of a burst; the last one is the newest
                 await asyncio.sleep(_BURST_S)
             break
         was_waited_for = not is_there
@@ -132,7 +135,9 @@ async def _live(listener: TransformListener, until: Callable[[FrameTree], bool],
 
 
 async def _recorded(source: Source, at_ns: int | None, until: Callable[[FrameTree], bool], report: Report) -> FrameTree:
-    """First the seconds around the time, which is where its transforms are; all of it only where those lack any."""
+    """Read the seconds around the time first, where its transforms usually are; the whole recording only if `until`
+    fails.
+    """
     start_ns, end_ns = source.covers_ns or (0, 0)
     around_ns = end_ns if at_ns is None else at_ns
     if start_ns <= around_ns <= end_ns and end_ns - start_ns > _BEFORE_NS + _AFTER_NS:
@@ -144,7 +149,7 @@ async def _recorded(source: Source, at_ns: int | None, until: Callable[[FrameTre
 
 
 class _Transforms:
-    """Takes the messages of one topic into a tree."""
+    """Adds the messages of one topic to a tree."""
 
     def __init__(self, tree: FrameTree, stream: Stream) -> None:
         self._tree, self._stream = tree, stream
@@ -163,8 +168,8 @@ async def _read(source: Source, around_ns: int | None, report: Report) -> FrameT
     def keep(stream: Stream) -> _Transforms:
         return _Transforms(tree, stream)
 
-    # What is static holds from when it was told on, however long before the part that is asked for that was, and
-    # whatever the recording says of its durability: not every recorder keeps that.
+    # A static transform holds from its publication on, which may be long before the part that is asked for, and
+    # whatever durability the recording states: not every recorder keeps that.
     await source.from_beginning().captures([tree.namespace + TF_STATIC], keep)
     found = await source.captures([tree.namespace + TF], keep, report)
     tree.holes = [hole for one in found if isinstance(one, Capture) for hole in one.holes]
@@ -172,7 +177,9 @@ async def _read(source: Source, around_ns: int | None, report: Report) -> FrameT
 
 
 async def _namespace(source: Source) -> str:
-    """The only namespace of which a recording has transforms, where it has none of /tf and /tf_static themselves."""
+    """Return the one namespace in which a recording has transforms; empty if it has /tf or /tf_static, or several
+    namespaces.
+    """
     recorded = await source.publishing(TF_TYPE)
     if not LISTENS.keys().isdisjoint(recorded):
         return ""

@@ -1,4 +1,4 @@
-"""How often topics with a header come, and in which frame: from the first bytes of their messages alone."""
+"""Rate and frame of topics whose messages begin with a header, from the first bytes of each message."""
 
 from __future__ import annotations
 
@@ -17,19 +17,20 @@ from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.robot import Robot
 
 _HEAD_BYTES = 256
-"""Up to the end of a frame's name: a camera's picture stays on the robot."""
+"""Enough for the header with its `frame_id`; the rest, such as an image, is not transmitted."""
 _ENOUGH, _ENOUGH_NS = 5, 600_000_000
-"""So many messages over so long tell a rate."""
+"""So many messages over at least this time (ns) are enough to measure a rate."""
 _RARE_S = 0.5
-"""So long after the only message, or twice as long in all, without another: it comes less than twice a second."""
+"""A topic is rare (below 2 Hz) if no second message follows for this long, or none but one came within twice this
+time."""
 _RECENT_NS = 5_000_000_000
-"""Of a recording, its end: enough for what comes once a second."""
+"""The part at the end of a recording that is read, in ns: enough for a topic published once a second."""
 
 
 @dataclass(frozen=True, slots=True)
 class Head:
-    """Of one topic: how many messages came, how often (None: too few), the frame of their headers, and whether the only
-    one that came must come less than twice a second.
+    """The head of one topic: the number of messages received, the rate (None: too few messages), the `frame_id` of the
+    newest one, and whether the only message received implies a rate below 2 Hz.
     """
 
     count: int
@@ -39,9 +40,10 @@ class Head:
 
 
 async def heads_of(robot: Robot, source: Source, topics: Sequence[str], listen_s: float) -> Mapping[str, Head]:
-    """Listens to all of them at the same time until each one's rate is known; of a recording the end is read.
+    """Listen to all topics at once until the rate of each is known, for at most `listen_s`; of a recording read the
+    end.
 
-    Those that could not be listened to within that time are left out.
+    Return the heads by topic; topics without a subscription within that time are absent.
     """
     look = _live_head if source.is_live else _recorded_head
     found = await asyncio.gather(*(look(robot, source, topic, listen_s) for topic in topics))
@@ -82,18 +84,22 @@ def _head(samples: Sequence[Sample], *, is_rare: bool) -> Head:
 
 
 def rate_of(samples: Sequence[Sample]) -> float | None:
-    """In Hz, by when they were sent; None of too few."""
+    """Return the rate in Hz from the times of sending; None if there are fewer than two messages."""
     span_ns = _sent_ns(samples[-1]) - _sent_ns(samples[0])
     return (len(samples) - 1) / span_ns * 1e9 if len(samples) > 1 and span_ns > 0 else None
 
 
 def _sent_ns(sample: Sample) -> int:
-    """A kept message is received at once, however long ago it was sent."""
+    """Return the source timestamp, else the time of receipt: latched messages are received together, whenever they were
+    sent.
+    """
     return sample.source_ns or sample.received_ns
 
 
 def _frame_of(data: bytes) -> str:
-    """The frame of a message that begins with a std_msgs/msg/Header, from its CDR bytes; empty if it does not fit."""
+    """Return the `frame_id` of a message that begins with a std_msgs/msg/Header, from its CDR bytes; empty if it is cut
+    off.
+    """
     if len(data) < STAMP_END + 4:
         return ""
     (length,) = struct.unpack_from("<I" if data[1] & 1 else ">I", data, STAMP_END)

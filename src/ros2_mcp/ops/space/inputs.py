@@ -1,4 +1,5 @@
-"""What moves a robot: the topics that listen for commands, who listens and who else may send there."""
+"""The command inputs of a robot: topics that take commands, with their subscribers and other publishers, and
+actions."""
 
 from __future__ import annotations
 
@@ -16,17 +17,18 @@ from ros2_mcp.ops.space.lines import Named, some_nodes, to_nodes
 from ros2_mcp.robot.resolution import is_infrastructure
 
 _COMMANDS = ("Twist", "TwistStamped", "AckermannDrive", "AckermannDriveStamped", "JointTrajectory", "Joy")
-"""Types that are for nothing else."""
+"""Message types used only for commands."""
 LOW_LEVEL = re.compile(r"(^|[/_])(cmd|commands?|setpoint)($|[/_])")
-"""In the name of a topic for orders of any type."""
+"""Matches the names of topics that take low-level commands, of any type."""
 REPORT = re.compile(r"/(sensors?|feedback|states?|status|reports?|measured|telemetry)/")
-"""In the name of what a driver tells, whatever else is in it: who publishes there moves nothing."""
+"""Matches the names of topics on which a driver reports; a topic so named takes no commands, whatever else its name
+says."""
 _RATES = re.compile(r"[/_](attitude|body_?rates?)([/_]|$)")
-"""In the topic of a velocity that is one of turning alone, as an autopilot has it."""
+"""Matches topics whose velocity commands are body rates only, as autopilots have them."""
 _PART = re.compile(
     r"[/_](thrust(er)?s?|throttle|rudder|steering|brake|pos(ition)?|vel(ocity)?|effort|torque|speed)($|[/_])"
 )
-"""In the name of a number that moves a part, where nobody tells that number: then it waits for one."""
+"""Matches topics whose number moves a part, such as a thruster. Without a publisher they wait for a command."""
 _SO_NAMED: Mapping[str, tuple[str, re.Pattern[str]]] = {
     "PoseStamped": ("goal", re.compile(r"[/_](goal(_pose)?$|setpoint)")),  # of Nav2, RViz; MAVROS
     "Pose": ("pose", re.compile(r"[/_](body|target|goal|desired|cmd|command|setpoint)")),  # of bodies on legs, of hands
@@ -37,21 +39,22 @@ _SO_NAMED: Mapping[str, tuple[str, re.Pattern[str]]] = {
     "String": ("script", re.compile(r"/script_command$")),  # of Universal Robots
     "JointState": ("joints", re.compile(r"[/_](commands?|cmd|targets?|goals?|desired|setpoints?)$")),  # of simulators
 }
-"""Types that are for anything, what they are for where drivers listen to them, and the names of such topics; in the
-order in which they are told."""
+"""Types of general use, the use that drivers make of them, and the names of such topics; in the order in which they are
+listed."""
 _USES = ("", "goal", "action", "trajectory", "pose", "body rates", "joints", "low level", "script", "joystick")
 _NUMBERS = ("Float64", "Float32")
 _FEEDBACK = "_FeedbackMessage"
 _GOALS = re.compile(r".*/action/(Navigate\w+|FollowJointTrajectory|\w*GripperCommand|MoveGroup)")
-"""Actions that whoever would move the robot begins with; others are told by their names alone."""
+"""Actions by which a robot is usually moved; others are listed by name only."""
 _NO_INPUTS = (
     "action_msgs", "bond", "diagnostic_msgs", "lifecycle_msgs", "map_msgs", "nav_msgs", "rcl_interfaces",
     "rosgraph_msgs", "sensor_msgs", "service_msgs", "tf2_msgs", "visualization_msgs",
 )  # fmt: skip
-"""Packages of what somebody hears of the robot and its world: who waits for it lacks a sensor, and no order."""
+"""Packages of sensor and status messages: a subscriber without a publisher lacks data there, and is no command
+input."""
 _PLAIN = ("geometry_msgs", "std_msgs")
 _OF_A_HAND = re.compile(r"(servo|delta_twist)", re.IGNORECASE)
-"""In the topic of a velocity that moves the tip of an arm, and no base (MoveIt Servo)."""
+"""Matches velocity topics that move the tip of an arm instead of a base (MoveIt Servo)."""
 _STACKS = ("moveit_msgs", "nav2_msgs")
 _TRAJECTORIES = "joint_trajectory"
 _OF_PROGRAMS = (
@@ -59,16 +62,16 @@ _OF_PROGRAMS = (
     "map_msgs", "moveit_msgs", "nav2_msgs", "nav_msgs", "rcl_interfaces", "robot_localization", "rosbag2_interfaces",
     "slam_toolbox", "tf2_msgs", "topic_tools_interfaces", "type_description_interfaces",
 )  # fmt: skip
-"""Packages of services that ask or set up programs; whoever would move the robot uses their actions and topics."""
+"""Packages of services that query or configure software; robots are moved by their actions and topics instead."""
 _ASKS = re.compile(r"^(get|list|query|is|has|read|check|dump|save|load)(_|$)|_(get|list|query)(_|$)|_status$")
-"""In the last part of a service's name: it changes nothing of the robot."""
+"""Matches the last part of the names of services that change nothing on the robot."""
 
 
 @dataclass(frozen=True, slots=True)
 class CommandInput:
-    """A topic with one of its types and who subscribes, or an action and its servers. `use` says what it takes if not
-    a movement; `is_active` is false where all who listen are controllers that are not active; `or_topic` is the topic
-    on which the servers of an action take the same.
+    """A topic with one of its types and its subscribers, or an action and its servers. `use` says what the input takes,
+    if not velocities; `is_active` is false if all subscribers are inactive controllers; `or_topic` is the topic on
+    which the servers of an action take the same commands.
     """
 
     topic: str
@@ -81,7 +84,9 @@ class CommandInput:
 
     @property
     def line(self) -> str:
-        """`/cmd_vel Twist → /base (from /smoother)`: whoever would drive there wants to know who else may."""
+        """The input in words, such as `/cmd_vel Twist → /base (from /smoother)`: the other publishers may conflict with
+        a command.
+        """
         use = self.use if self.use != "trajectory" else ""  # its type says that
         use += f", or topic {named(self.or_topic)}" if self.or_topic else ""
         kind = f"{named(self.type.rpartition('/')[2])}{f' ({use})' if use else ''}"
@@ -91,11 +96,11 @@ class CommandInput:
 
 
 def command_inputs(graph: GraphSnapshot, managed: Mapping[str, Sequence[Mapping[str, Any]]]) -> Sequence[CommandInput]:
-    """The inputs of a graph: those that take commands now first, of these movements before goals before lower ones,
-    then the nearest to the root of names.
+    """Return the command inputs of a graph: active ones first; among these velocities before goals before low-level
+    commands; then those with the shortest namespace.
 
-    The topic of a controller that takes trajectories as an action, too, is told with that.
-    `managed`: what controller managers say of their controllers, by their node.
+    The topic of a trajectory controller that also has an action is listed with the action. `managed`: the controllers
+    listed by each controller manager, by the manager's node.
     """
     idle = idle_nodes(managed)
     found = [one for topic in graph.topics.values() for one in _inputs_of(topic, idle) if not _has_action(graph, one)]
@@ -109,7 +114,7 @@ def command_inputs(graph: GraphSnapshot, managed: Mapping[str, Sequence[Mapping[
 
 
 def other_actions(graph: GraphSnapshot, inputs: Sequence[CommandInput]) -> list[Named]:
-    """The actions that are no command inputs; those that every Nav2 and every MoveIt has last."""
+    """Return the actions that are no command inputs; those of Nav2 and MoveIt last."""
     told = {one.topic for one in inputs}
     found = [one for one in _actions(graph) if one[0] not in told and not _GOALS.fullmatch(one[1])]
     found.sort(key=lambda one: one[1].partition("/")[0] in _STACKS)
@@ -117,8 +122,8 @@ def other_actions(graph: GraphSnapshot, inputs: Sequence[CommandInput]) -> list[
 
 
 def waited_for(graph: GraphSnapshot, inputs: Sequence[CommandInput]) -> list[Named]:
-    """Topics of which somebody waits for messages that nobody sends, whatever their types are for; of sensors only
-    those for which what is published under nearly the same name was most likely meant.
+    """Return topics that have subscribers but no publisher, whatever their types. A topic of a sensor type is included
+    only if a topic with nearly the same name is published, which suggests a missing remapping.
     """
     told = {one.topic for one in inputs}
     remapped = led_nowhere(graph.topics)
@@ -133,7 +138,7 @@ def _waiting(topic: TopicEndpoints, published: TopicEndpoints | None) -> Named:
 
 
 def orders_by_service(graph: GraphSnapshot) -> list[Named]:
-    """Services by which a robot is told to do something, such as to stand up, to arm, to reset."""
+    """Return the services that command the robot, such as to stand up, to arm, to reset."""
     return [
         Named(name, types[0].rpartition("/")[2])
         for name, types in sorted((graph.services or {}).items(), key=lambda one: (one[0].count("/"), one[0]))
@@ -143,29 +148,31 @@ def orders_by_service(graph: GraphSnapshot) -> list[Named]:
 
 
 def _waits(topic: TopicEndpoints, told: Collection[str]) -> bool:
-    """Whether somebody listens to a topic for orders; one whose name says so may have others who send."""
+    """Return whether a topic has subscribers that wait for commands; a topic named as a low-level command may have
+    publishers.
+    """
     if topic.topic in told or not topic.subscribers or "/_" in topic.topic:
         return False
     if any(kind.rpartition("/")[2] in _COMMANDS or kind.partition("/")[0] in _NO_INPUTS for kind in topic.types):
-        return False  # the first are told already, or their action is
+        return False  # topics of the first kind, or their actions, are listed already
     if REPORT.search(topic.topic):
         return False
     return not topic.publishers or bool(LOW_LEVEL.search(topic.topic))
 
 
 def _rank(topic: TopicEndpoints) -> tuple[bool, bool, int, str]:
-    """Those first whose name or type is an order's."""
+    """Return a sort key that puts topics first whose name or type is that of a command."""
     is_plain = topic.types[0].partition("/")[0] in _PLAIN
     return not LOW_LEVEL.search(topic.topic), is_plain, topic.topic.count("/"), topic.topic
 
 
 def drive_types(inputs: Sequence[CommandInput]) -> Sequence[str]:
-    """The types of the movements that something active takes, by which the kind of base is known."""
+    """Return the types of the velocity commands that active inputs take; the kind of base is derived from them."""
     return [one.type for one in inputs if not one.use and one.is_active and not _OF_A_HAND.search(one.topic)]
 
 
 def _beside(action: str) -> str:
-    """The topic of a controller that takes trajectories, by its action."""
+    """Return the topic of a trajectory controller, given its action."""
     return f"{action.removesuffix('/follow_joint_trajectory')}/{_TRAJECTORIES}"
 
 
@@ -191,7 +198,7 @@ def _inputs_of(topic: TopicEndpoints, idle: set[str]) -> Iterator[CommandInput]:
 
 
 def _actions(graph: GraphSnapshot) -> Iterator[tuple[str, str, Sequence[str]]]:
-    """Each action with its type and its servers."""
+    """Yield each action with its type and its servers."""
     for topic in graph.topics.values():
         action, _, part = topic.topic.rpartition("/_action/")
         if part == "feedback" and (servers := sorted({one.node for one in topic.publishers})):

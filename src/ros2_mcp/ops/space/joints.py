@@ -1,4 +1,4 @@
-"""The robot's joints in words: where each is now, how far and how fast it may move."""
+"""The robot's joints in words: position, limits and greatest speed of each."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from ros2_mcp.world.robot_kind import arms_of, is_passive, rotors_of, wheels_of
 from ros2_mcp.world.urdf import Joint, Urdf
 
 _FAR = 1e6
-"""Of a limit in rad or m: more means that there is none."""
+"""A limit in rad or m beyond this means no limit."""
 _DECIMALS = 3
-"""As exact as anybody looks at a joint; also the digits of a speed."""
+"""Decimals of a position, and significant digits of a speed: finer values are of no use to a reader."""
 
 
 @dataclass(frozen=True, slots=True)
 class JointNow:
-    """A joint where it is now, and how far and how fast it may move; None, or 0, where that is not known. `unit` is rad
-    or m, and empty of one that the description does not have, as is its `kind`; `mimics` is the joint that it follows.
+    """A joint with its position, its limits and its greatest speed; None, or 0 for the speed, if unknown. `unit` is rad
+    or m; it and `kind` are empty for a joint that the description lacks. `mimics` is the joint that it follows.
     """
 
     name: str
@@ -32,7 +32,7 @@ class JointNow:
 
     @property
     def line(self) -> str:
-        """`elbow 0.1 rad, limits -1 to 1 rad, at most 2 rad/s`."""
+        """The joint in words, such as `elbow 0.1 rad, limits -1 to 1 rad, at most 2 rad/s`."""
         kind = f" {self.kind}" if self.kind not in ("", "revolute") else ""
         unit = f" {self.unit}" if self.unit else ""
         at = "position unknown" if self.at is None else f"{round(self.at, _DECIMALS) + 0.0:g}{unit}"
@@ -44,14 +44,14 @@ class JointNow:
 
 
 def joints_now(urdf: Urdf | None, positions: Mapping[str, float], reports: str = "") -> list[JointNow]:
-    """Those of the description whose positions count, then others that somebody tells; first of all those of which
-    `reports` speak.
+    """Return the joints of the description that have positions of their own, then mimic joints and joints that only the
+    joint states hold. Joints named in `reports`, such as faults, come first.
     """
     joints: Sequence[Joint] = placed(urdf, positions) if urdf else ()
     joints = sorted(joints, key=lambda joint: joint.name not in reports)
     joints += [joint for joint in urdf.joints.values() if joint.mimic and joint.name in positions] if urdf else []
     others = [name for name in positions if urdf is None or name not in urdf.joints]
-    known = {name: at for name, at in positions.items() if math.isfinite(at)}  # drivers send NaN for what they lack
+    known = {name: at for name, at in positions.items() if math.isfinite(at)}  # drivers send NaN for unknown positions
     return [
         *(_joint(joint, known.get(joint.name)) for joint in joints),
         *(JointNow(name, kind="", at=known.get(name)) for name in others),
@@ -59,9 +59,9 @@ def joints_now(urdf: Urdf | None, positions: Mapping[str, float], reports: str =
 
 
 def placed(urdf: Urdf, positions: Mapping[str, float]) -> Sequence[Joint]:
-    """The joints whose positions count, all that move but rotors and casters of which nobody tells where they are:
-    those of the arm first and wheels last, where what does not fit is left out; of each those before others that
-    somebody tells.
+    """Return the moving joints, without rotors and passive casters whose positions are not published. Those of arms
+    come first and wheels last, as the end of the list may be cut; within each group, those with a published position
+    first.
     """
     rotors = {joint.name for joint in rotors_of(urdf)}
     arm = {joint.name for joints in arms_of(urdf) for joint in joints}
@@ -85,17 +85,17 @@ def _joint(joint: Joint, at: float | None) -> JointNow:
 
 
 def _span_in_words(lower: float, upper: float) -> str:
-    """Rounded inwards: who goes there stays within."""
+    """Return the limits, rounded inwards so that a command to a shown limit is valid."""
     return f"{_inwards(lower, math.ceil)} to {_inwards(upper, math.floor)}"
 
 
 def _inwards(limit: float, rounded: Callable[[float], int]) -> str:
-    """To so many decimals; one that is beyond anything that moves as it is."""
+    """Round a limit to 3 decimals in the given direction; one that is practically infinite is not rounded."""
     return f"{rounded(limit * 10**_DECIMALS) / 10**_DECIMALS:g}" if abs(limit) < _FAR else f"{limit:.3g}"
 
 
 def _at_most(speed: float) -> str:
-    """Rounded down: who moves so fast is within the limit."""
+    """Return the speed rounded down, so that a command of the shown speed is valid."""
     if not 0 < speed < _FAR:
         return f"{speed:.3g}"
     unit = 10.0 ** (_DECIMALS - 1 - math.floor(math.log10(speed)))
