@@ -1,4 +1,4 @@
-"""One line for a thing of the robot that is told by its name: a topic, an action, a service."""
+"""Lines of text for topics, actions and services that are listed by name."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from ros2_mcp.model.text import named
 
 _MOST_NODES = 3
-"""Named in one line; of more it is told how many."""
+"""The most nodes named in one line; further ones are only counted."""
 
 
 @dataclass(frozen=True, slots=True)
 class Named:
-    """What is told by its name, with its type (no package), how often it comes or what it tells, and the nodes that
-    listen there; empty where that is not known.
+    """A topic, action or service with its name, its type (without package), its value or rate, and the nodes that
+    subscribe to or serve it; fields that are not known are empty.
     """
 
     name: str
@@ -24,17 +24,17 @@ class Named:
 
     @property
     def line(self) -> str:
-        """`/mode String «manual»`, `/spin Spin → /behavior_server`."""
+        """The line of text, such as `/mode String «manual»` or `/spin Spin → /behavior_server`."""
         kind = f" {named(self.type)}" if self.type else ""
         return f"{named(self.name)}{kind}{f' {self.value}' if self.value else ''}{to_nodes(self.listeners)}"
 
 
 def to_nodes(nodes: Sequence[str]) -> str:
-    """That these nodes take what is sent, with a blank before it; empty where there are none."""
+    """Return " → " and the nodes that receive the messages or requests; empty if there are none."""
     return f" → {some_nodes(nodes, ' and ')}" if nodes else ""
 
 
 def some_nodes(nodes: Sequence[str], between: str) -> str:
-    """The first nodes, and how many more there are."""
+    """Return the names of the first nodes and the number of the others."""
     more = f" and {len(nodes) - _MOST_NODES} more" if len(nodes) > _MOST_NODES else ""
     return f"{between.join(map(named, nodes[:_MOST_NODES]))}{more}"

@@ -1,4 +1,4 @@
-"""What a message of a sensor means, seen from the robot's base: for every answer that carries such messages."""
+"""The meaning of a sensor message as seen from the robot's base, for every result that shows such messages."""
 
 from __future__ import annotations
 
@@ -17,25 +17,27 @@ from ros2_mcp.ops.space.mount import mount_of
 
 _CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 _INFO_S = 1.0
-"""Camera infos come with each picture, at 5 Hz or more."""
+"""Time to wait for a CameraInfo: it is published with each image, at 5 Hz or more."""
 _DEPTHS = frozenset({"32FC1", "16UC1"})
-"""Encodings of depth images, by REP 118."""
+"""Encodings of depth images (REP 118)."""
 
 _COMPRESSED = "compressedDepth"
-"""What the format of compressed ones names (image_transport's compressed_depth)."""
+"""The word in the format of compressed depth images (image_transport's compressed_depth)."""
 
 Intrinsics = tuple[float, float, float, float]
 
 
 async def meaning_of_newest(source: Source, stream: Stream, fitted: Fitted) -> Meaning | None:
-    """That of the newest message that is shown; None where none is."""
+    """Return the meaning of the newest message shown; None if no message is shown."""
     if not fitted.messages:
         return None
     return await meaning_of(source, stream.topic, stream.type, fitted.messages[-1], fitted.samples[-1].received_ns)
 
 
 async def meaning_of(source: Source, topic: str, type_name: str, message: Any, at_ns: int) -> Meaning | None:
-    """What a message says that was received at `at_ns`, or why it cannot be told; None where it says nothing such."""
+    """Return the meaning of a message received at `at_ns`, or the reason why it is unknown; None for messages that are
+    neither scans, point clouds nor depth images.
+    """
     is_depth = (type_name == IMAGE and message.encoding in _DEPTHS) or (
         type_name == COMPRESSED_IMAGE
         and (_COMPRESSED in message.format or message.format.partition(";")[0].strip() in _DEPTHS)
@@ -66,24 +68,29 @@ async def meaning_of(source: Source, topic: str, type_name: str, message: Any, a
 
 
 async def _intrinsics(source: Source, topic: str, image: Any) -> Intrinsics | None:
-    """Those of the camera that took the image: the info of the same frame and size whose topic is the nearest one."""
+    """Return the intrinsics of the camera that took the image, from the CameraInfo with the same frame and size whose
+    topic name is nearest; None if there is none.
+    """
     from ros2_mcp.world.depths import intrinsics_of
 
     with suppress(RobotError):
         infos = await source.publishing(_CAMERA_INFO)
         for name in sorted(infos, key=lambda name: -_alike(name, topic)):
-            if _alike(name, topic) < 2:  # "/" and a name: a camera of its own
+            if _alike(name, topic) < 2:  # only the root "/" in common: the info of another camera
                 break
             with suppress(RobotError):
                 info = (await next_message(source.lasting(_INFO_S), name, _CAMERA_INFO, silent)).message
-                size = getattr(image, "width", info.width), getattr(image, "height", info.height)  # none if compressed
+                size = (
+                    getattr(image, "width", info.width),
+                    getattr(image, "height", info.height),
+                )  # unknown if compressed
                 if info.header.frame_id == image.header.frame_id and (info.width, info.height) == size:
                     return intrinsics_of(info)
     return None
 
 
 def _alike(one: str, other: str) -> int:
-    """How many parts of two names are the same from the beginning on."""
+    """Return the number of leading parts that two topic names have in common."""
     count = 0
     for part, like in zip(one.split("/"), other.split("/"), strict=False):
         if part != like:

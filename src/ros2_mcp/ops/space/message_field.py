@@ -1,4 +1,4 @@
-"""What a field of a message gives in its frame: places, directions, rotations and poses, to be given in another."""
+"""Points, vectors, quaternions and poses in a message field, to be transformed into another frame."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ros2_mcp.world.transforms import pose_of
 from ros2_mcp_common.finite import not_finite
 
 _LISTEN_S = 5.0
-"""Live, for a message to come: more than the slowest usual topics (1 s) take."""
+"""Time to wait for a live message: longer than the period of the slowest usual topics (1 s)."""
 _WITHIN = {
     "PointStamped": "point",
     "Vector3Stamped": "vector",
@@ -32,14 +32,17 @@ _WITHIN = {
     "PolygonStamped": "polygon",
     "Polygon": "points",
 }
-"""Messages that have what counts in a field of theirs, by the names of their types in geometry_msgs and nav_msgs."""
+"""The field that holds the geometry, by the message type's name in geometry_msgs and nav_msgs."""
 _PLACES = {"Point": 3, "Point32": 3, "Vector3": 0, "Quaternion": 4, "Pose": 7}
-"""What can be given in another frame, with how it is shown (`tf_lookup._carried`)."""
+"""Types that can be transformed, with their size in the result: 3 a point, 0 a vector, 4 a quaternion, 7 a pose (see
+`tf_lookup._carried`)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Given:
-    """What a message gives: in which frame, at which stamp (0: none), and how large each of it is shown."""
+    """The geometry of a message: its frame, its stamp (0: none), its poses, and the size code of each as in
+    `_PLACES`.
+    """
 
     frame: str
     stamp_ns: int
@@ -49,7 +52,8 @@ class Given:
 
 
 async def given_in(source: Source, text: str, most: int, report: Report) -> Given:
-    """Reads the next message of `/topic:path`; without a path all of it is meant. At most so many are taken.
+    """Read the next message of `/topic:path` and return its geometry, at most `most` values; without a path, that of
+    the whole message.
 
     Raises:
         BadInput: if the message has no frame, or what the path leads to cannot be given in another one.
@@ -94,7 +98,7 @@ async def given_in(source: Source, text: str, most: int, report: Report) -> Give
 
 
 def _flat(value: Any, kind: str, most: int) -> list[tuple[Any, str]]:
-    """The values that have a place, each with its kind; those of a list one after the other."""
+    """Return the values that can be transformed, each with its type name; lists are flattened."""
     if isinstance(value, (list, tuple)):
         found: list[tuple[Any, str]] = []
         for one in cast("Sequence[Any]", value):

@@ -1,4 +1,4 @@
-"""Where a sensor sits on the robot: the pose of its frame in the frame of the base."""
+"""The mount of a sensor: the pose of its frame in the frame of the robot's base."""
 
 from __future__ import annotations
 
@@ -14,20 +14,21 @@ from ros2_mcp.robot.transforms import TransformListener
 from ros2_mcp.world.transforms import FrameTree
 
 _PATIENCE_S = 0.6
-"""For frames that nobody has asked for yet: what is static comes within 0.2 s of matching. A reading of a sensor should
-not wait longer for where it sits; the next one has it."""
+"""Time to wait for frames not used before: static transforms arrive within 0.2 s of matching. A sensor reading should
+not be delayed longer for its mount; the next one has it."""
 _KNOWN_S = 60.0
-"""Mounts change with the robot's description alone, and pan-tilt heads do not turn the robot's scanner."""
+"""Time for which a static mount is cached, in s: it changes only if the robot's description does."""
 _UNKNOWN_S = 5.0
-"""So long a frame that was not found is not waited for again: a robot without transforms is read as fast as before."""
+"""Time for which a frame that was not found is not waited for again, so that a robot without transforms is read
+fast."""
 _PARTS_NS = ((0, 1), (2_000_000_000, 200_000_000))
-"""Of a recording, before and after the message: first nothing but what is static and was told earlier, as the seconds
-around it may be hundreds of megabytes of pictures."""
+"""The parts of a recording that are read, in ns before and after the message: first an empty part, which gives static
+transforms only, since the seconds around the message may hold hundreds of megabytes of images."""
 
 
 @dataclass(frozen=True, slots=True)
 class Mount:
-    """The frame of the robot's base, and the pose of a sensor's frame in it; None where that is not known."""
+    """The frame of the robot's base, and the pose of a sensor's frame in it; None if the pose is not known."""
 
     base: str = ""
     pose: Pose | None = None
@@ -35,27 +36,27 @@ class Mount:
 
 
 _known: WeakKeyDictionary[TransformListener, dict[str, tuple[float, Mount]]] = WeakKeyDictionary()
-"""Of each robot: when it was found (monotonic, in s), and what, by the frame of the sensor."""
+"""The cached mounts of each robot: time of look-up (monotonic, in s) and mount, by the sensor's frame."""
 
 
 async def mount_of(source: Source, frame: str, at_ns: int) -> Mount:
-    """Where a sensor's frame is in the robot's base; one that moves on the robot as it was last told.
+    """Return the mount of a sensor's frame; for a frame that moves on the robot, its latest pose.
 
     Args:
         source: the robot, or a recording.
-        frame: that of the sensor.
+        frame: the sensor's frame.
         at_ns: of a recording, the time of receipt of the message that is read.
     """
     frame = frame.lstrip("/")
     try:
         if source.transforms:
             return await _live_mount(source, source.transforms, frame)
-        for before_ns, after_ns in _PARTS_NS if source.covers_ns else ():  # a database would be asked for all it has
+        for before_ns, after_ns in _PARTS_NS if source.covers_ns else ():  # of a database all messages would be read
             tree = await frames_of(source.part(at_ns - before_ns, at_ns + after_ns))
             mount = _found(tree, frame)
             if mount.pose:
                 return mount
-    except RobotError:  # no transforms on this robot, or no types of them: the sensor's own frame is told instead
+    except RobotError:  # no transforms, or tf2_msgs is not installed: values stay in the sensor's own frame
         pass
     return Mount()
 

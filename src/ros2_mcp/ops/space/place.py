@@ -1,4 +1,4 @@
-"""Where the robot is, in words: by its transforms, its odometry or its description, and what is wrong with that."""
+"""The robot's pose in words, from TF, localisation, odometry or URDF, and the problems with it."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from ros2_mcp.world.urdf import Mount, Urdf
 from ros2_mcp_common.finite import not_finite
 
 _OLD_S = 2.0
-"""A place that is older is not that of now."""
+"""A pose older than this is not the current one."""
 
 
 @dataclass(frozen=True, slots=True)
 class Odometer:
-    """A topic of odometry, and its message; empty where there is no such topic, None where nothing came. `age` says
-    that it was sent before anybody listened here.
+    """An odometry topic and its message. `topic` is empty if there is no such topic, `message` None if none was
+    received. `age` is set if the message was sent before the subscription began.
     """
 
     topic: str = ""
@@ -42,13 +42,13 @@ def place_in_words(
     in_map: RobotPlace | None = None,
     is_unread: bool,
 ) -> tuple[str, list[str]]:
-    """Return where the robot is, in a sentence, and what is wrong with that.
+    """Return the robot's pose in a sentence, and the problems with it.
 
-    If the place in one frame is old, the place in the next frame is given, too.
+    If the pose in one frame is old, the pose in the next frame is given too.
 
     Args:
-        in_map: What a localisation publishes, for a robot without a transform from the map.
-        is_unread: The place may be known, but was not read in time.
+        in_map: The pose published by a localisation node, for a robot without a transform from the map.
+        is_unread: The pose may be published, but was not received in time.
     """
     told, old = list[str](), list[str]()
     for world in WORLDS:
@@ -91,7 +91,9 @@ def place_in_words(
 
 
 def _fixed_in_world(urdf: Urdf, base: str) -> Mount | None:
-    """Where the base is fixed in the link that stands for the world; None where the description tells none."""
+    """Return the pose of the base in the URDF's root link, if that is a world frame and the base is fixed in it; else
+    None.
+    """
     is_fixed = urdf.root.lower() in WORLDS and base != urdf.root and urdf.fixed_to(base) == urdf.root
     return urdf.mount(base) if is_fixed else None
 
@@ -112,5 +114,5 @@ def _age_s(source: Source, tree: FrameTree, stamp_ns: int | None) -> float | Non
 
 
 def now_ns_of(source: Source) -> int:
-    """The robot's clock, or the end of a recording; 0 where that is not known."""
+    """Return the time of the robot's clock, or the end of a recording, in ns; 0 if it is not known."""
     return source.transforms.now_ns() if source.transforms else source.covers_ns[1] if source.covers_ns else 0

@@ -1,4 +1,4 @@
-"""The plans that planners sent last: each is sent once, and not again to those who ask later."""
+"""The latest plans of planners: each is published only once, so that a later subscriber does not receive it."""
 
 from __future__ import annotations
 
@@ -20,18 +20,19 @@ from ros2_mcp.robot import Robot
 from ros2_mcp.robot.kept import Kept
 
 _IDLE_S = 600.0
-"""After the last question: a plan is sent once a second at most, so that hearing it costs next to nothing."""
+"""Time after the last request for which plans are still received: at most one a second is published, at little cost."""
 _TURN_S = 5.0
-"""Between two looks at whether it is still needed, where nothing comes."""
+"""Interval at which an idle subscription checks whether it is still needed."""
 _SUBSCRIBED_S = 0.5
-"""A subscription takes some milliseconds, over a network some hundred; what asks for plans is not to wait longer."""
+"""The longest wait for subscriptions: each takes milliseconds, over a network some hundred; the caller must not wait
+longer."""
 _MOST = 6
-"""Topics: a planner has one, its smoother another, and some publish goals."""
+"""The most topics subscribed to: a planner has one, its smoother another, and some nodes publish goals."""
 _logger = logging.getLogger(__name__)
 
 
 class LastPlans(Kept):
-    """The last message of some topics, as bytes, from the first question on until nobody has asked for a while."""
+    """The latest message of each plan or goal topic, as bytes. Subscriptions end after `_IDLE_S` without a request."""
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
@@ -42,8 +43,9 @@ class LastPlans(Kept):
         self._asked_at = 0.0
 
     async def hear(self, topics: Sequence[str]) -> None:
-        """Hears these topics from now on: the first few of those with a plan or goal in their names that are not sent
-        all the time, as that of a controller is. Waits until they are subscribed, but not for long."""
+        """Subscribe to the plan and goal topics among `topics`, at most six, without those of local planners, which are
+        published all the time. Wait for the subscriptions, at most `_SUBSCRIBED_S`.
+        """
         self._asked_at = monotonic()
         lasts = {name: name.rpartition("/")[2] for name in topics if "local" not in name}
         wanted = [name for name, last in lasts.items() if "plan" in last or "goal" in last]
@@ -58,11 +60,11 @@ class LastPlans(Kept):
                     await self._begun[topic].wait()
 
     def last(self, topic: str) -> tuple[str, Sample] | None:
-        """The type and the last message of a topic; None if none was heard."""
+        """Return the type and the latest message of a topic; None if none was received."""
         return self._last.get(topic)
 
     def heard_s(self, topic: str) -> float:
-        """For how long it has been heard without a break; 0 while it is not."""
+        """Return for how many s the topic has been subscribed to without interruption; 0 if it is not subscribed to."""
         return monotonic() - self._since[topic] if topic in self._since else 0.0
 
     async def _follow(self, topic: str) -> None:
@@ -73,31 +75,33 @@ class LastPlans(Kept):
                 while monotonic() - self._asked_at < _IDLE_S:
                     for sample in await listening.take(_TURN_S):
                         self._last[topic] = listening.type, sample
-        except RobotError as error:  # the next question begins anew
+        except RobotError as error:  # the next request subscribes again
             _logger.info("the plans on %s are not kept: %s", topic, error)
         finally:
             self._since.pop(topic, None)
             self._begun[topic].set()
 
     async def close(self) -> None:
-        """Ends listening."""
+        """End all subscriptions."""
         for work in self._work.values():
             work.cancel()
 
 
 def plans_of(robot: Robot) -> LastPlans:
-    """The plans of a robot that are listened to."""
+    """Return the kept plans of a robot."""
     return robot.kept.get(LastPlans, lambda: LastPlans(robot))
 
 
 async def hear_plans(robot: Robot) -> None:
-    """Keeps the plans that are sent from now on, for pictures that are asked for later."""
+    """Receive plans from now on, for pictures that are requested later."""
     with suppress(RobotError):
         await plans_of(robot).hear(await Live(robot).publishing(PATH))
 
 
 async def sent_before(robot: Robot, topic: str, type_name: str) -> tuple[Next, float] | None:
-    """The plan or goal of a topic that was heard last, and how many s ago; None if none was, or it was taken back."""
+    """Return the latest plan or goal received on a topic and its age in s; None if none was received, or the planner
+    withdrew it by an empty path.
+    """
     if not (heard := plans_of(robot).last(topic)) or heard[0] != type_name:
         return None
     try:

@@ -1,4 +1,4 @@
-"""The robot in four kilobytes: what it is, how it is driven, what it senses with, where it is, what is unhealthy."""
+"""`ros2_robot`: kind, command inputs, sensors, pose and faults of the robot in 4 kB."""
 
 from __future__ import annotations
 
@@ -67,28 +67,29 @@ from ros2_mcp_common.finite import not_finite
 from ros2_mcp_common.language.scans import no_bearings
 
 _ANSWERED_S, _GIVEN_UP_S = 1.4, 1.7
-"""After the call: so long messages are waited for, all at the same time, and so long any part of it at most. The
-answer is there within two seconds, with some for the machine that has much to do."""
+"""Limits in s after the call: for the wait for messages, all at the same time, and for each part as a whole. The result
+is due within two seconds, with a margin for a busy machine."""
 _TURNS_NS = 150_000_000
-"""From the first message of joints on, others with other joints follow so soon: drivers tell them at 10 Hz or more."""
+"""Time after the first joint states in which those of other joints arrive: drivers that alternate publish at 10 Hz or
+more."""
 _JOINTS_NS = 1_000_000_000
-"""Of a recording, its end."""
+"""The part at the end of a recording in which joint states are read."""
 _LEAST_S = 0.4
-"""For messages, however long the graph took: what comes twice a second is mostly heard, too."""
+"""The least wait for messages, however long the graph took: most topics of 2 Hz are then received too."""
 _TF = "tf2_msgs/msg/TFMessage"
 _BATTERY = "sensor_msgs/msg/BatteryState"
 _IMAGE, _CAMERA = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"
 _MOST_RANGES, _MOST_CAMERAS = 8, 16
 _WITH_RANGE = ("sensor_msgs/msg/LaserScan", "sensor_msgs/msg/Range")
 _MOST_SENSORS, _MOST_STATES = 30, 20
-"""Of which rate and frame, or the value, are looked for, where not all are told: four kilobytes have hardly room for
-more."""
+"""Limits of sensors whose rate and frame, and of states whose value, are read for the brief answer: 4 kB have hardly
+room for more."""
 _MOST_HEARD = 40
-"""Sensors of which rate and frame are looked for, where all are told."""
+"""Limit of sensors whose rate and frame are read for the full answer."""
 _FIRST = ("frames", "odometry", "diagnostics")
-"""Parts of which a young bridge waits for the first message."""
+"""Parts for which a bridge that has just started waits for a first message."""
 _MOST_CORNERS = 200
-"""Of an outline: more are a mistake."""
+"""Limit of the corners of a footprint: more are a mistake."""
 _NOTHING_REPORTS = "Nothing reports the position of"
 _NO_DESCRIPTION = "No description (URDF) was found: kind, size and joints are guessed or unknown."
 _logger = logging.getLogger(__name__)
@@ -96,8 +97,8 @@ _logger = logging.getLogger(__name__)
 
 @dataclass(slots=True)
 class _Seen:
-    """What has been gathered; what did not come is None or empty. `senseless` says whose numbers mean nothing,
-    `ages` by topic that what came was sent before anybody listened here.
+    """The information gathered so far; None or empty if not received. `senseless` lists topics with invalid values;
+    `ages` says, by topic, that a message was sent before the subscription began.
     """
 
     graph: GraphSnapshot
@@ -133,21 +134,21 @@ class _Seen:
 
     @property
     def listen_s(self) -> float:
-        """For how long messages are still waited for."""
+        """How much longer to wait for messages, in s."""
         return max(self.asked_at + _ANSWERED_S - monotonic(), _LEAST_S)
 
     @property
     def first_s(self) -> float:
-        """For how long the first message of frames, odometry and diagnostics is still waited for."""
+        """How much longer to wait for the first message of frames, odometry and diagnostics, in s."""
         return max(self.waits_until - monotonic(), self.listen_s)
 
 
 async def in_brief(robot: Robot, source: Source, *, part: Part = "", whole: bool = False) -> RobotInBrief:
-    """What the robot is and has, and where it is, from its description, transforms, graph and sensors; in four
-    kilobytes, one `part` of it in full, or the `whole` of it.
+    """Return the description of the robot from URDF, transforms, graph and sensors: within 4 kB, or one `part` of it in
+    full, or the `whole`.
 
     Raises:
-        NotFound: if no robot is there.
+        NotFound: if no node is found.
         LinkError: if there is no bridge.
     """
     seen = await _gathered(robot, source, _MOST_HEARD if whole or part == "sensors" else _MOST_SENSORS)
@@ -158,13 +159,13 @@ async def in_brief(robot: Robot, source: Source, *, part: Part = "", whole: bool
 
 
 async def unhealthy_besides(robot: Robot, source: Source) -> Sequence[str]:
-    """What `in_brief` calls unhealthy, in sentences, without what a health check sees by itself: frames, silent topics,
-    diagnostics, controllers. Raises as `in_brief`.
+    """Return the faults that `in_brief` calls unhealthy, in sentences, without those that a health check finds itself:
+    frames, silent topics, diagnostics, controllers. Raises as `in_brief`.
     """
     seen = await _gathered(robot, source, _MOST_SENSORS)
-    unsure = "" if seen.tree.frames else _NO_DESCRIPTION  # perhaps it is no robot with a body, and misses none
+    unsure = "" if seen.tree.frames else _NO_DESCRIPTION  # without frames it may be no robot, and needs no description
     is_heard = seen.positions or not _topics(seen.graph, JOINT_STATE)
-    beside = () if is_heard else (_NOTHING_REPORTS,)  # the topic is silent, which is told of it
+    beside = () if is_heard else (_NOTHING_REPORTS,)  # the silent topic is reported already
     return [each for each in _of_the_robot(seen) if each != unsure and not each.startswith(beside)]
 
 
@@ -206,7 +207,7 @@ async def _gathered(robot: Robot, source: Source, most_sensors: int) -> _Seen:
 
 
 async def _safely(seen: _Seen, what: str, work: Awaitable[None], given_up_at: float) -> None:
-    """One part of it: what cannot be read, or not in time, is told, and takes nothing else away."""
+    """Gather one part; if it fails or takes too long, report that without affecting the other parts."""
     try:
         with anyio.move_on_after(given_up_at - monotonic()) as scope:
             await work
@@ -218,13 +219,13 @@ async def _safely(seen: _Seen, what: str, work: Awaitable[None], given_up_at: fl
 
 
 def _topics(graph: GraphSnapshot, *types: str) -> list[TopicEndpoints]:
-    """The topics of these types that somebody publishes, by name."""
+    """Return the topics of these types that have a publisher, sorted by name."""
     found = [one for one in graph.topics.values() if one.publishers and set(one.types) & set(types)]
     return sorted(found, key=lambda one: one.topic)
 
 
 def _note_not_heard(seen: _Seen) -> None:
-    """What is published and was not heard, with its topics, in the place of the parts that were not read."""
+    """Report topics that are published but were silent, instead of their parts as not read."""
     waited_s = monotonic() - seen.listened_at
     silent_parts = {
         "frames": [] if seen.tree.frames else [one.topic for one in _topics(seen.graph, _TF)],
@@ -238,7 +239,7 @@ def _note_not_heard(seen: _Seen) -> None:
 
 
 async def _message(source: Source, seen: _Seen, topic: str, type_name: str, listen_s: float | None = None) -> Any:
-    """The next message of a topic; None if none comes."""
+    """Return the next message of a topic; None if none is received."""
     with suppress(RobotError):
         lasting = source.lasting(seen.listen_s if listen_s is None else listen_s)
         found = await next_message(lasting, topic, type_name, silent)
@@ -256,7 +257,7 @@ async def _description(robot: Robot, source: Source, seen: _Seen) -> None:
             except RobotError as error:
                 seen.problems.append(f"{named(topic)}: {error.message}")
             return
-    if source.is_live:  # a state publisher of older robots has it as a parameter alone
+    if source.is_live:  # state publishers of older distributions have it only as a parameter
         with suppress(RobotError, asyncio.TimeoutError):
             seen.urdf = await asyncio.wait_for(described(robot), seen.listen_s)
 
@@ -268,8 +269,8 @@ async def _frames(source: Source, seen: _Seen) -> None:
     with suppress(RobotError):
         topics = seen.graph.topics
         if source.transforms and not any(topics[name].publishers for name in LISTENS if name in topics):
-            await source.transforms.moved()  # at once: the graph is settled, and frames_of would first wait for /tf
-        if source.transforms:  # it grows as they come: what has come is there if time is up
+            await source.transforms.moved()  # at once: the graph has settled, and frames_of would wait for /tf first
+        if source.transforms:  # the same tree grows while waiting, so that a time-out keeps what was received
             seen.tree = await source.transforms.listening()
             published = [one.topic for one in _topics(seen.graph, _TF)]
             await frames_heard(source.transforms, published, seen.waits_until)
@@ -287,7 +288,7 @@ async def _heads(robot: Robot, source: Source, seen: _Seen) -> None:
 
 
 async def _ranges(source: Source, seen: _Seen) -> None:
-    """How far sensors see, and a scanner over which angle."""
+    """Read the ranges of distance sensors, and the angle that a scanner covers."""
     topics = _topics(seen.graph, *_WITH_RANGE)[:_MOST_RANGES]
     kinds = [next(kind for kind in one.types if kind in _WITH_RANGE) for one in topics]
     found = await asyncio.gather(
@@ -302,7 +303,7 @@ async def _ranges(source: Source, seen: _Seen) -> None:
 
 
 async def _views(source: Source, seen: _Seen) -> None:
-    """How wide cameras see, by what is told beside their pictures."""
+    """Read the horizontal field of view of cameras, from the CameraInfo published beside their images."""
     cameras: dict[str, str] = {}
     for one, kind in ranked(seen.graph)[: seen.most_sensors]:
         told = f"{one.topic.rpartition('/')[0]}/camera_info"
@@ -315,8 +316,8 @@ async def _views(source: Source, seen: _Seen) -> None:
 
 
 async def _joint_states(source: Source, seen: _Seen) -> None:
-    """Where joints are: some drivers tell those of the base and those of the arm in turns, on one topic; and some tell
-    of joints what are no positions, such as limits, on topics with other names.
+    """Read the joint positions. Only topics named joint_states are read if there are any: some drivers publish limits
+    as JointState on other topics. Others alternate the joints of base and arm on one topic.
     """
     topics = [one.topic for one in _topics(seen.graph, JOINT_STATE)]
     usual = [topic for topic in topics if topic.rpartition("/")[2] == "joint_states"]
@@ -343,7 +344,7 @@ async def _positions(source: Source, seen: _Seen, topic: str) -> None:
 
 
 async def _batteries(source: Source, seen: _Seen) -> None:
-    """How full each is, from 0 to 1; None where it does not tell it, or said nothing."""
+    """Read the charge of each battery, from 0 to 1; None if it is not reported or no message was received."""
     topics = _topics(seen.graph, _BATTERY)[:2]
     found = await asyncio.gather(*(_message(source, seen, one.topic, _BATTERY) for one in topics))
     for one, message in zip(topics, found, strict=True):
@@ -351,7 +352,7 @@ async def _batteries(source: Source, seen: _Seen) -> None:
 
 
 async def _reports(source: Source, seen: _Seen) -> None:
-    """What components report of themselves that is not OK."""
+    """Read the diagnostics that are not OK."""
     kind = "diagnostic_msgs/msg/DiagnosticArray"
     worst: dict[str, tuple[str, str]] = {}
     for one in _topics(seen.graph, kind)[:1]:
@@ -359,7 +360,7 @@ async def _reports(source: Source, seen: _Seen) -> None:
         with suppress(RobotError), anyio.CancelScope() as listening:
             async with source.lasting(seen.first_s).follow(one.topic, limit=20) as stream:
                 async for batch in stream.batches:
-                    if batch and source.is_live and not seen.has_diagnostics:  # others are waited for as always
+                    if batch and source.is_live and not seen.has_diagnostics:  # further ones have the usual time
                         listening.deadline = anyio.current_time() + seen.listen_s
                     seen.has_diagnostics |= bool(batch)
                     for sample in batch:
@@ -370,14 +371,14 @@ async def _reports(source: Source, seen: _Seen) -> None:
                             seen.ages[status.name] = from_before(source, stream, [sample]).age
     told = {name: (level, said) for name, (level, said) in worst.items() if level != "OK"}
     summed_up = {name for name, (level, said) in told.items() if said == level}
-    if len(summed_up) < len(told):  # a state that only sums up the others says nothing more
+    if len(summed_up) < len(told):  # a status that only summarises others adds nothing
         told = {name: said for name, said in told.items() if name not in summed_up}
     ages = {name: f" ({seen.ages[name]})" if seen.ages[name] else "" for name in told}
     seen.reports = [f"{level} {quoted(name)}: {quoted(said)}{ages[name]}" for name, (level, said) in told.items()]
 
 
 async def _states(source: Source, seen: _Seen) -> None:
-    """The modes, flags and figures that it tells in topics of one value each."""
+    """Read the modes, flags and numbers that the robot publishes on topics of one value each."""
     topics = [one for one in also_told(seen.graph) if one[1] not in (ODOMETRY, JOINT_STATE)][:_MOST_STATES]
     seen.states, seen.faults = await states_of(source.lasting(seen.listen_s), dict(topics))
 
@@ -391,13 +392,13 @@ async def _odometry(source: Source, seen: _Seen) -> None:
 
 
 async def _in_map(source: Source, seen: _Seen) -> None:
-    """Where pictures show it, too: by the transforms, else by what a localisation says."""
+    """Read the robot's pose in the map as pictures show it: from TF, else from a localisation topic."""
     if any(one.topic in LOCALISED for one in _topics(seen.graph, LOCALISED_TYPE)):
         seen.in_map = await robot_place(source, MAP)
 
 
 async def _published_footprint(source: Source, seen: _Seen) -> None:
-    """The outline that Nav2 uses, in whatever frame it is told."""
+    """Read the footprint that Nav2 publishes, in whatever frame."""
     for one in _topics(seen.graph, "geometry_msgs/msg/PolygonStamped"):
         if "footprint" not in one.topic:
             continue
@@ -469,12 +470,12 @@ def _lines(things: Iterable[CommandInput | Named | JointNow | Controller]) -> li
 
 
 def _controller_types(seen: _Seen) -> list[str]:
-    """Of those that are active, as their managers tell them."""
+    """Return the types of the active controllers, as reported by controller managers."""
     return [str(one["type"]) for all_of in seen.managed.values() for one in all_of if one["state"] == "active"]
 
 
 def _base_of(seen: _Seen) -> str:
-    """The body's frame: that of the transforms, else the description's root."""
+    """Return the frame of the robot's body: the base of the frame tree, else of the URDF."""
     if seen.tree.base:
         return seen.tree.base
     if seen.urdf is None:
@@ -516,7 +517,7 @@ def _frames_in_words(seen: _Seen, base: str) -> str:
 
 
 def _misses_frames(seen: _Seen) -> bool:
-    """Whether there is no transform here because this call did not get any, though somebody publishes them."""
+    """Return whether this call received no transform although /tf or /tf_static has a publisher."""
     return not seen.tree.frames and ("frames" in seen.not_read or bool(_topics(seen.graph, _TF)))
 
 
@@ -536,7 +537,9 @@ def _unhealthy(source: Source, seen: _Seen) -> list[str]:
 
 
 def _of_the_robot(seen: _Seen) -> list[str]:
-    """What is wrong with its description, joints, batteries, mounts of sensors and place, and the faults it tells."""
+    """Return the problems of description, joints, batteries, mounts and localisation, and the faults that the robot
+    reports.
+    """
     found: list[str] = []
     if seen.urdf:
         found += seen.urdf.problems[:2]
@@ -563,7 +566,7 @@ def _of_the_robot(seen: _Seen) -> list[str]:
 
 
 def _not_localised(seen: _Seen) -> str:
-    """That somebody localises in a map, but the robot's place in it is not told; empty where that is not so."""
+    """Report that a localisation node runs but the robot's pose in the map is not published; else empty."""
     localisers = [name for name in seen.graph.nodes or () if name.rpartition("/")[2] in ("amcl", "slam_toolbox")]
     maps = [name for name in seen.tree.frames if name.rpartition("/")[2] == "map"]
     is_told = any(seen.tree.newest(frame, seen.tree.base) for frame in maps) if seen.tree.base else False

@@ -1,4 +1,4 @@
-"""`ros2_scene`: one picture in metres of the grid, the robot, its scans, paths, goals and named places."""
+"""`ros2_scene`: one picture to scale of the grid, the robot, its scans, paths, goals and named places."""
 
 from __future__ import annotations
 
@@ -44,26 +44,26 @@ POSE_STAMPED, POLYGON, STRING = (
     "std_msgs/msg/String",
 )
 _GRID_S = 4.0
-"""A map is latched and comes at once, but its publisher may be discovered up to 3 s late."""
+"""Time to wait for a map: it is latched, but its publisher may be discovered up to 3 s late."""
 _LAYER_S = 1.2
-"""What moves is sent at 1 Hz at least (Nav2 plans once a second); what is not sent now must not hold up the picture."""
+"""Time to wait for other layers: they are published at 1 Hz or more; one that is silent must not delay the picture."""
 _FRAMES_S = 1.0
-"""For frames that nobody has asked for yet: transforms come ten times a second, what is static comes at once."""
+"""Time to wait for frames not used before: transforms are published at 10 Hz, static ones are latched."""
 _BEFORE_NS = 10_000_000_000
-"""Of a recording, before the time that is shown: what tf2 would keep."""
+"""The part of a recording before the time shown in which transforms are read: as much as tf2 keeps."""
 _MOST_SCANS, _MOST_PATHS, _MOST_GOALS = 3, 4, 4
-"""More in one picture cannot be told apart."""
+"""The most layers of a kind: more in one picture cannot be told apart."""
 _MOST_PLACES, _MOST_POINTS = 40, 2_000
-"""Of a path: more than the picture has pixels across."""
+"""The most named places, and points of a path: more than the picture has pixels across."""
 _OLD_S = 3.0
-"""A scan or a pose that is older says nothing of now: everything that drives tells both several times a second."""
+"""A scan or pose older than this is not the current one: every driver publishes both several times a second."""
 _LATE_S = 0.5
-"""A robot that turns at 1 rad/s has another side ahead by then."""
+"""Age from which a scan's directions are in doubt: a robot that turns at 1 rad/s faces elsewhere by then."""
 _COSTMAP, _DESCRIPTION = "costmap", "description"
 
 
 async def scene(robot: Robot, source: Source, request: SceneRequest, report: Report = silent) -> ScenePicture:
-    """The scene, now or at the end of a recording's part.
+    """Return the scene, now or at the end of the selected part of a recording.
 
     Raises:
         NotFound: if the grid or the frame is not there.
@@ -73,7 +73,9 @@ async def scene(robot: Robot, source: Source, request: SceneRequest, report: Rep
 
 
 async def gather(robot: Robot, source: Source, request: SceneRequest, report: Report = silent) -> Gathered:
-    """What is around the robot, read and placed in one frame, for a picture or for the page; raises as `scene`."""
+    """Read everything around the robot and transform it into one frame, for a picture or for the view; raises as
+    `scene`.
+    """
     await load("ros2_mcp.pictures.scene", "ros2_mcp.world.scans")  # with numpy: not before it is needed
     gathered = Gathered(source, robot)
     async with reporting(report, _GRID_S, "gathering what is around the robot"):
@@ -88,7 +90,7 @@ async def gather(robot: Robot, source: Source, request: SceneRequest, report: Re
 
 @dataclass
 class Gathered:
-    """What has been read, and where it is in the frame `frame` at the time `at_ns`."""
+    """The layers read so far, and their places in `frame` at the time `at_ns`."""
 
     source: Source
     asked: Robot
@@ -114,13 +116,13 @@ class Gathered:
     # ── reading ────────────────────────────────────────────────────────────────────────────────────────────────
 
     async def listen(self) -> None:
-        """Transforms come while all else is read: a scan that waited for them would be old."""
-        with suppress(RobotError):  # `locate` tells of it
+        """Subscribe to transforms while the layers are read: a scan that waited for them would be old."""
+        with suppress(RobotError):  # `locate` reports it
             if self.source.transforms:
                 await self.source.transforms.listening()
 
     async def read(self, request: SceneRequest) -> None:
-        """Everything that there is."""
+        """Read all layers."""
         source = self.source
         kinds = (OCCUPANCY_GRID, COSTMAP, LASER_SCAN, PATH, POSE_STAMPED, POLYGON, STRING)
         grids, raw, scans, paths, poses, polygons, texts = await asyncio.gather(*map(source.publishing, kinds))
@@ -129,13 +131,13 @@ class Gathered:
         goals = [name for name in poses if "goal" in name.rpartition("/")[2]]
         if source.is_live:
             await plans_of(self.asked).hear([*paths, *goals])
-        shown = [] if request.way else paths  # a way that is handed in is not drawn twice
+        shown = [] if request.way else paths  # a path given by the caller is not drawn twice
         wanted = [("path", name, PATH) for name in self._first("paths", shown, _MOST_PATHS)]
         wanted += [("goal", name, POSE_STAMPED) for name in self._first("goals", goals, _MOST_GOALS)]
         footprints = [("footprint", name, POLYGON) for name in polygons if "footprint" in name]
         descriptions = [(_DESCRIPTION, name, STRING) for name in texts if name.endswith("robot_description")]
         wanted += [*footprints[:1], *descriptions[:1]]
-        # Last: a scan is to be of the pose that is shown, and while the others are awaited the robot may turn.
+        # Scans come last: they must fit the pose shown, and the robot may turn while other messages are awaited.
         late = [("scan", name, LASER_SCAN) for name in self._first("scans", scans, _MOST_SCANS)]
         results, error = await asyncio.gather(self._read_all(wanted), self._read_grid(grid_type))
         if error and request.grid:
@@ -151,13 +153,13 @@ class Gathered:
                 self.missing.append(f"The {layer} {named(name)} is not shown: {found.message}")
 
     async def _read_all(self, layers: Sequence[tuple[str, str, str]]) -> list[Next | RobotError]:
-        """The message of each layer (its kind, its topic, its type), awaited at the same time."""
+        """Return the next message of each layer (kind, topic, type), awaited at the same time."""
         return [*await asyncio.gather(*(self._read_layer(*layer) for layer in layers))]
 
     async def _read_layer(self, layer: str, topic: str, type_name: str) -> Next | RobotError:
-        """The next message; live of a path or goal, which are sent once, the last one that was heard, if there is one.
+        """Return the next message; for a path or goal, which are published once, live the latest one received, if any.
 
-        What is heard from an earlier question on is not awaited again: nothing came.
+        A topic that has been subscribed to since an earlier call is not waited for again.
         """
         heard_s = plans_of(self.asked).heard_s(topic) if self.source.is_live and layer in ("path", "goal") else 0.0
         found: Next | RobotError
@@ -172,13 +174,13 @@ class Gathered:
         message, ago_s = before
         if ago_s <= _LAYER_S:
             return message
-        if layer == "goal":  # which may have been reached since
+        if layer == "goal":  # the robot may have reached it since
             return found
         self.missing.append(f"The path {named(topic)} was sent {ago_s:.0f} s ago, and nothing since.")
         return message
 
     async def _read_grid(self, type_name: str) -> RobotError | None:
-        """The grid with what has changed in it since it was sent; the error where it cannot be read."""
+        """Read the grid with its updates; return the error if it cannot be read."""
         topic = self.grid_topic
         if not topic:
             return None
@@ -203,15 +205,15 @@ class Gathered:
     # ── frames ─────────────────────────────────────────────────────────────────────────────────────────────────
 
     async def locate(self, request: SceneRequest) -> None:
-        """The frame of the picture, the transforms to it, and where the robot is."""
+        """Choose the frame of the picture, get the transforms to it, and find the robot's pose in it."""
         source = self.source
-        if source.covers_ns:  # what is not connected by then has no place in the picture
+        if source.covers_ns:  # frames not connected in this part have no place in the picture
             source = source.part(source.covers_ns[1] - _BEFORE_NS, source.covers_ns[1])
         try:
             self.tree = await frames_of(source, until=lambda _: True)
             self._choose_frame(request)
             self.tree = await frames_of(source, until=self._is_complete, patience_s=_FRAMES_S)
-        except RobotError as error:  # a robot without transforms has a map nevertheless
+        except RobotError as error:  # a robot without transforms may still have a map
             self.missing.append(f"Without transforms only what is in one frame is shown: {error.message}")
         self._choose_frame(request)
         if request.frame and self.frame not in self.tree.frames and self.frame not in self._frames_of_messages():
@@ -243,7 +245,7 @@ class Gathered:
         return [header.frame_id.lstrip("/") for header in headers]
 
     def _is_complete(self, tree: FrameTree) -> bool:
-        """Whether everything can be placed, the scans at the time when they were taken."""
+        """Return whether every layer can be placed, the scans at the times of their stamps."""
         if tree.base and not tree.newest(self.frame, tree.base):
             return False
         scans = [found.message.header for kind, _, found in self.read_layers if kind == "scan"]
@@ -252,9 +254,9 @@ class Gathered:
         )
 
     def _located(self, header: Any) -> Pose | None:
-        """Where the frame of a message was in the world when it was made, in the picture's frame as that is now.
+        """Return the pose of a message's frame at the message's stamp, in the picture's frame as it is now.
 
-        The world is the root of the tree: a frame that moves, such as base_link, has since moved over its ground.
+        The two are related through the root of the tree: a moving frame, such as base_link, has moved since.
         """
         frame, root = header.frame_id.lstrip("/"), self.tree.root_of(self.frame)
         if frame == self.frame and frame == root:
@@ -269,7 +271,7 @@ class Gathered:
     # ── placing ────────────────────────────────────────────────────────────────────────────────────────────────
 
     async def place(self, robot: Robot) -> None:
-        """Everything that was read, in the frame of the picture."""
+        """Transform every layer into the frame of the picture."""
         now_ns = self.at_ns
         if self.grid:
             self._place_grid(self.grid, now_ns)
@@ -288,7 +290,7 @@ class Gathered:
         self._place_named(robot)
 
     def tell_age(self, name: str, scan: Next) -> None:
-        """That what a scan means is of another moment than the robot's pose, where the robot may have turned since."""
+        """Report that a scan is older than the robot's pose, if the robot may have turned since."""
         age_s = age_of(scan.message.header, scan.sample, self.at_ns)
         if age_s is not None and age_s > _LATE_S:
             self.missing.append(
@@ -316,7 +318,7 @@ class Gathered:
         )
 
     def place_scan(self, name: str, message: Any, pose: Pose, age_s: float | None) -> None:
-        """What it hit."""
+        """Add the points of a scan."""
         from ros2_mcp.world.scans import moved, scan_points
 
         try:
@@ -327,7 +329,7 @@ class Gathered:
         self.layers.append(SceneLayer("scan", name, age_s=age_s))
 
     def place_path(self, name: str, message: Any, pose: Pose, age_s: float | None) -> None:
-        """Its points."""
+        """Add the points of a path."""
         import numpy as np  # not at the start of the server
 
         poses = [*message.poses[:: max(1, len(message.poses) // _MOST_POINTS)], *message.poses[-1:]]
@@ -336,14 +338,14 @@ class Gathered:
         if why := not_finite(message, "poses") if len(ends) < len(points) else "":
             left_out = "some of its places are" if ends else "it is"
             self.missing.append(f"The path {named(name)}: {left_out} not shown, because {why}.")
-        if not ends:  # an empty path is how planners take one back
+        if not ends:  # planners withdraw a path by publishing an empty one
             return
         self.paths.append(np.array(ends))
         self.path_names.append(name)
         self.layers.append(SceneLayer("path", name, round(ends[-1][0], 3), round(ends[-1][1], 3), age_s=age_s))
 
     def place_footprint(self, name: str, message: Any, pose: Pose, age_s: float | None) -> None:
-        """Its corners."""
+        """Add the corners of a footprint."""
         import numpy as np  # not at the start of the server
 
         if why := not_finite(message, "polygon"):
@@ -355,13 +357,13 @@ class Gathered:
             self.layers.append(SceneLayer("footprint", name, age_s=age_s))
 
     async def _place_body(self, name: str, description: str) -> None:
-        """The outline of the robot as its description has it, where the robot is, and its links that joints move."""
+        """Add the footprint of the robot from its description, at the robot's pose, and the links that joints move."""
         import numpy as np  # not at the start of the server
 
         at = self.robot
         try:
             body = await aside(len(description), silhouette_of, description, self.tree.base)
-        except BadData:  # not what this picture is about
+        except BadData:  # an invalid description is reported by other tools
             return
         if at and body.outline and self.footprint is None:
             pose = planar(at.x_m, at.y_m, at.yaw_rad)
@@ -382,7 +384,7 @@ class Gathered:
             self.missing.append(f"No transform gives the position of these links: {listed(unknown, 4)}.")
 
     def place_goal(self, name: str, message: Any, pose: Pose, age_s: float | None) -> None:
-        """Where it is."""
+        """Add the pose of a goal."""
         try:
             at = _place(pose @ pose_of(message.pose))
         except ValueError as error:
@@ -391,7 +393,7 @@ class Gathered:
         self._mark("goal", name, at.x_m, at.y_m, at.yaw_rad, age_s)
 
     def _place_named(self, robot: Robot) -> None:
-        """The places that are kept by name, and where the robot is being sent."""
+        """Add the named places, and the goals of the running navigation."""
         running = robot.jobs.running(Navigation) if self.source.is_live else ()
         legs = [leg for job in running for leg in job.legs[job.now :]]
         self.sent_to = {leg.place for leg in legs}
@@ -407,7 +409,7 @@ class Gathered:
             self._mark_in(one, "place")
 
     def place_way(self, way: Way) -> None:
-        """Points that were handed in."""
+        """Add the path given by the caller."""
         import numpy as np  # not at the start of the server
 
         pose = self._now_in(way.frame)
@@ -441,7 +443,7 @@ class Gathered:
         marks = self.goals if kind == "goal" else self.places
         if kind == "goal":
             marks.append(Mark(f"goal {name}" if name in self.sent_to else "goal", x_m, y_m, yaw_rad))
-        elif name not in self.sent_to:  # else one label would hide the other
+        elif name not in self.sent_to:  # otherwise one label would hide the other
             marks.append(Mark(name, x_m, y_m, yaw_rad))
         yaw_deg = None if yaw_rad is None else round(math.degrees(yaw_rad), 1)
         self.layers.append(SceneLayer(kind, name, round(x_m, 3), round(y_m, 3), yaw_deg, age_s))
@@ -508,7 +510,7 @@ def _drawn(gathered: Gathered, request: SceneRequest) -> tuple[SceneDrawing, Sce
     from ros2_mcp.pictures.raster import finished
     from ros2_mcp.pictures.scene import Scene, extent, scene_drawing
 
-    points = [*gathered.scans, *gathered.paths]  # places may be in another building
+    points = [*gathered.scans, *gathered.paths]  # without places, which may lie in another building
     points += [np.array([[mark.x_m, mark.y_m]]) for mark in gathered.goals]
     points += [np.array(seen) for limb in gathered.limbs if (seen := [*limb.outline, *(limb.bone or ())])]
     x, y = extent(gathered.grid_layer, points, gathered.robot, request.radius_m)
@@ -534,10 +536,10 @@ def _drawn(gathered: Gathered, request: SceneRequest) -> tuple[SceneDrawing, Sce
 
 
 def _chosen_grid(asked: str, grids: Sequence[str]) -> str:
-    """The topic of the grid: what is asked for, else a map, else a costmap; empty where there is none.
+    """Return the topic of the grid: the requested one, else a map, else a costmap; empty if there is none.
 
     Raises:
-        NotFound: if what is asked for is not there.
+        NotFound: if the requested grid has no publisher.
     """
     costmaps = [name for name in grids if _COSTMAP in name]
     maps = [name for name in grids if _COSTMAP not in name]

@@ -1,4 +1,4 @@
-"""What `ros2_scene` is asked for, and what it answers."""
+"""The request and the result of `ros2_scene`."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from ros2_mcp.model.text import named
 from ros2_mcp.ops.results.results import IF_ANY, SAID, WithPictures
 
 _FLAT_M = 0.05
-"""A base that stands on the ground of its map may be told so much above or below it."""
+"""Heights below this are not reported: a base on the ground may be off its map's plane by as much."""
 
 
 @dataclass(frozen=True, slots=True)
 class Way:
-    """Points (x, y in metres of `frame`) that nobody publishes, such as a planned way; its end is marked as a goal.
+    """A path that no topic publishes, such as a planned one: points (x, y) in m in `frame`; its end is drawn as a goal.
 
-    `marks` (name, x, y) are places along it that are worth a look.
+    `marks` (name, x, y) are notable places along the path.
     """
 
     name: str
@@ -28,8 +28,9 @@ class Way:
 
 @dataclass(frozen=True, slots=True)
 class SceneRequest:
-    """The frame (empty: that of the grid), the grid (a topic, or `costmap`; empty: the map), and how far around the
-    robot to look, in metres (None: all there is); `way` is drawn, too."""
+    """A request: the frame (empty: that of the grid), the grid (a topic, or `costmap`; empty: the map), the radius
+    around the robot in m (None: everything), and a path to draw.
+    """
 
     frame: str = ""
     grid: str = ""
@@ -39,12 +40,12 @@ class SceneRequest:
 
 @dataclass(frozen=True, slots=True)
 class SceneLayer:
-    """Something in the picture: a `grid`, `costmap`, `scan`, `path`, `goal`, `place`, `footprint`, or the
-    `links` that joints move.
+    """Something in the picture: a `grid`, `costmap`, `scan`, `path`, `goal`, `place`, `footprint`, or the `links` that
+    joints move.
 
-    `name` is its topic, or a place's name. `x_m`, `y_m` and `yaw_deg` tell where a goal or place is, or where a path
-    ends, in the picture's frame; null for others, and the yaw where none is meant. `age_s` is null where nobody knows.
-    `from_before` says that it was sent before this was asked for, and how old it is.
+    `name` is its topic, or the name of a place. `x_m`, `y_m` and `yaw_deg` give the pose of a goal or place, or the end
+    of a path, in the picture's frame; null for others, and the yaw null if it has none. `age_s` is null if not known.
+    `from_before` is set if the message was sent before the request, and gives its age.
     """
 
     kind: str
@@ -88,7 +89,7 @@ class ScenePicture(WithPictures):
     source: str
 
     def summary(self) -> list[str]:
-        """The picture in a line, what the scan means, and a line for each thing that is missing."""
+        """Return a line on the picture, the meaning of the scan, and a line for each thing that is missing."""
         width, height = self.x_max_m - self.x_min_m, self.y_max_m - self.y_min_m
         where = ""
         if self.robot_x_m is not None and self.robot_yaw_deg is not None:

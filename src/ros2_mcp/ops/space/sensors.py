@@ -1,4 +1,4 @@
-"""The robot's sensors in words: which there are, how often they come, where each sits and how far it sees."""
+"""The robot's sensors in words: topic, type, rate, mount, range and field of view of each."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ SENSORS = (
     "sensor_msgs/msg/RelativeHumidity",
     "sensor_msgs/msg/Illuminance",
 )
-"""In the order in which they are told."""
+"""Message types of sensors, in the order in which they are listed."""
 MISSED = frozenset(SENSORS[:7])
-"""Of these silence is a fault; drivers announce the others also where the device has none."""
+"""Types whose silence is a fault; drivers advertise the others even for devices that lack the sensor."""
 _OF_ROS = (
     "ackermann_msgs", "action_msgs", "actionlib_msgs", "bond", "builtin_interfaces", "control_msgs",
     "controller_manager_msgs", "diagnostic_msgs", "geometry_msgs", "lifecycle_msgs", "map_msgs", "moveit_msgs",
@@ -42,7 +42,7 @@ _OF_ROS = (
     "statistics_msgs", "std_msgs", "stereo_msgs", "tf2_msgs", "trajectory_msgs", "type_description_interfaces",
     "unique_identifier_msgs", "visualization_msgs",
 )  # fmt: skip
-"""Packages of messages that are of no robot's own: what of them is a sensor's stands above."""
+"""Packages of standard messages: their sensors are in `SENSORS`, and their other types are not specific to a robot."""
 ODOMETRY, JOINT_STATE = "nav_msgs/msg/Odometry", "sensor_msgs/msg/JointState"
 _DESCRIPTIONS = ("robot_description", "robot_description_semantic")
 _WHOLE_HZ = 9.95
@@ -50,8 +50,9 @@ _WHOLE_HZ = 9.95
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
-    """A topic of a sensor: its `state` is a rate, silence or what is left of a battery; it sits `at` x y z of the base
-    in m and turned, as `note` says more of; `sees` is how far and wide, `view` how wide a camera sees, in degrees.
+    """A sensor's topic. `state` is its rate, `silent`, or the charge of a battery; `at` is x y z in m and the rotation
+    of `frame` in the base's frame, which `note` qualifies; `sees` is the range in m and the angle of a scanner; `view`
+    is the horizontal field of view of a camera in degrees.
     """
 
     topic: str
@@ -65,7 +66,9 @@ class Sensor:
 
     @property
     def line(self) -> str:
-        """`/scan LaserScan 10 Hz in laser at 0.2 0 0.3 yaw 180°, 0.1 to 12 m over 360°`."""
+        """The sensor in words, such as `/scan LaserScan 10 Hz in laser at 0.2 0 0.3 yaw 180°, 0.1 to 12 m over
+        360°`.
+        """
         view = f"{self.view}° wide" if self.view else ""
         at = f"at {self.at}" if self.at else ""
         where = f"in {named(self.frame)} {at}".rstrip() + self.note if self.frame else ""
@@ -74,8 +77,8 @@ class Sensor:
 
 
 def ranked(graph: GraphSnapshot) -> Sequence[tuple[TopicEndpoints, str]]:
-    """The topics of sensors with their types: of each kind the first one before the second of any, for who sees only
-    some; the kinds in the order of `SENSORS`. A compressed copy of a picture is no sensor of its own.
+    """Return the topics of sensors with their types. The first topic of each type precedes the second of any, so that a
+    cut list shows every type; types are in the order of `SENSORS`. Compressed copies of images are excluded.
     """
     published = [one for one in graph.topics.values() if one.publishers and not is_drawn_by_nav2(one)]
     pictures = {one.topic for one in published if _IMAGE in one.types}
@@ -101,7 +104,9 @@ def sensors_of(
     batteries: Mapping[str, str],
     views: Mapping[str, str],
 ) -> list[Sensor]:
-    """The sensors in the order of `ranked`, batteries after the first; `mounts` by frame, the others by topic."""
+    """Return the sensors in the order of `ranked`, with batteries after the first; `mounts` by frame, the others by
+    topic.
+    """
     found: list[Sensor] = []
     for one, type_name in ranked(graph):
         head = heads.get(one.topic)
@@ -117,19 +122,21 @@ def _state_in_words(head: Head | None) -> str:
 
 
 def rate_in_words(head: Head) -> str:
-    """How often it comes, as far as that is known."""
+    """Return the rate in words; empty if it is not known."""
     return "under 2 Hz" if head.is_rare else _rate_in_words(head.rate_hz)
 
 
 def _rate_in_words(rate_hz: float | None) -> str:
-    """Empty if it is not known; two digits of it: the others are chance."""
+    """Return a rate with two digits, as more are not significant; empty if it is not known."""
     if rate_hz is None:
         return ""
     return f"{rate_hz:.0f} Hz" if rate_hz >= _WHOLE_HZ else f"{rate_hz:.2g} Hz"
 
 
 def sees_in_words(message: Any) -> str:
-    """How far and how wide a LaserScan or a Range sees; that it is unknown where the message has no such number."""
+    """Return the range in m and the angle of a LaserScan or Range; "unknown" with the reason for values that are not
+    finite.
+    """
     if hasattr(message, "min_range"):
         nearest, farthest, wide_rad = "min_range", "max_range", float(message.field_of_view)
         unknown_width = not_finite(message, "field_of_view")
@@ -145,7 +152,7 @@ def sees_in_words(message: Any) -> str:
 
 
 def view_in_words(message: Any) -> str:
-    """How wide a camera sees, in degrees, by its CameraInfo; empty where that does not tell it."""
+    """Return the horizontal field of view in degrees from a CameraInfo; empty if its focal length is not set."""
     focal_px = float(message.k[0])
     if not (math.isfinite(focal_px) and focal_px > 0):
         return ""
@@ -153,16 +160,16 @@ def view_in_words(message: Any) -> str:
 
 
 def charge_of(message: Any) -> float | None:
-    """How full a BatteryState is, from 0 to 1; None where it does not tell it."""
+    """Return the charge of a BatteryState, from 0 to 1; None if the message does not report it."""
     share = float(message.percentage)
-    share = share / 100 if share > 1 else share  # some drivers give percent, against the definition
-    is_told = 0 < share <= 1 or (share == 0 and message.capacity > 0)  # 0 alone was never filled in
+    share = share / 100 if share > 1 else share  # some drivers send percent, contrary to the definition
+    is_told = 0 < share <= 1 or (share == 0 and message.capacity > 0)  # 0 without a capacity was never set
     return share if is_told else None
 
 
 def also_told(graph: GraphSnapshot) -> list[tuple[str, str]]:
-    """What else the robot publishes of itself, topic and type: odometry and states of joints first, then types of its
-    makers, such as bumpers and motors, plain numbers and states.
+    """Return other topics on which the robot reports about itself, with their types: odometry and joint states first,
+    then types of the manufacturer (bumpers, motors), and plain numbers and states.
     """
     return [
         (one.topic, one.types[0])

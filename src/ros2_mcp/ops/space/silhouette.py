@@ -1,4 +1,4 @@
-"""The robot's body as its description has it, for pictures from above."""
+"""The robot's body from its description (URDF), for pictures from above."""
 
 from __future__ import annotations
 
@@ -14,18 +14,19 @@ from ros2_mcp.world.urdf import parse
 
 @dataclass(frozen=True, slots=True)
 class Silhouette:
-    """The outline about the base, in m, and what joints move on it."""
+    """The footprint about the base, in m, and the links that joints move."""
 
     outline: Sequence[Point]
     limbs: Sequence[Limb]
 
 
-@lru_cache(maxsize=2)  # the page asks several times a second
+@lru_cache(maxsize=2)  # the view asks several times a second
 def silhouette_of(description: str, base: str) -> Silhouette:
-    """What is drawn of a description about its base; `base` may be empty, where no transform tells it.
+    """Return the silhouette of a URDF about its base; an empty `base` means the first usual base link of the
+    description.
 
     Raises:
-        BadData: if it is no URDF.
+        BadData: if the text is no valid URDF.
     """
     urdf = parse(description)
     base = base or next((one for one in BASES if one in urdf.links), "")

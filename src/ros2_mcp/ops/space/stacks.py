@@ -1,4 +1,4 @@
-"""Which well-known stacks run on a robot: Nav2, MoveIt, ros2_control and such, by their nodes, types and services."""
+"""Detection of well-known stacks (Nav2, MoveIt, ros2_control and others) by their nodes, types and services."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from ros2_mcp.robot import Robot
 
 _GET_STATE = "lifecycle_msgs/srv/GetState"
 _ANSWER_S = 1.0
-"""A node that spins answers within milliseconds."""
+"""Time-out of a call: a node that spins answers within milliseconds."""
 
 
 def stacks_of(graph: GraphSnapshot) -> list[str]:
-    """Their names, in a fixed order."""
+    """Return the names of the stacks found in the graph, in a fixed order."""
     nodes = {name.rpartition("/")[2] for name in graph.nodes or ()}
     types = {kind for one in graph.topics.values() for kind in one.types}
     services = {name.rpartition("/")[2] for name in graph.services or ()}
@@ -36,7 +36,9 @@ def stacks_of(graph: GraphSnapshot) -> list[str]:
 
 
 async def nav2_active(robot: Robot, source: Source, graph: GraphSnapshot) -> str:
-    """Such as `7 of 7 active`; empty of a recording, and where Nav2 has no lifecycle nodes."""
+    """Return the number of active Nav2 servers, such as `7 of 7 active`; empty for a recording, or without lifecycle
+    nodes.
+    """
     offered = [name.rpartition("/")[0] for name, types in (graph.services or {}).items() if _GET_STATE in types]
     nodes = [node for node in offered if node.rpartition("/")[2] in (*NAVIGATION_NODES, "docking_server")]
     if not source.is_live or not nodes:
@@ -54,5 +56,5 @@ async def nav2_active(robot: Robot, source: Source, graph: GraphSnapshot) -> str
 
 
 def with_active(stacks: Sequence[str], active: str) -> list[str]:
-    """The names of the stacks, Nav2 with how many of its servers are active."""
+    """Return the names of the stacks, with the number of active servers after Nav2."""
     return [f"Nav2: {active}" if stack == "Nav2" and active else stack for stack in stacks]

@@ -1,5 +1,5 @@
-"""Stamps of another clock than the robot's, such as simulated time, also where it stands still: said once, and not of
-each publisher.
+"""Stamps of a clock other than the robot's, such as simulated time, also if it has stopped; reported once, not for each
+publisher.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from ros2_mcp.world.transforms import FrameTree
 
 _CLOCK, _CLOCK_TYPE = "/clock", "rosgraph_msgs/msg/Clock"
 _LOOK_S = 0.5
-"""For two messages of /clock; simulations send it ten times a second at least."""
+"""Time to wait for two messages of /clock: simulators publish it at 10 Hz or more."""
 _TOLD_NS = 1_000_000_000
-"""Within which something must have come for transforms to be told still."""
+"""A message received within this time shows that transforms are still published."""
 _AHEAD_NS = 1_000_000_000
-"""A clock that is so far ahead of the newest stamp goes on without it."""
+"""If /clock is ahead of the newest stamp by more than this, simulated time goes on."""
 
 
 async def standing_time(source: Source, tree: FrameTree, at_ns: int) -> str:
-    """That the time by which all transforms are stamped stands still, since when, and what /clock says; empty where it
-    goes on, or where that cannot be told from publishers that are silent.
+    """Report that the time by which all transforms are stamped has stopped: since when, at which time, and the state of
+    /clock. Empty if it goes on, or if silent publishers leave that open.
     """
     stood_ns = tree.stood_ns(at_ns)
     if not stood_ns:
@@ -44,9 +44,9 @@ async def standing_time(source: Source, tree: FrameTree, at_ns: int) -> str:
 
 
 async def look_for_clock(source: Source, tree: FrameTree) -> None:
-    """Finds out whether somebody tells simulated time, where stamps are such that it matters.
+    """Set `tree.has_clock` if /clock is published, provided that some stamps look like simulated time.
 
-    A recording that has no /clock tells nothing: it is seldom recorded.
+    A recording without /clock leaves it unset: /clock is seldom recorded.
     """
     if any(edge.moving and edge.stamps[-1] < UNIX_FROM_NS for edge in tree.edges.values()):
         if source.transforms:
@@ -56,7 +56,9 @@ async def look_for_clock(source: Source, tree: FrameTree) -> None:
 
 
 async def other_clock(source: Source, tree: FrameTree) -> list[str]:
-    """That all stamps are of another clock than the robot's, and whether somebody tells that clock."""
+    """Report that all stamps come from a clock other than the robot's, and whether /clock is published; empty if they
+    do not.
+    """
     if not tree.clock_ns:
         return []
     away = f"{seconds_in_words(tree.clock_ns)} {'behind' if tree.clock_ns > 0 else 'ahead of'} the robot's clock"
@@ -69,7 +71,9 @@ async def other_clock(source: Source, tree: FrameTree) -> list[str]:
 
 
 async def _clock_in_words(source: Source, newest_ns: int, *, is_told: bool) -> str:
-    """What /clock says that explains it; empty where it goes on, or is not there and nothing else is told either."""
+    """Describe the state of /clock that explains the stop; empty if /clock goes on, or if neither it nor transforms are
+    received.
+    """
     assert source.transforms
     publishers = await source.transforms.clock_publishers()
     if not publishers:

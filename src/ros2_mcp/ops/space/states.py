@@ -1,4 +1,4 @@
-"""What a robot says of itself in topics of one value each: modes, flags, figures."""
+"""States that a robot publishes on topics of one value each: modes, flags, numbers."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ _FAULT = re.compile(
     r"(^|_)((PROTECTIVE|SAFEGUARD|SAFETY|EMERGENCY|ENABLING)_STOP(PED)?|E_?STOP(PED)?|FAULT|ERROR|FAIL(ED|URE)?|VIOLATION"
     r"|CRITICAL)($|_)"
 )
-"""In the name that a type's maker has given to a value: it is a state that somebody must end. A robot that has only
-stopped stands."""
+"""Matches names of constants that mean a fault which a person must clear. A robot that merely stopped is not at
+fault."""
 _NO_FAULT = re.compile(r"(^|_)(NO|NOT|NON|NONE|OK|CLEAR(ED)?|RELEASED|RESET|RECOVERED)($|_)")
-"""In such a name: there is none."""
+"""Matches names of constants that mean the absence of a fault."""
 
 
 async def states_of(source: Source, topics: Mapping[str, str]) -> tuple[dict[str, str], list[str]]:
-    """The value of each topic (name: type) that tells one and was heard, in words: by the name that its type has for
-    it, where it has one. And sentences for those whose name is that of a fault.
+    """Return the value of each topic (name: type) that has a single value and was received, in words: the name of the
+    type's constant with that value, if it has one. Also return sentences for values named as faults.
     """
     found = await asyncio.gather(*(_state(source, topic, kind) for topic, kind in topics.items()))
     told = {topic: (said, f" ({age})" if age else "") for topic, (said, age) in zip(topics, found, strict=True) if said}
@@ -44,7 +44,7 @@ def _is_fault(name: str) -> bool:
 
 
 async def _state(source: Source, topic: str, kind: str) -> tuple[str, str]:
-    """The value, and how old it is, if it was sent before anybody listened here."""
+    """Return the value in words, and its age if it was sent before the subscription began."""
     said = age = ""
     with suppress(RobotError):
         async with source.follow(topic, limit=1) as stream:
@@ -60,7 +60,7 @@ async def _state(source: Source, topic: str, kind: str) -> tuple[str, str]:
 
 
 def _only_field(definitions: Definitions, kind: str) -> Field | None:
-    """The field of a type that has one besides its header; None for others, and for lists and messages."""
+    """Return the only field of a type besides its header; None if there are several, or it is a list or a message."""
     fields = [field for field in definitions.structure(kind).fields if field.type.base != _HEADER]
     is_value = len(fields) == 1 and fields[0].type.arity == "single" and not fields[0].type.is_message
     return fields[0] if is_value else None

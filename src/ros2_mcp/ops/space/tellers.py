@@ -1,9 +1,9 @@
-"""Which node tells which edge, where several publish on /tf or /tf_static.
+"""Find the node that publishes each edge if several nodes publish on /tf or /tf_static.
 
-rclpy does not tell who sent a message. What is known: who publishes now, and who did; which messages are of one
-publisher (by their numbers, `values/writers.py`); what else each node publishes: who tells odom → base publishes
-odometry, too, and who tells map → odom a pose or a map; and what nodes are called, by habit. So it is a conclusion, and
-said to be one (`probably`).
+rclpy does not report the sender of a message. Known are: the present and former publishers; which messages come from
+one publisher (by their sequence numbers, `values/writers.py`); what else each node publishes (the publisher of odom →
+base also publishes odometry, that of map → odom a pose or a map); and the usual names of nodes. The result is an
+inference and marked as such (`probably`).
 """
 
 from __future__ import annotations
@@ -20,27 +20,28 @@ from ros2_mcp.world.frame_edges import Edge
 from ros2_mcp.world.transforms import BASES, FrameTree
 
 _SEEN_LATE_NS, _HEARD_LATE_NS = 3_000_000_000, 1_000_000_000
-"""A node may be seen so long after its first message was heard, and its last be heard so long after it went."""
+"""Tolerances in ns: a node may be discovered this long after its first message, and its last message be received this
+long after it has left."""
 _MOST_NAMED = 3
-"""Publishers of a topic that are named where it is not known which of them tells an edge."""
+"""The most publishers named if it is not known which of them publishes an edge."""
 _CALLED = {
     "localisation": re.compile(r"amcl|mcl|slam|locali[sz]|cartographer|rtabmap|map|hector|ndt|lio"),
     "odometry": re.compile(r"odom|diff|drive|base|ekf|ukf|state_estimat|wheel|kobuki|vio"),
     "description": re.compile(r"state_publisher|description|joint"),
 }
-"""What nodes with a role are called: those of Nav2, slam_toolbox, robot_localization, ros2_control and such."""
+"""Usual names of nodes by role: those of Nav2, slam_toolbox, robot_localization, ros2_control and others."""
 _LOCALISATION = "localisation"
 GONE = ", which is gone"
 _AS = {"placing": "localisation"}
-"""Who places the base in the map itself, past odom, is a localisation, too."""
+"""A node that publishes the base directly in the map, without odom, is a localisation too."""
 _CORRECTS = re.compile(r"amcl")
-"""Localisations that tell map → odom alone."""
+"""Matches localisation nodes that publish map → odom only."""
 
 
 @dataclass(frozen=True, slots=True)
 class Publishers:
-    """Those of one topic: nodes that publish now, and those that did since it is listened to and are gone. `lives` says
-    between which times each may have been there, as far as that is known.
+    """The publishers of one topic: nodes that publish now, and nodes that did so since the subscription began and have
+    left. `lives` is the time in which each may have been present, as far as it is known.
     """
 
     now: Sequence[str] = ()
@@ -49,12 +50,12 @@ class Publishers:
 
 
 class Tellers:
-    """The publishers of frames, and which of them tells an edge.
+    """The publishers of frames, and the node that publishes each edge.
 
     Args:
-        tree: what was told.
-        publishers: of /tf and of /tf_static.
-        also: by role, the nodes that publish what nodes with that role do.
+        tree: the frame tree received.
+        publishers: those of /tf and of /tf_static.
+        also: by role, the nodes that publish other topics typical of that role.
     """
 
     def __init__(
@@ -76,25 +77,29 @@ class Tellers:
         }
 
     def of(self, edge: Edge) -> str:
-        """The node: its name, `probably …` where it is concluded, `one of …` where it is not known; empty of none."""
+        """Return the edge's publisher: its name; `probably …` if inferred; `one of …` if not known; empty if there is
+        none.
+        """
         if edge.is_left and edge.is_static and not self._publishers.get(TF_STATIC, Publishers()).gone:
             return f"a node that was not seen{GONE}"
         return self._named(TF_STATIC if edge.on_static else TF, edge.writers)
 
     def on(self, topic: str, edge: Edge, parent: str) -> str:
-        """The nodes that tell it with that parent on one of both topics, as `of` names them."""
+        """Return the nodes that publish the edge with that parent on /tf or /tf_static, worded as by `of`."""
         writers = edge.static_writers_of(parent) if topic == TF_STATIC else edge.writers_of(parent)
         return self._named(topic, writers)
 
     def by_whom(self, edge: Edge, parent: str) -> str:
-        """Who tells it with that parent, in words that follow a name: " by …"; empty where that is not known."""
+        """Return " by …" with the publisher of the edge with that parent, to follow a name; empty if it is not
+        known.
+        """
         is_moving = any(one.parent == parent for one in edge.moving)
         topic = TF_STATIC if not is_moving and (parent in edge.static or edge.on_static) else TF
         who = self._named(topic, edge.writers_of(parent))
         return f" by {who}" if who else ""
 
     def silent(self, topic: str) -> tuple[int, Sequence[str]]:
-        """How many nodes publish on a topic without that anything was heard of them, and who these, or they, may be."""
+        """Return how many publishers of a topic have sent nothing, and the nodes that they are or may be."""
         publishers, nodes = self._publishers.get(topic, Publishers()), self._nodes[topic]
         count = len(_all(publishers)) - min(len(nodes), self._heard[topic])
         if count <= 0:
@@ -106,7 +111,7 @@ class Tellers:
 
     @property
     def is_silent(self) -> bool:
-        """Whether nothing was heard of a node yet that has something to say."""
+        """Whether a publisher from which a message is expected has not sent any yet."""
         return any(
             count and not self.waits_for_joints(topic, names)
             for topic in (TF, TF_STATIC)
@@ -115,7 +120,7 @@ class Tellers:
 
     @property
     def has_localisation(self) -> bool:
-        """Whether somebody tells where odometry, or what moves, is in a map."""
+        """Whether odom, or a moving frame, has a transform from a map frame."""
         told = [(edge, edge.newest) for edge in self._tree.edges.values()]
         return any(
             edge.child.rpartition("/")[2] == "odom" or (edge.moving and newest.parent.rpartition("/")[2] == "map")
@@ -124,10 +129,10 @@ class Tellers:
         )
 
     def is_missed(self, names: Sequence[str]) -> bool:
-        """Whether something lacks that these nodes, of which nothing is heard, may have to tell: the frames are not one
-        tree, or nobody tells where the base is in odom or odom in a map, which by its name is the task of one of them.
+        """Return whether an edge is missing that these silent nodes may have to publish: the frames are not one tree,
+        or the base in odom, or odom in a map, is not published, which by their names is the task of one of them.
 
-        A controller whose odometry transform is switched off has its publisher all the same.
+        A controller whose odometry transform is disabled still has a publisher on /tf.
         """
         tree, roles = self._tree, {_role_of_name(name) for name in names}
         if len(tree.roots) != 1 or (_LOCALISATION in roles and not self.has_localisation):
@@ -135,8 +140,9 @@ class Tellers:
         return "odometry" in roles and tree.base in tree.roots
 
     def waits_for_joints(self, topic: str, names: Sequence[str]) -> bool:
-        """Whether these say nothing on /tf because nothing moves: on /tf_static they are heard, as a state publisher is
-        whose joints are all fixed."""
+        """Return whether these nodes are silent on /tf because nothing moves: they publish on /tf_static, as a state
+        publisher with fixed joints only does.
+        """
         static = self._publishers.get(TF_STATIC, Publishers())
         return topic == TF and set(names) <= set(static.now) and not self.silent(TF_STATIC)[0]
 
@@ -158,7 +164,7 @@ class Tellers:
 
 
 async def tellers_of(source: Source, tree: FrameTree) -> Tellers:
-    """Who tells the edges of a robot; nobody is known of a recording."""
+    """Return the publishers of a robot's edges; for a recording none are known."""
     if (listener := source.transforms) is None:
         return Tellers(tree, {}, {})
     publishers: dict[str, Publishers] = {}
@@ -175,8 +181,8 @@ async def tellers_of(source: Source, tree: FrameTree) -> Tellers:
 
 
 def silent_in_words(tellers: Tellers, since_s: float, *, harmless: bool | None = None) -> list[str]:
-    """Who publishes on /tf or /tf_static and sends nothing, in so many seconds of listening; `harmless`: only those, or
-    only the others, of which nothing is missed.
+    """Report the publishers on /tf or /tf_static that sent nothing in `since_s` seconds. `harmless` selects those whose
+    silence leaves no edge missing (True) or the others (False); None: all.
     """
     found: list[str] = []
     for topic in (TF, TF_STATIC):
@@ -208,7 +214,7 @@ def _all(publishers: Publishers | None) -> Sequence[str]:
 
 
 def _there(tree: FrameTree, topic: str, publishers: Publishers) -> Mapping[int, set[str]]:
-    """The nodes that were there whenever each publisher was heard; all of them where that leaves none."""
+    """Return, for each publisher, the nodes present whenever it was received; all nodes if none fits."""
     found: dict[int, set[str]] = {}
     for writer, (first_ns, last_ns) in tree.heard_ns(is_static=topic == TF_STATIC).items():
         there = {
@@ -219,7 +225,8 @@ def _there(tree: FrameTree, topic: str, publishers: Publishers) -> Mapping[int, 
         }
         found[writer] = there or set(_all(publishers))
     if topic == TF_STATIC and any(edge.is_left for edge in tree.edges.values()):
-        # It was asked again who still tells what is static: what nobody does is of those who went.
+        # Static transforms were received again after nodes had left: an edge without a publisher now belongs to a node
+        # that left.
         for writer, children in tree.writers(is_static=True).items():
             is_left = any(tree.edges[child].is_left for child in children if child in tree.edges)
             found[writer] = found[writer] & set(publishers.gone if is_left else publishers.now) or found[writer]
@@ -235,10 +242,10 @@ def _concluded(
     *,
     is_static: bool,
 ) -> Mapping[int, set[str]]:
-    """The nodes that each publisher may be, the fewer the better: of those that were `there` when it was heard.
+    """Return the nodes that each publisher may be, among those `there` when it was received.
 
-    As many publishers as nodes that fit them by one kind of evidence are these nodes, and then no others are; first by
-    what the nodes publish besides, then by what they are called.
+    If as many publishers as nodes fit each other by one kind of evidence, they are identified, and these nodes are
+    excluded for other publishers. The evidence is first what else the nodes publish, then their names.
     """
     possible = {writer: set(there.get(writer, names)) for writer in writers if writer}
     roles = {writer: _roles(tree, writer, writers[writer], is_static=is_static) for writer in possible}
@@ -256,7 +263,7 @@ def _concluded(
             if len(nodes) == len(group):
                 _are(possible, group, nodes)
     if len(possible) == len(names):
-        for _ in names:  # what is left over is that of the last
+        for _ in names:  # elimination: each identified node is excluded for the other publishers
             for writer, nodes in possible.items():
                 if len(nodes) == 1:
                     _are(possible, [writer], frozenset(nodes))
@@ -272,21 +279,23 @@ def _are(possible: dict[int, set[str]], writers: Sequence[int], nodes: frozenset
 
 
 def _roles(tree: FrameTree, writer: int, children: Iterable[str], *, is_static: bool) -> set[str]:
-    """What a publisher that tells such edges may be; none where one of them is of none that is known."""
+    """Return the roles that a publisher of these edges may have; empty if one of the edges fits no known role."""
     edges = [tree.edges[child] for child in children if child in tree.edges]
     roles = {_static_role(edge, writer) if is_static else _role(edge, writer) for edge in edges}
     return set() if "" in roles else roles
 
 
 def _static_role(edge: Edge, writer: int) -> str:
-    """A mount is of the description; but no description tells where the robot is, nor has its base below a part."""
+    """Return "description" for a mount, else empty: no description publishes the robot's pose, or a base below another
+    link.
+    """
     child, parent = edge.child.rpartition("/")[2], edge.static_parent_by(writer).rpartition("/")[2]
     is_place = parent in ("map", "odom") or child == "odom"
     return "" if is_place or (child in BASES and parent not in (*BASES, "world")) else "description"
 
 
 def _role(edge: Edge, writer: int) -> str:
-    """What a publisher that tells such an edge is, by the names of REP 105."""
+    """Return the role of an edge's publisher, by the frame names of REP 105."""
     child, parent = edge.child.rpartition("/")[2], edge.parent_by(writer).rpartition("/")[2]
     if child == "odom":
         return _LOCALISATION

@@ -1,4 +1,5 @@
-"""Where one frame is in another: at a time, over a time, and what is given in one as it is in the other."""
+"""Look-up of the transform between two frames: at a time, averaged over a duration, or applied to points and
+messages."""
 
 from __future__ import annotations
 
@@ -28,28 +29,28 @@ from ros2_mcp.world.no_transform import alike, edge_in_words, seconds_in_words, 
 from ros2_mcp.world.transforms import OTHER_CLOCK_NS, FrameTree, Located
 
 MOST_POINTS = 500
-"""Of one call: a polygon, a path, a plan; clouds are drawn, not transformed by numbers."""
+"""The most points of one call: enough for a polygon, a path or a plan. Clouds are drawn, not transformed as numbers."""
 MOST_S = 600.0
-"""Of a duration, as of the other tools that measure."""
+"""The longest duration, as in the other tools that measure."""
 _MOST_POSES = 5_000
-"""Over a duration: 100 s at 50 Hz are all looked at; of more, every n-th."""
+"""The most poses averaged over a duration: all of 100 s at 50 Hz; of more, every n-th."""
 _LOOK_S = 0.5
-"""Between two looks at what has come over a duration; the tree keeps 30 s."""
+"""Interval at which poses are taken from the tree, which keeps 30 s."""
 _WATCHED_S = 4.5
-"""From the first question on, where stamps are of a clock that nobody tells."""
+"""Time from the first question on in which stamps of an unknown clock are watched for a restart."""
 _MOST_TOLD = 8
-"""Edges whose publishers an error names."""
+"""The most edges whose publishers an error names."""
 _LONG_GAP_NS = 1_000_000_000
-"""Between two transforms of an edge: the slowest usual publishers send once a second."""
+"""A longer time between two transforms of an edge is a gap: the slowest usual publishers send once a second."""
 _MOST_SHOWN = 3
-"""Of what was transformed, so many stand in the line; all of it is in the values."""
+"""The most transformed points in the text; all are in the values."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LookupRequest:
-    """What is asked: where `frame` is in `target`, at a `time` (empty: the latest), or over `duration_s`; which
-    `points` ([x, y, z], or [x, y, z, qx, qy, qz, qw] for poses) given in `frame`, or `field` (`/topic:path`) of a
-    message, are to be given in `target`.
+    """A look-up of `frame` in `target`: at a `time` (empty: the latest), or averaged over `duration_s`. The `points`
+    ([x, y, z], or [x, y, z, qx, qy, qz, qw] for poses) in `frame`, or the `field` (`/topic:path`) of a message, are
+    transformed into `target`.
     """
 
     target: str
@@ -71,7 +72,7 @@ class Xyz:
 
 @dataclass(frozen=True, slots=True)
 class Xyzw:
-    """A unit quaternion."""
+    """A unit quaternion (x, y, z, w)."""
 
     x: float
     y: float
@@ -81,10 +82,11 @@ class Xyzw:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Spread:
-    """How much the pose varied over the duration, from `count` poses; the pose of the answer is their mean.
+    """The variation of the pose over the duration, from `count` poses; the pose of the result is their mean.
 
-    Standard deviations of the place (m) and of the rotation (degrees, the angle from the mean); `most_m` and `most_deg`
-    are the largest distances from the mean; `moved_m` and `turned_deg` those from the first pose to the last.
+    `std_*` are the standard deviations of the translation (m) and of the rotation (angle from the mean, degrees).
+    `most_m` and `most_deg` are the largest deviations from the mean; `moved_m` and `turned_deg` are the distance and
+    the angle between the first and the last pose.
     """
 
     count: int
@@ -129,7 +131,9 @@ class Lookup:
     note: str = ""
 
     def summary(self) -> list[str]:
-        """The pose in a line, the chain in another, and what was transformed."""
+        """Return a line with the pose, lines with spread and transformed points, and one with the edges of the
+        chain.
+        """
         at = self.translation
         age = "" if self.age_s is None else f", {age_in_words(self.age_s)}"
         when = "static" if self.is_static else f"{f'at {self.stamp}' if self.stamp else 'without a stamp'}{age}"
@@ -154,13 +158,13 @@ class Lookup:
 
 
 async def tf_lookup(source: Source, request: LookupRequest, report: Report = silent) -> Lookup:
-    """Looks a transform up.
+    """Look up a transform, and transform points or a message field with it.
 
     Raises:
-        NoTransform: with the reason in words, from what was told.
-        BadValue: for a time, a point or a field that cannot be meant.
-        BadInput: if it is not said which frame is asked for.
-        NotFound, TimedOut, TypeConflict: as the reading of a message for `field`.
+        NoTransform: with the reason in words, from the transforms received.
+        BadValue: for an invalid time, point or field.
+        BadInput: if no frame is given, or arguments contradict each other.
+        NotFound, TimedOut, TypeConflict: as `given_in` does for `field`.
         UnknownInterface, LinkError: as `frames_of`.
     """
     if len(request.points) > MOST_POINTS:
@@ -195,7 +199,7 @@ async def tf_lookup(source: Source, request: LookupRequest, report: Report = sil
 
 
 def _given(number: int, point: Sequence[float]) -> Pose:
-    """A point or pose that the caller gave."""
+    """Return a point or pose given by the caller."""
     path = f"points[{number}]"
     if len(point) not in (3, 7):
         raise BadValue(path, f"{len(point)} numbers.", "Write [x, y, z], or [x, y, z, qx, qy, qz, qw] for a pose.")
@@ -209,12 +213,14 @@ def _given(number: int, point: Sequence[float]) -> Pose:
 
 
 def _carried(pose: Pose, given: Sequence[Pose] | None, sizes: Sequence[int]) -> Sequence[Sequence[float]] | None:
-    """What was given, in the target, as it was given: 3 numbers for a place, 7 for a pose, 0 for a direction."""
+    """Return the given values in the target frame, each in its own size: 3 numbers for a point, a vector (0) or 4 for a
+    quaternion, 7 for a pose.
+    """
     if given is None:
         return None
     carried: list[Sequence[float]] = []
     for one, size in zip(given, sizes, strict=True):
-        if size == 0:  # a vector has no place: it is turned
+        if size == 0:  # a vector has no position: it is only rotated
             carried.append(Pose((0.0, 0.0, 0.0), pose.rotation).applied(one.translation))
         elif size == 4:
             carried.append(product(pose.rotation, one.rotation))
@@ -230,13 +236,13 @@ def _carried(pose: Pose, given: Sequence[Pose] | None, sizes: Sequence[int]) -> 
 async def _at(
     source: Source, target: str, frame: str, time: str, at_ns: int | None, report: Report
 ) -> tuple[FrameTree, Located]:
-    """The tree, and what is found at that time: as it is written, or by a stamp."""
+    """Return the tree and the transform at a time: `time` as the caller wrote it, else the stamp `at_ns`."""
     wall_ns = _wall_ns(source, time) if time.strip() else at_ns
 
     def sought(tree: FrameTree) -> int | None:
         if wall_ns is None or not time.strip():
             return wall_ns
-        # "2 s ago" and "12 s in" are of the receiver's clock; a number may be a stamp of the robot's own.
+        # "2 s ago" and "12 s in" refer to the receiver's clock; a number may be a stamp of the robot's own clock.
         return wall_ns if not is_relative(time) and tree.reaches(wall_ns) else wall_ns - tree.clock_ns
 
     def is_there(tree: FrameTree) -> bool:
@@ -252,20 +258,20 @@ async def _at(
 
 
 async def _watched(source: Source, tree: FrameTree) -> None:
-    """Looks at the stamps of a clock that nobody tells for some seconds, whether they begin again: a bag in a loop."""
+    """If stamps come from an unknown clock, listen some seconds to see whether they restart, as in a looped bag."""
     listener = source.transforms
     if listener is None or not tree.clock_ns or listener.listened_s > _WATCHED_S or await listener.clock_publishers():
         return
     while listener.tree is tree and (left_s := _WATCHED_S - listener.listened_s) > 0:
         if any(edge.jumps for edge in tree.edges.values()):
-            await anyio.sleep(min(left_s, _LOOK_S))  # for the others, which begin again with it
+            await anyio.sleep(min(left_s, _LOOK_S))  # for the other edges, whose stamps restart at the same time
             return
         await listener.news(left_s)
 
 
 async def _more_of(source: Source, error: NoTransform, tree: FrameTree, names: Sequence[str]) -> NoTransform:
-    """The error with what else is known: who tells the edges in question, publishers that nobody hears or that are
-    silent, and what the description says of the frame.
+    """Return the error with what else is known: the publishers of the edges in question, publishers whose messages are
+    not received or that are silent, and what the description says of the frame.
     """
     tellers = await tellers_of(source, tree)
     where = followed_in_words(source, tree)
@@ -295,7 +301,7 @@ async def _more_of(source: Source, error: NoTransform, tree: FrameTree, names: S
 
 
 def _who_tells(tree: FrameTree, names: Sequence[str], tellers: Tellers, reason: str) -> list[str]:
-    """The nodes behind an error, edge by edge; of two parents those of each."""
+    """Return the publishers of the edges behind an error; for a frame with two parents, those of each."""
     steps = {edge.child: edge for name in names if name in tree.frames for edge in tree.way_up(name)}
     roots = [tree.edges.get(tree.root_of(name)) for name in names if name in tree.frames]
     steps |= {edge.child: edge for edge in roots if edge and edge.refused}
@@ -310,7 +316,7 @@ def _who_tells(tree: FrameTree, names: Sequence[str], tellers: Tellers, reason: 
 
 
 def _not_simulated(tree: FrameTree, names: Sequence[str], tellers: Tellers, reason: str) -> list[str]:
-    """Who stamps by the robot's clock though others have simulated time."""
+    """Report publishers that stamp by the robot's clock while the others use simulated time."""
     if reason != "two clocks" or not tree.has_clock:
         return []
     edges = {edge.child: edge for name in names for edge in tree.way_up(name) if edge.moving}.values()
@@ -323,7 +329,7 @@ def _not_simulated(tree: FrameTree, names: Sequence[str], tellers: Tellers, reas
 
 
 def _wall_ns(source: Source, time: str) -> int:
-    """A time as the caller wrote it; relative ones count from now, or from the recording's beginning or end."""
+    """Parse the caller's time; relative times count from now, or from the recording's beginning or end."""
     covers = source.covers_ns
     if covers is None:
         listener = source.transforms
@@ -337,7 +343,9 @@ def _wall_ns(source: Source, time: str) -> int:
 async def _over(
     source: Source, target: str, frame: str, request: LookupRequest, report: Report
 ) -> tuple[FrameTree, Located, Spread]:
-    """The mean over a duration: live from now on, of a recording up to the time, or its end."""
+    """Return the mean transform over a duration: live from now on; in a recording up to the requested time, or its
+    end.
+    """
     assert request.duration_s is not None
     length_ns = round(request.duration_s * 1e9)
     tree, first = await _at(source, target, frame, request.time, None, report)
@@ -371,7 +379,7 @@ async def _listened(
 
 
 def _poses(tree: FrameTree, located: Located, from_ns: int, until_ns: int) -> dict[int, Pose]:
-    """The pose at each stamp of an edge of the chain between two times; where there are too many, at every n-th."""
+    """Return the pose at each stamp of the chain's edges between two times; if there are too many, at every n-th."""
     stamps = sorted({stamp for edge in located.edges for stamp in edge.stamps if from_ns <= stamp <= until_ns})
     found: dict[int, Pose] = {}
     for stamp in stamps[:: len(stamps) // _MOST_POSES + 1]:
@@ -436,7 +444,7 @@ async def _answer(
     notes += [*_gaps(located, began_ns), *followed_in_words(source, tree)]
     notes += [undecodable(tree.damaged, tree.trouble)] if tree.damaged else []
     notes += await other_clock(source, tree)
-    # At a time in a recording that was asked for, the pose is of that time, and no older.
+    # For a requested time in a recording the pose is that of this time, and so has no age.
     age_ns = None if stamp_ns is None or is_within else reference_ns - stamp_ns - clock_ns
     unstamped = [edge.last_received_ns for edge in located.edges if edge.unstamped and not edge.moving]
     if stamp_ns is None and unstamped:
@@ -465,7 +473,7 @@ async def _answer(
 
 
 def _gaps(located: Located, began_ns: int | None) -> list[str]:
-    """Which edges had a pause at that time, so that what is told of it is a guess between before and after."""
+    """Report edges with a gap at that time, across which the pose is interpolated."""
     found: list[str] = []
     for edge in located.edges if located.stamp_ns is not None else ():
         at_ns = located.stamp_ns or 0

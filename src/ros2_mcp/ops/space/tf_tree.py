@@ -1,4 +1,4 @@
-"""The tree of frames as text and as a picture, with the health of each edge."""
+"""The frame tree as text and as a picture, with the health of each edge."""
 
 from __future__ import annotations
 
@@ -24,25 +24,26 @@ from ros2_mcp.world.no_transform import circle_in_words, edge_in_words, seconds_
 from ros2_mcp.world.transforms import FrameTree
 
 _MOST_LINES = 150
-"""Of the text: the largest robots have that many frames, and a result has 12 kB."""
+"""The most lines of the text: the largest robots have that many frames, and a result is limited to 12 kB."""
 
 _AGAIN_NS = 4_000_000_000
-"""For the second message of an edge that came once: its rate is not known before; and for the first message of a
+"""Time to wait for the second message of an edge, without which its rate is not known, and for the first message of a
 publisher, which may be discovered late."""
 
 _LEAST_GAP_NS, _GAP_PERIODS = 2_000_000_000, 10
-"""A pause in a recording that is said: a busy machine makes shorter ones, and what is seen now and then has many."""
+"""A gap in a recording is reported from this length and number of usual periods on: a busy machine causes shorter ones,
+and an edge published irregularly has many."""
 
 _LOOK_S = 0.2
-"""Between two looks whether a silent publisher is heard."""
+"""Interval at which silent publishers are checked again."""
 
 _MOST_DRAWN = 80
-"""Characters of a name in the picture: more make it too wide to be read."""
+"""The most characters of a name in the picture: a longer one makes it too wide to read."""
 
 
 @dataclass(frozen=True, slots=True)
 class FrameProblem:
-    """What is wrong with frames, in a sentence; `publisher` is the node that it is of, where that is known."""
+    """A problem of frames, in a sentence; `publisher` is the node responsible, if it is known."""
 
     problem: str
     publisher: str = ""
@@ -63,10 +64,10 @@ class Tree(WithPictures):
     lines: Sequence[str] = field(default=(), metadata=HIDDEN)
     found: Sequence[FrameProblem] = field(default=(), metadata=HIDDEN)
     disputed: int = field(default=0, metadata=HIDDEN)
-    """How many of the roots stand apart because a frame has two parents."""
+    """The number of roots that are separate only because a frame has two parents."""
 
     def summary(self) -> list[str]:
-        """What is wrong, then the tree."""
+        """Return the problems, then the tree."""
         count = len(self.roots) - self.disputed
         trees = f"{count} trees" if count != 1 else "one tree"
         health = counted(len(self.problems), "problem") if self.problems else "healthy"
@@ -79,11 +80,10 @@ class Tree(WithPictures):
 async def tf_tree(
     source: Source, frame: str = "", duration_s: float = 2.0, *, picture: bool = True, report: Report = silent
 ) -> Tree:
-    """The frames that are told, or those below one; live after listening for a while, so that rates are known, and for
-    up to 4 s more for an edge that came once.
-
+    """Return the frame tree, or the part below `frame`. Live, listen for `duration_s` so that rates are known, and up
+    to 4 s longer for an edge received only once.
     Raises:
-        NoTransform: if nothing is told at all.
+        NoTransform: if no transform was received.
         NotFound: if there is no frame of that name.
         UnknownInterface, LinkError: as `frames_of`.
     """
@@ -135,7 +135,7 @@ async def _listened(source: Source, duration_s: float, report: Report) -> FrameT
     tree = await listener.listening()
     deadline = monotonic() + duration_s
     async with reporting(report, duration_s, lambda: f"{len(tree.frames)} frames"):
-        # An edge that is told once a second needs more than two messages for a rate.
+        # The rate of an edge published once a second needs more than two messages.
         while (left_s := deadline - monotonic()) > 0 and (monotonic() - (listener.since or 0.0)) < duration_s:
             await listener.news(left_s)
         if not tree.frames:
@@ -146,7 +146,9 @@ async def _listened(source: Source, duration_s: float, report: Report) -> FrameT
 
 
 async def _heard_out(source: Source, tree: FrameTree, duration_s: float) -> Tellers:
-    """Who tells the edges; of whom nothing was heard yet may be discovered late, and is listened to a little longer."""
+    """Return the publishers of the edges; listen a little longer for publishers that are silent so far, as they may be
+    discovered late.
+    """
     tellers = await tellers_of(source, tree)
     listener = source.transforms
     while listener and duration_s and listener.tree is tree and tellers.is_silent:
@@ -159,7 +161,7 @@ async def _heard_out(source: Source, tree: FrameTree, duration_s: float) -> Tell
 
 
 def _once_ns(tree: FrameTree, now_ns: int) -> int:
-    """How much longer the second message of an edge that came once is waited for."""
+    """Return how much longer to wait for the second message of edges received only once, in ns."""
     once = [edge for edge in tree.edges.values() if edge.moving and edge.received == 1]
     return max((edge.last_received_ns + _AGAIN_NS - now_ns for edge in once), default=0)
 
@@ -169,7 +171,7 @@ def _newest_ns(tree: FrameTree) -> int:
 
 
 def _walk(tree: FrameTree, tops: Sequence[str]) -> Iterator[tuple[str, int]]:
-    """Every frame below those, parents first, with its depth; where frames go in a circle, each once."""
+    """Yield every frame below `tops` with its depth, parents first; each frame of a loop once."""
     below: dict[str, list[str]] = {}
     for edge in tree.edges.values():
         if edge.newest:
@@ -187,7 +189,7 @@ def _walk(tree: FrameTree, tops: Sequence[str]) -> Iterator[tuple[str, int]]:
 
 def _line(name: str, depth: int, row: EdgeRow | None) -> str:
     said = f" ({row.words()})" if row and row.parent and depth else ""
-    # what is wrong stands above, once
+    # the problem itself is listed once, above the tree
     wrong = f" - {'stale' if row.stale_s is not None else 'see the problems'}" if row and row.problem else ""
     return f"{'  ' * depth}{'└ ' if depth else ''}{named(name)}{said}{wrong}"
 
@@ -210,12 +212,13 @@ def _problems(
     found += [FrameProblem(f"Frames form a loop: {circle_in_words(circle, by)}.") for circle in circles.values()]
     found += _of_edges([rows[name] for name in names if name in rows and rows[name].problem])
     causes = [edge for name in names if (edge := tree.edges.get(name)) and (edge.two_parents or not edge.newest)]
-    # That there are several trees follows from an edge that is refused, or that has two ends.
+    # Several trees are a consequence of an edge that is refused, or of a frame with two parents: that cause is listed
+    # first.
     return [*found[trees:], *found[:trees]] if causes else found
 
 
 def _of_edges(rows: Sequence[EdgeRow]) -> list[FrameProblem]:
-    """One for each edge; those that one publisher has left stale are one."""
+    """Return one problem for each edge; stale edges of one publisher are combined."""
     stale: dict[str, list[EdgeRow]] = {}
     for row in rows:
         if row.stale_s is not None:
@@ -231,7 +234,7 @@ def _of_edges(rows: Sequence[EdgeRow]) -> list[FrameProblem]:
 
 
 def _gaps(source: Source, tree: FrameTree, walk: Sequence[tuple[str, int]]) -> list[str]:
-    """Which edges had a pause in the recording, which says at its end that all is well again."""
+    """Report gaps of edges within the recording, which the state at its end does not show."""
     found: list[str] = []
     for edge in (tree.edges[name] for name, _ in walk if name in tree.edges) if tree.is_recorded else ():
         from_ns, to_ns = edge.longest_gap() or (0, 0)

@@ -1,4 +1,4 @@
-"""Publishers of frames that nodes with tf2's listener do not hear, and topics on which nobody publishes."""
+"""Publishers of frames that tf2 listeners do not receive, and topics of frames without a publisher."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ros2_mcp.world.transforms import FrameTree
 
 
 async def unheard_publishers(source: Source) -> Sequence[str]:
-    """In sentences; none for a recording, and where all is well."""
+    """Return the problems in sentences; empty for a recording, or if there are none."""
     if (listener := source.transforms) is None:
         return ()
     found: list[str] = []
@@ -29,7 +29,9 @@ async def unheard_publishers(source: Source) -> Sequence[str]:
 
 
 def _elsewhere(topics: Sequence[str]) -> str:
-    """Where else there are frames, and what can be done: of one namespace alone they are followed by themselves."""
+    """Name the namespaced topics that do have frames, and suggest a remedy; a single namespace is followed
+    automatically.
+    """
     if not topics:
         return ""
     spaces = {one.removesuffix(topic): None for one in topics for topic in (TF, TF_STATIC) if one.endswith(topic)}
@@ -44,7 +46,7 @@ def _elsewhere(topics: Sequence[str]) -> str:
 
 
 def followed_in_words(source: Source, tree: FrameTree) -> list[str]:
-    """That the frames are those of a namespace, where they are."""
+    """Report that the frames come from a namespace; empty if they do not."""
     if not tree.namespace:
         return []
     where = f"{named(tree.namespace + TF)} and {named(tree.namespace + TF_STATIC)}"
