@@ -1,6 +1,6 @@
-"""What is kept of messages that pass by: times of receipt, and chosen fields as columns of numbers, never the bytes.
+"""Receive times and chosen numeric fields of messages, kept as columns of numbers without the messages themselves.
 
-So a recording of any size is measured in bounded memory. Import it inside functions only: it needs NumPy.
+Thus a recording of any size is measured in bounded memory. Import it inside functions only: it needs NumPy.
 """
 
 from __future__ import annotations
@@ -27,29 +27,31 @@ if TYPE_CHECKING:
     from ros2_mcp.ops.measure.flow import Times
 
 MOST_ROWS = 1_000_000
-"""Messages of one topic whose values are kept: an IMU at 200 Hz for 80 minutes. Looking for jumps takes ten times the
-memory of one column, 80 MB."""
+"""The most messages of one topic whose values are kept: 80 minutes of an IMU at 200 Hz. The search for jumps takes ten
+times the memory of one column, 80 MB."""
 
 
 Parts: TypeAlias = "Numbers | list[Numbers]"
-"""Values of messages: a number of each, a row of each, or where lists differ in length an array of each."""
+"""Values of messages: one number for each, a row for each, or, if lists differ in length, an array for each."""
 _WHOLE = {"int64": np.int64, "uint64": np.uint64}
-"""Whole numbers that float64 rounds: equal ones are told by these."""
+"""Integer types that float64 rounds: their values are compared for equality as integers."""
 
 
 @dataclass
 class Room:
-    """How many numbers all topics of one measurement may still keep: at eight bytes each, 24 MB and 32 MB."""
+    """The numbers that all topics of one measurement may still keep: at eight bytes each, 24 MB and 32 MB."""
 
     times: int = 3_000_000
     values: int = 4_000_000
 
 
 class Arrivals:
-    """When the messages of one topic came. `times_ns` are those of the first messages, as many as there is room for.
+    """The receive times of one topic's messages. `times_ns` holds those of the first messages, as many as there is room
+    for.
 
-    Those that `is_replayed` names were sent earlier and kept for late subscribers: they are `replayed`, the newest at
-    `replayed_ns` (0: none) by its publisher's clock, and say nothing of counts, bytes, times and rates.
+    Messages for which `is_replayed` is true were sent earlier and kept for late subscribers. They are counted as
+    `replayed`, the newest at `replayed_ns` by its publisher's clock (0: none), and not in counts, bytes, times and
+    rates.
     """
 
     def __init__(self, room: Room, is_replayed: Callable[[Sample], bool] = lambda _: False) -> None:
@@ -63,7 +65,7 @@ class Arrivals:
         self._is_replayed = is_replayed
 
     def add(self, samples: Sequence[Sample]) -> None:
-        """Takes in messages, in the order of time."""
+        """Add messages, in the order of time."""
         old = [sample for sample in samples if self._is_replayed(sample)]
         if old:
             self.replayed += len(old)
@@ -81,21 +83,23 @@ class Arrivals:
 
     @property
     def seen(self) -> int:
-        """How many messages there are, with those from before."""
+        """The number of messages, including replayed ones."""
         return self.count + self.replayed
 
     @property
     def times_ns(self) -> Times:
-        """Times of receipt."""
+        """Receive times, Unix time in ns."""
         return np.frombuffer(self._times, np.int64) if self._times else np.zeros(0, np.int64)
 
     @property
     def all_kept(self) -> bool:
-        """Whether the times are those of all messages."""
+        """Whether the times of all messages are kept."""
         return len(self._times) == self.count
 
     def rate_hz(self, holes: Holes = ()) -> float | None:
-        """Messages per second between the first and the last, without the time of holes, whether kept or not."""
+        """Return messages per second between the first and the last, without the time of holes; all messages count,
+        kept or not. None if there are no two different times.
+        """
         if self.all_kept:
             return rate_hz(self.times_ns, holes)
         inside = [(max(begin, self.first_ns), min(end, self.last_ns)) for begin, end in holes]
@@ -106,10 +110,10 @@ class Arrivals:
 
 @dataclass
 class Totals:
-    """Numbers of finite values, added part by part, so that they need not be kept (Chan's formulas).
+    """Statistics of finite values, updated batch by batch without keeping the values (Chan's formulas).
 
-    Of all `total` values `not_finite` are NaN or infinite, `nan` of them NaN. `squares` is the sum of the squared
-    distances from the mean.
+    Of all `total` values, `not_finite` are NaN or infinite, of which `nan` are NaN. `squares` is the sum of the squared
+    deviations from the mean.
     """
 
     total: int = 0
@@ -122,16 +126,16 @@ class Totals:
 
     @property
     def count(self) -> int:
-        """How many are finite."""
+        """The number of finite values."""
         return self.total - self.not_finite
 
     @property
     def std(self) -> float:
-        """The standard deviation, divided by their number."""
+        """The standard deviation of the population (divided by the number of values); NaN without finite values."""
         return float(np.sqrt(self.squares / self.count)) if self.count else np.nan
 
     def add(self, values: Numbers) -> None:
-        """Takes in values."""
+        """Add values."""
         finite = values[np.isfinite(values)]
         before, new = self.count, len(finite)
         self.total += len(values)
@@ -148,7 +152,7 @@ class Totals:
 
 @dataclass
 class Line:
-    """The straight line that fits points best, added part by part."""
+    """The least-squares straight line through points, updated batch by batch."""
 
     count: int = 0
     time: float = 0.0
@@ -157,7 +161,7 @@ class Line:
     product: float = 0.0
 
     def add(self, times: Numbers, values: Numbers) -> None:
-        """Takes in points."""
+        """Add points; times in s."""
         new = len(times)
         if not new:
             return
@@ -172,13 +176,15 @@ class Line:
 
     @property
     def slope(self) -> float:
-        """The change per second; NaN where there are not two different times."""
+        """The slope per second; NaN if there are no two different times."""
         return self.product / self.spread if self.spread > 0 else np.nan
 
 
 @dataclass
 class Extreme:
-    """Where the smallest value was, or with `sign` -1 the largest: the time, and of a list the index of the element."""
+    """The place of the smallest value, or with `sign` -1 of the largest: its time, and in a list the element's
+    index.
+    """
 
     sign: float = 1.0
     at_s: float = 0.0
@@ -186,7 +192,9 @@ class Extreme:
     _least: float = np.inf
 
     def add(self, numbers: Numbers, lengths: NDArray[np.int32], times_s: Numbers) -> None:
-        """Takes in the values of messages; of lists also how many each message has, else that is empty."""
+        """Add the values of messages; `lengths` is the number of elements of each message's list, empty if the field is
+        no list.
+        """
         signed = np.where(np.isfinite(numbers), self.sign * numbers, np.inf)
         at = int(signed.argmin())
         if signed[at] >= self._least:
@@ -202,10 +210,11 @@ class Extreme:
 
 @dataclass
 class Column:
-    """One field of all messages: `totals` of all its values, `line` and ends of its series, and what is kept of them.
+    """One numeric field over all messages: `totals` of all values, `line`, first and last value of its series, and kept
+    values.
 
-    The series has one value for each message: the value itself, of a list the mean of its finite elements. What is
-    kept is the series, or with `whole_lists` all elements.
+    The series has one value for each message: the value itself, or the mean of a list's finite elements. Kept is the
+    series, or with `whole_lists` every element.
     """
 
     path: FieldPath
@@ -224,10 +233,11 @@ class Column:
     _values: array[float] = field(default_factory=lambda: array("d"))
 
     def read(self, values: Sequence[Any] | NDArray[Any]) -> tuple[Sequence[int], Parts]:
-        """Which of the messages have the field, and its values in each: one, or those of a list that is not empty.
+        """Return the indices of the messages that have the field, and their values: a number, or a list that is not
+        empty.
 
         Args:
-            values: of each message one value, None where it has no such field.
+                    values: one value for each message; None if the message lacks the field.
         """
         whole = _WHOLE.get(self.path.type.base)
         if isinstance(values, np.ndarray):
@@ -247,7 +257,7 @@ class Column:
         return rows, numbers
 
     def add(self, rows: Sequence[int], parts: Parts, times_s: Numbers, first_row: int | None) -> None:
-        """Takes in what `read` gave; `first_row` is where to keep it, None: nowhere."""
+        """Add the result of `read`; `first_row` is the row from which on it is kept, None: it is not kept."""
         if not rows:
             return
         numbers = parts.ravel() if isinstance(parts, np.ndarray) else np.concatenate(parts)
@@ -280,12 +290,16 @@ class Column:
         self._values.frombytes(numbers.tobytes())
 
     def kept_of(self, rows: Sequence[int], parts: Parts) -> int:
-        """How many numbers are kept of what `read` gave: of a list one, unless whole lists are."""
+        """Return how many numbers of the result of `read` are kept: for a list one, or all its elements with
+        `whole_lists`.
+        """
         is_list = self.path.is_list
         return int(_lengths(parts).sum()) if rows and is_list and self.whole_lists else len(rows)
 
     def _compare(self, parts: Sequence[NDArray[Any]] | NDArray[Any]) -> None:
-        """Whether it is the same in every message that has it; a NaN is never the same, unless it is in a list."""
+        """Update `is_constant`: whether all messages with the field have the same value. NaN equals NaN only inside
+        lists.
+        """
         if not self.messages:
             self._first_part = parts[0] if self.path.is_list else np.asarray(parts[:1])
         if self.is_constant and isinstance(parts, np.ndarray):
@@ -300,44 +314,46 @@ class Column:
 
     @property
     def first_value(self) -> NDArray[Any]:
-        """Its value in the first message, or of a list all of that one's; of 64-bit whole numbers these, exactly."""
+        """The value in the first message (of a list: all elements); 64-bit integers are exact."""
         return self._first_part
 
     @property
     def rows(self) -> NDArray[np.int32]:
-        """The rows (numbers of decoded messages) of what is kept."""
+        """The rows of the kept values, i.e. the indices of decoded messages."""
         return np.frombuffer(self._rows, np.int32) if self._rows else np.zeros(0, np.int32)
 
     @property
     def values(self) -> Numbers:
-        """What is kept: a value for each row, or all elements of all lists one after the other."""
+        """The kept values: one for each row, or the elements of all lists one after the other."""
         return np.frombuffer(self._values) if self._values else flat([])
 
     @property
     def lengths(self) -> NDArray[np.int32]:
-        """Of whole lists how many elements each row has."""
+        """The number of elements in each row, if whole lists are kept."""
         return np.frombuffer(self._lengths, np.int32) if self._lengths else np.zeros(0, np.int32)
 
     def by_row(self, rows: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        """For each of the first rows where in `values` its own begin, and how many they are: 0 without the field."""
+        """Return, for each of the first `rows` rows, the index of its first element in `values` and the number of its
+        elements (0 if the message lacks the field).
+        """
         counts = np.zeros(rows, np.int32)
         counts[self.rows] = self.lengths if self.path.is_list else 1
         return np.cumsum(counts, dtype=np.int32) - counts, counts
 
 
 def _lengths(parts: Parts) -> NDArray[np.int32]:
-    """How many values each message has."""
+    """Return the number of values of each message."""
     if isinstance(parts, np.ndarray):
         return np.full(len(parts), parts.shape[1] if parts.ndim > 1 else 1, np.int32)
     return np.array([len(part) for part in parts], np.int32)
 
 
 class Columns(Arrivals):
-    """The chosen fields of one topic's messages, replayed ones too. `read_ns` are the times of the rows that are kept.
+    """The chosen fields of one topic's messages, including replayed ones. `read_ns` holds the times of the kept rows.
 
-    The times of lines and extremes are seconds from `origin_ns`, when the first message came.
+    Times of lines and extremes are seconds from `origin_ns`, the receive time of the first message.
 
-    Messages that are not what their type says are left out, and counted as `undecodable`; `trouble` is of the first.
+    Messages that cannot be decoded are skipped and counted as `undecodable`; `trouble` is the first error.
     """
 
     def __init__(
@@ -362,7 +378,7 @@ class Columns(Arrivals):
         self._read = array("q")
 
     def add(self, samples: Sequence[Sample]) -> None:
-        """Takes in messages, in the order of time; each is read once, and let go."""
+        """Add messages, in the order of time. Each is read once and not kept."""
         super().add(samples)
         if not self.columns or not samples:
             return
@@ -384,7 +400,7 @@ class Columns(Arrivals):
                 column.add(rows, parts, times_s, first_row)
 
     def _values_in(self, samples: Sequence[Sample]) -> tuple[Sequence[Sample], Sequence[Any]]:
-        """The messages that can be read, and of each field its values in them."""
+        """Return the messages that can be decoded, and for each field its values in them."""
         found = self._reader.read([sample.data for sample in samples])
         if found is not None:
             return samples, found
@@ -403,30 +419,30 @@ class Columns(Arrivals):
         return readable, values
 
     def keep(self, samples: Sequence[Sample]) -> None:
-        """For who keeps more of each row."""
+        """Called with the messages of the kept rows; subclasses override it to keep more of each row."""
 
     @property
     def read_ns(self) -> Times:
-        """The times of the rows that are kept."""
+        """Receive times of the kept rows, Unix time in ns."""
         return np.frombuffer(self._read, np.int64) if self._read else np.zeros(0, np.int64)
 
     @property
     def all_read(self) -> bool:
-        """Whether all rows are kept."""
+        """Whether all decoded rows are kept."""
         return len(self._read) == self.decoded
 
     def check(self) -> None:
-        """Raises `BadData` if there are messages and none is what its type says."""
+        """Raise `BadData` if there are messages but none could be decoded."""
         if self.trouble and not self.decoded:
             raise self.trouble
 
     @property
     def skipped(self) -> str:
-        """In words, how many messages could not be decoded; empty where all could."""
+        """The number of messages that could not be decoded, in words; empty if there are none."""
         return undecodable(self.undecodable, str(self.trouble)) if self.undecodable else ""
 
     def bounds(self, what: str, began_ns: int | None = None) -> str:
-        """In words, of which part the values were kept, which `what` is of; empty where they all were."""
+        """Return a sentence that `what` covers only the first messages, if later values were not kept; else empty."""
         if not self.columns or self.all_read:
             return ""
         rows = len(self._read)
@@ -435,7 +451,7 @@ class Columns(Arrivals):
 
 
 def value_of(path: FieldPath, message: object) -> Any:
-    """The value of a field in a message; None where a list has no such element."""
+    """Return the value of a field in a message; None if a list has no such element."""
     try:
         return path.value_in(message)
     except BadValue:
@@ -443,6 +459,6 @@ def value_of(path: FieldPath, message: object) -> Any:
 
 
 def seconds(times_ns: Times, start_ns: int) -> Numbers:
-    """Times in seconds from the beginning of a capture; latched messages may be from before it."""
+    """Return times in seconds from the start of a capture; those of latched messages may be negative."""
     result: Any = (times_ns - start_ns) / 1e9
     return result

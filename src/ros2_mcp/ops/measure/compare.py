@@ -1,4 +1,4 @@
-"""Comparing two topics over the same time, live or recorded."""
+"""Comparison of two topics over the same time, live or recorded."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ if TYPE_CHECKING:
     from ros2_mcp.values.definitions import Definitions
     from ros2_mcp.values.select import FieldPath
 
-# Up to here topics are similar, and different: of the RMS difference, as a share of a field's scale.
+# Largest RMS difference, in percent of a field's scale, of topics that are similar, and of those that are different.
 SIMILAR_PERCENT = 5.0
 DIFFERENT_PERCENT = 50.0
-# Messages that may be without a partner and topics still be identical: one at each end of the time.
+# Messages that may lack a partner in topics that are still identical: one at each end of the time.
 _EDGES = 2
-# The same for long captures: the share of the messages that may be without a partner.
+# The same for long captures: the share of messages that may lack a partner.
 _UNPAIRED_SHARE = 0.1
-# Fields that are named in the reasons; all are in the table.
+# The most fields named in the reasons; the table has all.
 _MAX_REASONS = 5
 
 Verdict = Literal["IDENTICAL", "SIMILAR", "DIFFERENT", "VERY DIFFERENT"]
@@ -38,15 +38,15 @@ Verdict = Literal["IDENTICAL", "SIMILAR", "DIFFERENT", "VERY DIFFERENT"]
 class FieldComparison:
     """One field in both topics, over the paired messages; differences are second minus first.
 
-    `compared_as`: a quaternion is one `rotation`, which differs by the angle between the two; an `angle` (by its name:
-    yaw, heading, steering_angle, ...) differs by at most half a turn; all else is a `number`. `unit` is empty where it
-    is that of the field. The percentages are of `scale`: how far the values spread within a topic (max - min, the
-    larger of the two; at least a thousandth of the largest magnitude, at most all of it), the magnitude where neither
-    varies, at least 0.001° of latitude and longitude; of angles half a turn. `correlation` is Pearson's, null where one
-    does not vary. `delay_s` is by how much the second follows the first (by cross-correlation of the values over the
-    time of receipt), null where the two do not resemble each other.
-    `not_compared` counts values that are NaN or infinite in only one of them, or are missing; of rotations also those
-    that were never set (all 0). `alike` counts values that are the same in both, but nothing to compute with.
+    `compared_as`: a quaternion is one `rotation`, whose difference is the angle between the two; an `angle` (by its
+    name: yaw, heading, steering_angle, ...) differs by at most half a turn; all other values are a `number`. `unit` is
+    empty if it is that of the field. Percentages refer to `scale`: the range of values within a topic (max - min, the
+    larger of the two; at least a thousandth of the largest magnitude, at most all of it); the magnitude if neither
+    topic varies; at least 0.001° for latitude and longitude; half a turn for angles. `correlation` is Pearson's, null
+    if one topic does not vary. `delay_s` is the delay of the second topic behind the first (by cross-correlation of the
+    values over the time of receipt), null if the two do not correlate. `not_compared` counts values that are missing,
+    or NaN or infinite, in only one topic, and rotations that were never set (all 0) in only one. `alike` counts pairs
+    that are identical but cannot be subtracted (NaN, infinity, unset).
     """
 
     field: str
@@ -91,7 +91,7 @@ class Comparison:
     source: str
 
     def summary(self) -> str:
-        """The verdict with its reasons."""
+        """Return the verdict with its reasons."""
         return f"{self.topic1} and {self.topic2}: {self.verdict}. {' '.join(self.reasons)}"
 
 
@@ -104,7 +104,7 @@ async def compare(
     by_stamp: bool = True,
     report: Report = silent,
 ) -> Comparison:
-    """Compares the chosen fields of two topics, or all numeric ones that both have.
+    """Compare the chosen fields of two topics, or all numeric fields that both have.
 
     Raises:
         BadInput: if both topics are the same one, or their types have no field in common.
@@ -125,11 +125,13 @@ async def compare(
 
 
 def keeping(types: Sequence[str], fields: Sequence[str]) -> Callable[[Stream], Paired]:
-    """What keeps the fields that both types have, for `Source.captures`; raises as `common_fields`."""
+    """Return the factory for `Source.captures` that keeps the fields common to both types; raises as
+    `common_fields`.
+    """
     from ros2_mcp.ops.measure.columns import Room
     from ros2_mcp.ops.measure.paired import Paired
 
-    room = Room(times=0)  # those of the rows are kept
+    room = Room(times=0)  # the times of the rows are kept
 
     def keep(stream: Stream) -> Paired:
         side = 0 if stream.type == types[0] else 1
@@ -142,7 +144,7 @@ def keeping(types: Sequence[str], fields: Sequence[str]) -> Callable[[Stream], P
 def common_fields(
     definitions: Definitions, types: Sequence[str], chosen: Sequence[str]
 ) -> list[tuple[FieldPath, FieldPath]]:
-    """What is compared: the chosen fields, or all numeric ones that both types have.
+    """Return the pairs of fields to compare: the chosen ones, or all numeric ones that both types have.
 
     Raises:
         BadInput: if there is none.
@@ -160,7 +162,7 @@ def common_fields(
 def evaluate(
     first: Capture[Paired], second: Capture[Paired], *, tolerance_percent: float = 0.1, by_stamp: bool = True
 ) -> Comparison:
-    """Compares two captures of the same fields; raises `BadData` if no message of one is what its type says."""
+    """Compare two captures of the same fields; raises `BadData` if no message of one can be decoded."""
     import numpy as np
 
     from ros2_mcp.ops.measure.differences import differences
@@ -176,7 +178,7 @@ def evaluate(
     delays_s = sorted(row.delay_s for row in compared if row.delay_s is not None)
     delay_s = delays_s[len(delays_s) // 2] if delays_s else None
     verdict, reasons = _judge(first, second, len(in_first), compared, tolerance_percent)
-    if delay_s and abs(delay_s) > max(_period_s(first), _period_s(second)):  # shorter ones correlation makes of noise
+    if delay_s and abs(delay_s) > max(_period_s(first), _period_s(second)):  # shorter delays may result from noise
         earlier, later = (first, second) if delay_s > 0 else (second, first)
         reasons.append(f"By its values, {later.topic} is {1000 * abs(delay_s):.3g} ms behind {earlier.topic}.")
     for capture in (first, second):
@@ -201,7 +203,7 @@ def evaluate(
 
 
 def _period_s(capture: Capture[Paired]) -> float:
-    """From one message to the next, on average; infinite for fewer than two."""
+    """Return the mean period between messages in s; infinite if there are fewer than two."""
     read_ns = capture.kept.read_ns
     return float(read_ns[-1] - read_ns[0]) / 1e9 / (len(read_ns) - 1) if len(read_ns) > 1 else math.inf
 
@@ -209,7 +211,7 @@ def _period_s(capture: Capture[Paired]) -> float:
 def _pairing_times(
     first: Capture[Paired], second: Capture[Paired], by_stamp: bool
 ) -> tuple[tuple[Numbers, Numbers], str]:
-    """The times by which messages are paired, in seconds, and in words which these are."""
+    """Return the times by which messages are paired, in s, and a description of these times."""
     from ros2_mcp.ops.measure.columns import seconds
 
     stamps = (first.kept.stamps_ns, second.kept.stamps_ns) if by_stamp else (None, None)
@@ -223,7 +225,7 @@ def _pairing_times(
     elif stamps[0][-1] < stamps[1][0] or stamps[1][-1] < stamps[0][0]:
         reason = ": the stamps do not overlap in time"
     else:
-        # counted from the first stamp, because a Unix time in nanoseconds does not fit a float exactly
+        # Times count from the first stamp, because a Unix time in nanoseconds does not fit a float exactly.
         origin = int(stamps[0][0])
         return (seconds(stamps[0], origin), seconds(stamps[1], origin)), "stamp"
     sides = (first, second)
@@ -232,7 +234,7 @@ def _pairing_times(
 
 
 def _row(difference: Difference) -> FieldComparison:
-    """The differences of one field in numbers."""
+    """Return the result row of one field's differences."""
     import numpy as np
 
     from ros2_mcp.ops.measure.signals import number
@@ -248,8 +250,8 @@ def _row(difference: Difference) -> FieldComparison:
     )
     if not len(values):
         return row
-    # of numbers at the end of their range a difference may be infinite, which is shown as null; squares of shares
-    # of the scale do not overflow where squares of the differences would
+    # The difference of values at the ends of their range may be infinite, which is shown as null. The squares of shares
+    # of the scale do not overflow, unlike squares of the differences.
     with np.errstate(over="ignore", invalid="ignore"):
         unit = difference.scale or 1.0
         largest, rms = float(np.abs(values).max()), float(np.sqrt(np.mean((values / unit) ** 2))) * unit
@@ -262,13 +264,13 @@ def _row(difference: Difference) -> FieldComparison:
             rms_percent=number(100 * rms / unit),
             scale=number(difference.scale),
             correlation=difference.correlation,
-            # what is equal in every pair does not follow, whatever correlation makes of few values
+            # A field that is equal in every pair has no delay, whatever correlation yields for few values.
             delay_s=difference.delay_s and (difference.delay_s if largest else 0.0),
         )
 
 
 def _in_holes(capture: Capture[Paired], partner: Capture[Paired]) -> int:
-    """How many messages have no partner because what their partner is in cannot be read."""
+    """Return the number of messages without a partner because they lie in a hole of the other topic's recording."""
     times_ns = capture.kept.read_ns
     return sum(int(((times_ns >= begin) & (times_ns <= end)).sum()) for begin, end in partner.holes)
 
@@ -276,7 +278,7 @@ def _in_holes(capture: Capture[Paired], partner: Capture[Paired]) -> int:
 def _judge(
     first: Capture[Paired], second: Capture[Paired], pairs: int, compared: Sequence[FieldComparison], tolerance: float
 ) -> tuple[Verdict, list[str]]:
-    """The verdict as `Comparison` says, and its reasons, the largest differences first."""
+    """Return the verdict as defined in `Comparison`, and its reasons, the largest differences first."""
     counts = first.kept.rows, second.kept.rows
     if not pairs:
         without = [capture for capture in (first, second) if not capture.kept.rows]
@@ -289,7 +291,7 @@ def _judge(
         return "VERY DIFFERENT", reasons or ["No two messages are close in time."]
 
     def percent(row: FieldComparison) -> float:
-        return math.inf if row.rms_percent is None else row.rms_percent  # null: it does not fit a number
+        return math.inf if row.rms_percent is None else row.rms_percent  # null: too large for a float
 
     one_sided = [row.field for row in compared if not row.compared and row.not_compared]
     absent = [row.field for row in compared if not (row.compared or row.not_compared or row.alike)]
@@ -325,7 +327,7 @@ def _judge(
 
 
 def _agreement(compared: Sequence[FieldComparison], fields: int, pairs: int, tolerance: float) -> str:
-    """That they agree, with the largest difference that there is nevertheless."""
+    """Return a sentence that the topics agree, with the largest difference."""
     text = f"All {fields} fields of {pairs} pairs agree within {tolerance:g} %"
     most = max(compared, key=lambda row: row.max_percent or 0.0)
     if not most.max_percent:

@@ -1,4 +1,4 @@
-"""Diagnostics: what the components of a robot report of their health on /diagnostics."""
+"""Diagnostics: the status of a robot's components as published on /diagnostics."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ LISTEN_S = 1.5
 
 @dataclass(frozen=True, slots=True)
 class Diagnostic:
-    """What a component last reported of itself; `level` is OK, WARN, ERROR or STALE.
+    """The latest status of a component; `level` is OK, WARN, ERROR or STALE.
 
-    Of a recording `received_at` also says how long after its beginning.
+    For a recording, `received_at` also gives the offset from its start.
     """
 
     name: str
@@ -34,7 +34,7 @@ class Diagnostic:
 
 
 class DiagnosticTable:
-    """The newest status of every component, and its worst one; of a recording that began at `began_ns`."""
+    """The latest and the worst status of every component; for a recording, `began_ns` is its start."""
 
     def __init__(self, began_ns: int | None = None) -> None:
         self._began_ns = began_ns
@@ -42,12 +42,12 @@ class DiagnosticTable:
         self._worst: dict[tuple[str, str], tuple[int, Diagnostic]] = {}
 
     def add_all(self, robot: Robot, type_name: str, samples: Sequence[Sample]) -> bool:
-        """Takes samples of diagnostic_msgs/msg/DiagnosticArray in; true if a component got worse."""
+        """Add messages of diagnostic_msgs/msg/DiagnosticArray; return whether a component's level got worse."""
         worse = [self.add(robot.values.decode(type_name, sample), sample.received_ns) for sample in samples]
         return any(worse)
 
     def add(self, message: Any, received_ns: int) -> bool:
-        """Takes one message in; true if a component got worse than it was before."""
+        """Add one message; return whether a component's level got worse."""
         is_worse = False
         for status in message.status:
             key, level = (status.name, status.hardware_id), int(status.level)
@@ -67,26 +67,26 @@ class DiagnosticTable:
 
     @property
     def rows(self) -> list[Diagnostic]:
-        """All components, the worst first."""
+        """The latest status of all components, the worst first."""
         return [row for _, row in sorted(self._newest.values(), key=lambda entry: (-entry[0], entry[1].name))]
 
     @property
     def past(self) -> list[Diagnostic]:
-        """The worst statuses of components that have become better since."""
+        """The worst status of each component that has improved since."""
         return [row for key, (level, row) in self._worst.items() if level > self._newest[key][0]]
 
 
 async def read_diagnostics(robot: Robot) -> DiagnosticTable:
-    """What the components report within `LISTEN_S`.
+    """Return the statuses published within `LISTEN_S`.
 
     Raises:
-        NotFound: if nobody publishes diagnostics.
+        NotFound: if /diagnostics has no publisher.
     """
     table = DiagnosticTable()
     end = monotonic() + LISTEN_S
     async with robot.listen(DIAGNOSTICS) as listening:
         while (left := end - monotonic()) > 0:
             samples = await listening.take(left)
-            # a robot's may be of hundreds of statuses, each with many values: not on the event loop
+            # decoded in a thread: a message may hold hundreds of statuses, each with many values
             await asyncio.to_thread(table.add_all, robot, listening.type, samples)
     return table

@@ -1,4 +1,5 @@
-"""How the paired values of two topics differ: numbers, angles modulo a turn, rotations by the angle between them.
+"""Differences between the paired values of two topics: numbers, angles modulo a turn, rotations by the angle between
+them.
 
 Import it inside functions only: it needs NumPy.
 """
@@ -29,30 +30,32 @@ Partners: TypeAlias = "tuple[NDArray[np.intp], NDArray[np.intp]]"
 _QUATERNION = "geometry_msgs/msg/Quaternion"
 _AXES = ("x", "y", "z", "w")
 _ANGLE = re.compile(r"(.*_)?(yaw|pitch|roll|heading|theta|bearing|azimuth|angle)(_rad|_deg)?", re.IGNORECASE)
-"""Names of directions. What is no direction has another word behind: `angle_increment`, `yaw_rate`."""
+"""Matches field names of directions; other quantities have a further word: `angle_increment`, `yaw_rate`."""
 _FLOATS = frozenset({"float32", "float64"})
-"""Angles in radians are of these types; whole numbers are degrees, counts or something else."""
+"""Types of angles in radians; integers are degrees, counts or others."""
 _ON_EARTH = re.compile(r"latitude|longitude", re.IGNORECASE)
-"""What counts from far away: where on Earth that is says nothing of how large a difference is."""
+"""Matches fields whose origin is far away: their magnitude is no measure of a difference."""
 _LEAST_ON_EARTH = 1e-3
-"""Degrees, 111 m: of less than this no percentages are taken, as a receiver that stands still wanders by metres."""
+"""The least scale of percentages for latitude and longitude, in degrees (111 m): the position of a receiver at rest
+drifts by metres."""
 _LEAST_SCALE = 1e-3
-"""Of the magnitude: what spreads by less hardly varies, and its noise would be all that percentages are of."""
+"""The least scale of percentages, as a share of the magnitude: a value that varies less is nearly constant, and
+percentages of its noise would mean nothing."""
 _ROUNDING = 1e-6
-"""By this share a turn may seem to be exceeded: float32 rounds π up."""
+"""The share by which an angle may exceed a turn: float32 rounds π up."""
 _UNSET = 1e-6
-"""A quaternion shorter than this was never set; that of a rotation has the length 1."""
+"""A quaternion shorter than this was never set; a rotation has length 1."""
 _SURE = 0.7
-"""Correlation at the best delay from which on the two signals are said to resemble each other."""
+"""The least correlation at the best delay for which a delay is reported."""
 
 
 @dataclass(frozen=True, slots=True)
 class Difference:
     """The differences of one field, second minus first, over the pairs that can be compared.
 
-    Those of an angle lie within half a turn to either side, and those of a rotation are never negative, in radians.
-    `scale` is what percentages are of: half a turn, or of numbers as `_scale` says. `alike` counts what is in both, but
-    no number: NaN, the same infinity, a quaternion that was never set.
+    Differences of angles lie within half a turn to either side; those of rotations are angles from 0 to π. `scale` is
+    the reference of percentages: half a turn, or for numbers as in `_scale`. `alike` counts pairs that are identical
+    but cannot be subtracted: NaN, the same infinity, a quaternion that was never set.
     """
 
     field: str
@@ -67,11 +70,11 @@ class Difference:
 
 
 def differences(first: Capture[Paired], second: Capture[Paired], partners: Partners) -> Iterator[Difference]:
-    """Those of all fields over the partners, which are rows of the two.
+    """Yield the differences of all fields; `partners` are the paired rows of the two captures.
 
-    A quaternion whose four numbers are there is one rotation. A number is an angle if its name says so (`_ANGLE`) and
-    nothing in either topic is larger than a turn, which would be degrees or be counted over several turns. Without a
-    known unit it must lie as radians do: within half a turn to either side, or from 0 to a whole one.
+    A quaternion with all four numbers is one rotation. A number is an angle if its name says so (`_ANGLE`) and no value
+    in either topic exceeds a turn, as degrees or angles counted over several turns would. If its unit is not known, its
+    values must also lie in a range usual for radians: half a turn to either side, or 0 to a full turn.
     """
     sides = [_Side(capture, rows) for capture, rows in zip((first, second), partners, strict=True)]
     paths = [column.path for column in first.kept.columns]
@@ -88,7 +91,7 @@ def differences(first: Capture[Paired], second: Capture[Paired], partners: Partn
 
 @dataclass(frozen=True, slots=True)
 class _Side:
-    """One of the two topics, and which of its rows have a partner."""
+    """One of the two topics, and its rows that have a partner."""
 
     capture: Capture[Paired]
     rows: NDArray[np.intp]
@@ -97,11 +100,11 @@ class _Side:
         return self.capture.kept.columns[number]
 
     def times(self, rows: NDArray[Any]) -> Numbers:
-        """When these rows came, in seconds from the beginning."""
+        """Return the receive times of rows, in s from the start of the capture."""
         return seconds(self.capture.kept.read_ns[rows], self.capture.start_ns)
 
     def series(self, number: int, turn: float) -> tuple[Numbers, Numbers]:
-        """The times of the finite values of a field that is no list, and these; an angle counts on over whole turns."""
+        """Return times and finite values of a field that is no list; angles are unwrapped."""
         rows, values = self.column(number).rows, self.column(number).values
         finite = np.isfinite(values)
         if not finite.all():
@@ -110,7 +113,9 @@ class _Side:
 
 
 def _quaternions(type_name: str, paths: Sequence[FieldPath]) -> dict[str, list[int]]:
-    """Where the four numbers of each quaternion are, by its name; a message that is one itself has none."""
+    """Return the columns of x, y, z, w of each quaternion, by its name; the name is empty if the message itself is
+    one.
+    """
     found: dict[str, dict[str, int]] = {}
     for at, path in enumerate(paths):
         inside = path.steps[-2].type.base if len(path.steps) > 1 else type_name
@@ -121,7 +126,9 @@ def _quaternions(type_name: str, paths: Sequence[FieldPath]) -> dict[str, list[i
 
 
 def _turn(definitions: Definitions, type_name: str, path: FieldPath) -> tuple[float, bool]:
-    """What a full turn is of an angle, and whether its unit is known; 0 of what is none."""
+    """Return the length of a full turn in the unit of an angle field, and whether that unit is known; 0 if the field is
+    no angle.
+    """
     last = path.steps[-1].field
     if last.type.base not in _FLOATS or not _ANGLE.fullmatch(last.name):
         return 0.0, False
@@ -130,7 +137,7 @@ def _turn(definitions: Definitions, type_name: str, path: FieldPath) -> tuple[fl
 
 
 def _is_turning(turn: float, has_unit: bool, sides: Sequence[Numbers]) -> bool:
-    """Whether these can be angles."""
+    """Return whether these values can be angles with that turn."""
     least = min((float(side.min()) for side in sides if len(side)), default=0.0)
     most = max((float(side.max()) for side in sides if len(side)), default=0.0)
     turn *= 1 + _ROUNDING
@@ -140,10 +147,10 @@ def _is_turning(turn: float, has_unit: bool, sides: Sequence[Numbers]) -> bool:
 
 
 def _scale(path: FieldPath, sides: Sequence[Numbers]) -> float:
-    """What percentages of numbers are of: how far they spread within one of the topics (the larger of the two).
+    """Return the reference of percentages of numbers: the range of values within a topic, the larger of the two.
 
-    At most their largest magnitude, at least a thousandth of that; and the magnitude itself where neither varies. What
-    is a place on Earth has no magnitude.
+    It is at most the largest magnitude and at least a thousandth of that; the magnitude if neither topic varies. For
+    latitude and longitude the magnitude is not used.
     """
     kept = [side for side in sides if len(side)]
     magnitude = max((float(np.abs(side).max()) for side in kept), default=0.0)
@@ -159,7 +166,7 @@ def _of_numbers(number: int, first: _Side, second: _Side, *, turn: float, has_un
     path = first.column(number).path
     one, other, not_compared = _paired(number, first, second)
     alike = 0
-    with np.errstate(over="ignore", invalid="ignore"):  # of numbers at the end of their range it may be infinite
+    with np.errstate(over="ignore", invalid="ignore"):  # differences at the ends of the range may be infinite
         both = np.isfinite(one) & np.isfinite(other)
         if not both.all():
             alike = int(np.count_nonzero(~both & _alike(one, other)))
@@ -173,7 +180,7 @@ def _of_numbers(number: int, first: _Side, second: _Side, *, turn: float, has_un
             one = np.unwrap(one, period=turn)
             other = one + difference
     correlation, unit = signals.correlation(one, other), {math.tau: "rad", 360.0: "°"}.get(turn, "")
-    del one, other  # of a million messages these are 16 MB
+    del one, other  # for a million messages these take 16 MB
     delay_s = None
     if not path.is_list and len(difference):
         delay_s = _delay(*first.series(number, turn), *second.series(number, turn))
@@ -189,7 +196,7 @@ def _of_rotations(name: str, numbers: Sequence[int], first: _Side, second: _Side
     not_compared = found[0][2] + int(np.count_nonzero(~usable)) - alike
     angles, delay_s = _angles(one[:, usable], other[:, usable]), None
     if not first.column(numbers[0]).path.is_list and len(angles):
-        # how far each topic has turned from one orientation, which no sign of a quaternion changes
+        # The series is the angle from one orientation, which does not depend on the sign of a quaternion.
         origin = one[:, np.flatnonzero(usable)[:1]]
         series: list[Numbers] = []
         for side in (first, second):
@@ -206,10 +213,10 @@ def _usable(quaternions: Numbers) -> NDArray[np.bool_]:
 
 
 def _angles(one: Numbers, other: Numbers) -> Numbers:
-    """By how much rotations differ, from 0 to π; q and −q are the same one."""
+    """Return the angles between rotations, from 0 to π; q and −q are the same rotation."""
     one, other = one / np.sqrt((one**2).sum(axis=0)), other / np.sqrt((other**2).sum(axis=0))
     apart = np.minimum(((one - other) ** 2).sum(axis=0), ((one + other) ** 2).sum(axis=0))
-    # from the chord between them, because the arc cosine of their product is inexact for small angles
+    # computed from the chord, because the arc cosine of the dot product is inexact for small angles
     return 4 * np.arcsin(np.minimum(np.sqrt(apart) / 2, 1.0))
 
 
@@ -218,7 +225,9 @@ def _alike(one: Numbers, other: Numbers) -> NDArray[np.bool_]:
 
 
 def _paired(number: int, first: _Side, second: _Side) -> tuple[Numbers, Numbers, int]:
-    """The values of both topics over the paired messages, element by element; and how many pairs differ in length."""
+    """Return the values of both topics over the paired messages, element by element, and the number of pairs with
+    different lengths.
+    """
     begins: list[NDArray[np.int32]] = []
     counts: list[NDArray[np.int32]] = []
     for side in (first, second):
@@ -234,7 +243,7 @@ def _paired(number: int, first: _Side, second: _Side) -> tuple[Numbers, Numbers,
 
 
 def _spans(begins: NDArray[np.int32], counts: NDArray[np.int32]) -> NDArray[np.int32]:
-    """The indices of all elements of spans, each of so many elements from its beginning on."""
+    """Return the indices of all elements of spans, each with its first index and its number of elements."""
     ends = np.cumsum(counts, dtype=np.int32)
     found = np.repeat(begins - (ends - counts), counts)
     found += np.arange(len(found), dtype=np.int32)

@@ -1,6 +1,7 @@
-"""What a health check has read of a robot or a recording, for the checks that judge it.
+"""The data that a health check has read from a robot or a recording, as input of its checks.
 
-Nothing here asks whether it is live or recorded. What was not read is None, and a check that needs it is not run.
+Checks do not depend on whether it is live or recorded. Parts that were not read are None, and checks that need them are
+skipped.
 """
 
 from __future__ import annotations
@@ -27,11 +28,11 @@ if TYPE_CHECKING:
     from ros2_mcp.ops.topics.arrivals import Ages
 
 MAX_NAMES = 30
-"""Names in one finding."""
+"""The most names in one finding."""
 LARGE_TYPES = frozenset({"sensor_msgs/msg/Image", "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/CompressedImage"})
 STEADY_TYPES = frozenset({"nav_msgs/msg/Odometry", "sensor_msgs/msg/JointState"})
-"""Types that stream as long as their publisher lives, whatever its QoS: what ros2_control publishes is
-transient_local under Fast DDS, and no less a stream."""
+"""Types published continuously by every publisher, whatever its QoS: ros2_control publishes them as transient_local
+with Fast DDS."""
 STREAM_TYPES = (
     LARGE_TYPES
     | STEADY_TYPES
@@ -45,11 +46,11 @@ STREAM_TYPES = (
         "sensor_msgs/msg/Range",
     }
 )
-"""Types of sensors that stream as long as they live. On any other topic silence may be intended."""
+"""Types that sensors publish continuously. On other topics silence may be intended."""
 ONCE_A_SECOND = frozenset({"tf2_msgs/msg/TFMessage", "diagnostic_msgs/msg/DiagnosticArray"})
-"""Types that come once a second at the slowest: their silence is one after `LEAST_LISTENED_S`."""
+"""Types published at 1 Hz or more: they are silent if none is received for `LEAST_LISTENED_S`."""
 LEAST_LISTENED_S = 2.9
-"""Three periods of what comes once a second, but for the time that matching took."""
+"""Three periods of a topic of 1 Hz, less the time that matching took."""
 _OPTIONAL_TRANSPORT = "/compressedDepth"  # image_transport offers it for every image, and sends it for depth only
 
 State = Literal[
@@ -59,7 +60,7 @@ State = Literal[
 
 @dataclass(frozen=True, slots=True)
 class Expectations:
-    """What the caller expects to be there, and how fast."""
+    """The topics, services and nodes that the caller expects, and the least rate."""
 
     topics: Sequence[str] = ()
     services: Sequence[str] = ()
@@ -70,14 +71,14 @@ class Expectations:
 
 @dataclass(frozen=True, slots=True)
 class TopicRow:
-    """A topic that is expected, or not as it should be. `QUIET` is silence that is no fault by itself: of commands,
-    events, latched data.
+    """A topic that is expected, or that has a fault. `QUIET` is silence that is no fault by itself: commands, events,
+    latched data.
 
-    `SILENT`: nothing came, though what has its type is published steadily, or it was, earlier in this session.
-    `from_before` says that there is only what was sent before the check began, and how old the newest of it is.
-    `INTERRUPTED`: messages came, then none for over a second and ten periods; `STOPPED` if none came after that.
-    `OLD STAMPS`: all stamps of a sensor are more than a second from the time of receipt. `age_s` is their mean age.
-    `NOT FINITE`: poses, velocities or an IMU's values are NaN or infinite.
+    `SILENT`: no message was received although topics of this type are published continuously, or this one was earlier
+    in this session. `from_before` is set if all messages were sent before the check began, and gives the age of the
+    newest. `INTERRUPTED`: messages were received, then none for over a second and ten periods; `STOPPED` if none
+    followed. `OLD STAMPS`: all stamps of a sensor differ by more than a second from the time of receipt; `age_s` is
+    their mean age. `NOT FINITE`: poses, velocities or values of an IMU are NaN or infinite.
     """
 
     topic_name: str
@@ -93,13 +94,13 @@ class TopicRow:
 
 @dataclass(frozen=True, slots=True)
 class Flow:
-    """What came on one topic in the time of measuring, and how many messages were `replayed`: sent before it, and kept
-    for late subscribers, the newest of them `replayed_s` before the end by its publisher's clock.
+    """The messages received on one topic during the measurement. `replayed` counts those sent before it and kept for
+    late subscribers, the newest of them `replayed_s` seconds before the end by its publisher's clock.
 
-    `most_hz` is the highest rate that its silences allow. `silence` is where a stream stopped or was interrupted.
-    `finite` counts the messages whose values are not, of types of motion.
-    `ages` are those of its stamps, None where it has none of this clock. Times count from `zero_ns`; `until_ns`
-    is up to when silences were looked for, where the times of all messages were too many to keep.
+    `most_hz` is the highest rate compatible with the longest silence. `silence` is where a stream stopped or was
+    interrupted. `finite` counts messages with values that are not finite, for types of motion. `ages` are those of the
+    stamps, None if there are none of this clock. Times count from `zero_ns`; `until_ns` is the end of the search for
+    silences, if not all receive times could be kept.
     """
 
     count: int
@@ -116,13 +117,17 @@ class Flow:
 
     @property
     def from_before(self) -> str:
-        """In words, that there is nothing but what was sent before; empty where there is more, or nothing at all."""
+        """A note that all messages were sent before the measurement, in words; empty if there are newer ones, or
+        none.
+        """
         return "" if self.count else str(FromBefore(self.replayed, self.replayed, self.replayed_s))
 
 
 @dataclass(frozen=True, slots=True)
 class Ros2Control:
-    """What a controller manager says: its controllers, and its hardware components (None where it does not tell)."""
+    """The answer of a controller manager: its controllers, and its hardware components (None if it does not list
+    them).
+    """
 
     controllers: Sequence[Mapping[str, Any]]
     hardware: Sequence[Mapping[str, Any]] | None = None
@@ -130,9 +135,9 @@ class Ros2Control:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Evidence:
-    """All that was read. `servers` has the nodes of each service, `ros2_control` what controller managers say, by their
-    nodes, `robot` what else `ros2_robot` finds, `navigation` what `ros2_nav_check` does, `rivals` the topics of joint
-    states that several publish.
+    """All data read. `servers` holds the nodes of each service, `ros2_control` the answers of controller managers by
+    their nodes, `robot` further faults found by `ros2_robot`, `navigation` those of `ros2_nav_check`, `rivals` the
+    joint state topics with several publishers.
     """
 
     graph: GraphSnapshot
@@ -155,21 +160,23 @@ class Evidence:
 
 
 Need = Literal["frames", "lifecycle", "ros2_control", "parameters", "servers", "robot", "navigation"]
-"""Parts of the evidence that are read only where a check asks for them."""
+"""Parts of the evidence that are read only if a check needs them."""
 
 
 def nodes_of(endpoints: Sequence[Endpoint]) -> str:
-    """The names of their nodes, each once."""
+    """Return the names of the endpoints' nodes, each once."""
     return ", ".join(sorted({endpoint.node for endpoint in endpoints}))
 
 
 def only(nodes: Sequence[str]) -> str:
-    """The one node, if it is one and has a name: what it may be the cause of is one finding."""
+    """Return the node's name if there is exactly one, and it is known; else empty. Findings with the same cause are
+    combined.
+    """
     return nodes[0] if len(nodes) == 1 and nodes[0].startswith("/") else ""
 
 
 def streams(topic: TopicEndpoints) -> bool:
-    """Whether messages are to come all the time."""
+    """Return whether messages are expected continuously."""
     if STEADY_TYPES.intersection(topic.types):
         return True
     is_stream = STREAM_TYPES.intersection(topic.types) and not topic.topic.endswith(_OPTIONAL_TRANSPORT)
@@ -177,5 +184,5 @@ def streams(topic: TopicEndpoints) -> bool:
 
 
 def is_latched(topic: TopicEndpoints) -> bool:
-    """Whether what is published is kept for late subscribers, by all publishers."""
+    """Return whether all publishers of a topic keep messages for late subscribers (transient_local)."""
     return bool(topic.publishers) and all(row.qos.durability == "transient_local" for row in topic.publishers)

@@ -13,11 +13,11 @@ __all__ = ["Condition", "condition"]
 
 
 def condition(definitions: Definitions, type_name: str, text: str) -> Condition:
-    """Reads a condition and checks it against the definition.
+    """Parse a condition and check its fields against the type's definition.
 
     Raises:
         BadInput: if the text is not a condition.
-        BadValue: for a field that does not exist, with the nearest that does.
+        BadValue: for a field that does not exist, with the nearest existing one.
     """
     try:
         return conditions.condition(known_to(definitions), type_name, text)

@@ -1,4 +1,4 @@
-"""What is wrong with a robot, and which of it has one cause: a lidar that is off is one fault and not four."""
+"""Findings of a health check, combined by cause: a lidar that is switched off is one fault, not four."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from ros2_mcp.ops.results.results import HIDDEN
 Severity = Literal["critical", "warning"]
 
 _MOST_JOINED = 6
-"""Findings in one sentence; of a node that publishes a hundred topics the table has all."""
+"""The most findings combined in one sentence; a node may publish a hundred topics, which the table lists."""
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """Something that is wrong, and what to do about it. Those of one node's `cause`, a node's name, are one."""
+    """A fault and its remedy. Findings with the same `cause`, the name of a node, are combined."""
 
     severity: Severity
     subject: str
@@ -25,11 +25,11 @@ class Finding:
     recommendation: str
     cause: str = field(default="", metadata=HIDDEN)
     covers: Sequence[str] = field(default=(), metadata=HIDDEN)
-    """Nodes and topics of which anything that is wrong only follows from this."""
+    """Nodes and topics whose own findings are consequences of this one and are omitted."""
 
 
 def joined(findings: Sequence[Finding]) -> list[Finding]:
-    """The findings, the critical ones first, and those of one node as one finding of that node."""
+    """Return the findings, critical ones first; those with the same cause are combined."""
     covered = {name for finding in findings for name in finding.covers}
     findings = [one for one in findings if one.covers or not {one.cause, one.subject} & covered]
     by_cause: dict[str, list[Finding]] = {}

@@ -1,6 +1,7 @@
-"""Numbers that are not finite in messages of motion: a NaN in odometry or of an IMU makes all that is made of it NaN.
+"""Detection of NaN and infinities in messages of motion: a NaN in odometry or IMU data spreads to all values computed
+from it.
 
-Messages are not decoded: in these types all numbers but those of the header are float64 and stand at the end.
+Messages are not decoded: in these types all numbers except those of the header are float64 at the end of the message.
 Import it inside functions only: it needs NumPy.
 """
 
@@ -32,19 +33,19 @@ _FIELDS: Mapping[str, Sequence[tuple[str, int]]] = {
     "geometry_msgs/msg/PoseStamped": (("pose", 7),),
     "geometry_msgs/msg/PoseWithCovarianceStamped": (("pose.pose", 7), ("pose.covariance", 36)),
 }
-"""The fields at the end of a message, in their order, and of how many numbers they are."""
+"""The fields at the end of a message in order, with the count of numbers in each."""
 MOTION_TYPES = frozenset(_FIELDS)
-"""Types that say where a robot is and how it moves."""
+"""Types that hold the pose or the motion of a robot."""
 
 _NUMBER_BYTES = 8
 _HEADER_BYTES = 4
-"""Of CDR: its second byte says whether numbers have their lowest byte first."""
+"""Size of the CDR header, whose second byte tells the byte order."""
 
 
 class Finite:
-    """How many messages have numbers that are not finite, of all that were looked at, and in which `fields`.
+    """Count of messages with values that are not finite, among all that were checked, and the `fields` concerned.
 
-    What an IMU says that it does not know (its covariance begins with -1) may be anything. Times are Unix times in ns.
+    Values that an IMU marks as unknown (its covariance begins with -1) are ignored. Times are Unix times in ns.
     """
 
     def __init__(self, stream: Stream) -> None:
@@ -59,25 +60,25 @@ class Finite:
 
     @property
     def fields(self) -> Sequence[str]:
-        """Those that were not finite at least once, in their order."""
+        """Fields that were not finite at least once, in the order of the message."""
         return [name for name in self._names if name in self._counts]
 
     def add(self, samples: Sequence[Sample]) -> None:
-        """Takes in messages, in the order of time."""
+        """Add messages, in the order of time."""
         for sample in samples:
             self._look_at(sample)
 
     def _look_at(self, sample: Sample) -> None:
         size = self._numbers * _NUMBER_BYTES
         if len(sample.data) < _HEADER_BYTES + size:
-            return  # not what its type says, which is told elsewhere
+            return  # shorter than its type requires, which is reported elsewhere
         self.looked_at += 1
         order = "<" if sample.data[1] & 1 else ">"
         numbers = np.frombuffer(sample.data[-size:], f"{order}f8")
         if np.isfinite(numbers).all():
             return
         bad = np.add.reduceat(~np.isfinite(numbers), self._begins) > 0
-        if self._has_unknowns:  # every second field is the covariance of the one before
+        if self._has_unknowns:  # each odd field is the covariance of the one before it
             bad[::2] &= numbers[self._begins[1::2]] != -1.0
         if not bad.any():
             return

@@ -1,8 +1,7 @@
-"""How messages flow, from the times of their receipt alone: rate, gaps, and where a stream fell silent.
+"""Rate, gaps and silences of a topic, from the receive times of its messages alone.
 
-Times are Unix times in nanoseconds that rise, as arrays. `holes` are times between which a recording cannot be read: a
-period that lies over one says nothing of the robot, and counts nowhere. NumPy is imported where it is used, because
-listing the tools must not wait for it.
+Times are arrays of ascending Unix times in ns. `holes` are intervals in which a recording cannot be read: periods that
+overlap one are ignored. NumPy is imported where it is used, so that listing the tools does not wait for it.
 """
 
 from __future__ import annotations
@@ -19,25 +18,25 @@ if TYPE_CHECKING:
 
 Holes: TypeAlias = "Sequence[tuple[int, int]]"
 
-# A gap is a period longer than this many times the usual one: a message that is missing, and more than jitter.
+# A gap is a period longer than this many usual periods: more than jitter, so a message is missing.
 GAP_FACTOR = 3.0
-# Of the periods, this share is not longer than the usual one. The median would be a moment where two publishers send in
-# pairs, and every pause between the pairs a gap; so would it be for four that send together.
+# The share of periods that are not longer than the usual one. The median would be too short if two publishers send in
+# pairs, or four together: every pause between the pairs would be a gap.
 _USUAL_SHARE = 0.8
-# Of fewer periods a fifth is none.
+# With fewer periods this share is meaningless, and the longest period is the usual one.
 _LEAST_PERIODS = 4
-# With fewer messages, and so fewer than three periods, no period can be called usual.
+# With fewer messages there are fewer than three periods, and none is usual.
 _LEAST_MESSAGES = 4
-# Of so few messages the rate between them says nothing where they came together and no others: two of them 20 µs apart
-# are no stream of 50 kHz. Together is within a tenth of the time where no period can be called usual, else within a
-# hundredth, so that the rate of a sensor that stopped soon is told all the same.
+# Fewer messages than this have no rate if they all arrived together: two messages 20 µs apart are no stream of 50 kHz.
+# Together means within a tenth of the measured time if no period is usual, else within a hundredth, so that the rate of
+# a sensor that stopped early is still reported.
 _BURST_MESSAGES = 20
 _FEW_SHARE, _BURST_SHARE = 0.1, 0.01
 
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """A time without messages, from the message before it (or the beginning) on; `in_hole`: some may be lost."""
+    """A time without messages, from the preceding message (or the start) on; `in_hole`: messages may be lost there."""
 
     from_ns: int
     duration_s: float
@@ -46,7 +45,7 @@ class Gap:
 
 @dataclass(frozen=True, slots=True)
 class Silence:
-    """A time without messages after some had come, from a Unix time on; `is_end` if none came after it."""
+    """A time without messages after some had been received, from a Unix time on; `is_end` if none followed."""
 
     from_ns: int
     duration_s: float
@@ -54,7 +53,7 @@ class Silence:
 
 
 def over_holes(times_ns: Times, holes: Holes) -> NDArray[np.bool_]:
-    """For each period between two times whether it lies over a hole, or a part of one."""
+    """Return, for each period between two times, whether it overlaps a hole."""
     import numpy as np
 
     found = np.zeros(max(len(times_ns) - 1, 0), np.bool_)
@@ -66,14 +65,14 @@ def over_holes(times_ns: Times, holes: Holes) -> NDArray[np.bool_]:
 
 
 def periods_s(times_ns: Times, holes: Holes = ()) -> NDArray[Any]:
-    """The periods between messages, in seconds, without those over holes."""
+    """Return the periods between messages in s, without those that overlap holes."""
     import numpy as np
 
     return np.diff(times_ns)[~over_holes(times_ns, holes)] / 1e9
 
 
 def usual_s(periods: NDArray[Any]) -> float:
-    """The usual one of periods in seconds: four of five are not longer; the longest where there are fewer than four."""
+    """Return the usual period in s: four of five periods are not longer; with fewer than four periods, the longest."""
     import numpy as np
 
     share = _USUAL_SHARE if len(periods) >= _LEAST_PERIODS else 1.0
@@ -81,7 +80,7 @@ def usual_s(periods: NDArray[Any]) -> float:
 
 
 def rate_hz(times_ns: Times, holes: Holes = ()) -> float | None:
-    """Messages per second between the first and the last; None where there are not two different times."""
+    """Return messages per second between the first and the last; None if there are no two different times."""
     import numpy as np
 
     periods_ns = np.diff(times_ns)[~over_holes(times_ns, holes)]
@@ -90,20 +89,20 @@ def rate_hz(times_ns: Times, holes: Holes = ()) -> float | None:
 
 
 def is_burst(count: int, rate_hz: float | None, over_s: float) -> bool:
-    """Whether so many messages came in so small a part of the time that was looked at that they have no rate."""
+    """Return whether the messages arrived within so small a part of `over_s` seconds that they have no rate."""
     if rate_hz is None or count >= _BURST_MESSAGES:
         return False
     return (count - 1) / rate_hz < over_s * (_FEW_SHARE if count < _LEAST_MESSAGES else _BURST_SHARE)
 
 
 def burst_in_words(count: int, rate_hz: float) -> str:
-    """That they are too few to tell a rate."""
+    """Return a sentence that there are too few messages to measure a rate."""
     return f"Only {count} messages came, within {1000 * (count - 1) / rate_hz:.3g} ms: too few to measure a rate."
 
 
 def gaps(times_ns: Times, holes: Holes = (), edges_ns: tuple[int, ...] = ()) -> list[Gap]:
-    """Periods longer than three times the usual one; with both edges of a time also before the first and after the
-    last message.
+    """Return the periods longer than three usual ones; with both edges of the measured time in `edges_ns`, also those
+    before the first and after the last message.
     """
     import numpy as np
 
@@ -117,9 +116,9 @@ def gaps(times_ns: Times, holes: Holes = (), edges_ns: tuple[int, ...] = ()) -> 
 
 
 def silence_in(times_ns: Times, end_ns: int, periods: float, least_s: float, holes: Holes = ()) -> Silence | None:
-    """The silence at the end, else the longest one, if it is longer than `periods` usual periods and than `least_s`.
+    """Return the silence at the end, else the longest one, if it exceeds `periods` usual periods and `least_s`.
 
-    None where there are fewer than four messages.
+    None if there are fewer than four messages.
     """
     import numpy as np
 

@@ -1,6 +1,6 @@
-"""Health of a robot: what should be there and is not, what is silent or slow, what cannot match, what diagnostics say.
+"""Health check of a robot: missing names, silent or slow topics, endpoints that cannot match, diagnostics and more.
 
-The parts that judge are pure functions on what a source knows; nothing here asks whether it is live or recorded.
+Judging is done by pure functions on the data of a source, and does not depend on whether it is live or recorded.
 """
 
 from __future__ import annotations
@@ -49,22 +49,22 @@ if TYPE_CHECKING:
 
 __all__ = ["Expectations", "Health", "check_health", "flow", "to_measure"]
 
-# Topics that are listened to, and of those images and clouds: a check must not overload a weak robot.
+# The most topics that are measured, and images and clouds among them: a check must not overload a weak robot.
 MAX_MEASURED = 60
 MAX_LARGE = 4
-# Topics of motion that are read in full, for values that are not finite: a robot has some of odometry, some IMUs.
+# The most topics of motion read in full to find values that are not finite: some of odometry, some IMUs.
 MAX_OF_MOTION = 12
-# Entries of the result's lists, the worst first, so that the report on a very broken robot fits into a result, too.
+# Lengths of the result's lists, the worst first, so that the report on a very broken robot still fits into a result.
 MAX_ROWS = 60
 MAX_FINDINGS = 40
 MAX_STATUSES = 30
 MAX_NAMES = 30
-# Names in the note: which topics were not measured, and which could not be.
+# The most names in the note: of topics not measured, and of topics that failed.
 _MAX_SKIPPED = 8
 _MAX_FAILED = 5
-# Topics of joint states with several publishers that are read in full, to see whether they contradict each other.
+# The most joint state topics with several publishers read in full, to see whether the publishers contradict each other.
 _MOST_RIVALS = 4
-# Types of topics that were a stream for a while and may end: orders, plans, and what is drawn of them.
+# Types of streams that may end: commands, plans, and markers that show them.
 _FOR_A_WHILE = frozenset(
     {
         "ackermann_msgs/msg/AckermannDrive",
@@ -80,9 +80,9 @@ _FOR_A_WHILE = frozenset(
         "visualization_msgs/msg/MarkerArray",
     }
 )
-# A topic is slow below this share of the rate that is expected of it: a few seconds are not whole periods.
+# A topic is slow below this share of the expected rate: a few seconds do not hold whole periods.
 RATE_TOLERANCE = 0.9
-# A stream is interrupted if nothing came for this many of its usual periods, and for this long.
+# A stream is interrupted if no message is received for this many usual periods, and for this long.
 STOPPED_PERIODS = 10
 STOPPED_S = 1.0
 
@@ -125,7 +125,7 @@ class Health:
     note: str = field(metadata=IF_ANY)
 
     def summary(self) -> list[str]:
-        """The verdict, and a line for each finding."""
+        """Return the verdict, and a line for each finding."""
         lines = [f"{row.severity}: {named(row.subject)}: {row.problem} {row.recommendation}" for row in self.findings]
         return [f"{self.verdict}. {self.note}".rstrip(), *lines]
 
@@ -133,8 +133,8 @@ class Health:
 async def check_health(
     source: Source, expected: Expectations, report: Report = silent, robot: Robot | None = None
 ) -> Health:
-    """Looks at the graph, listens to topics and to diagnostics at the same time, reads what the checks need of the
-    `robot`, and judges.
+    """Read the graph, measure topics, receive diagnostics and read what the checks need of the `robot`, all at the same
+    time, and judge.
 
     Raises:
         BadName: for an expected name that ROS does not allow.
@@ -169,7 +169,7 @@ async def check_health(
         read_parts(NEEDS, robot, source, graph),
     )
     if any(name not in graph.topics for name in expected.topics) or _lacks(graph, expected):
-        graph = await source.graph()  # it may only just have appeared
+        graph = await source.graph()  # an expected name may have been discovered since
     kept = {capture.topic: capture.kept for capture in read if isinstance(capture, Capture)}
     finite = {topic: found for topic, found in kept.items() if isinstance(found, Finite)}
     statuses = kept.get(DIAGNOSTICS)
@@ -218,12 +218,12 @@ async def check_health(
 
 
 def _is_contested(topic: TopicEndpoints) -> bool:
-    """Whether several nodes publish joint states on it."""
+    """Return whether several nodes publish joint states on the topic."""
     return _JOINT_STATE in topic.types and len({publisher.node for publisher in topic.publishers}) > 1
 
 
 def _lacks(graph: GraphSnapshot, expected: Expectations) -> bool:
-    """Whether something that is expected is not there."""
+    """Return whether an expected name is missing."""
     topics = [name for name in expected.topics if not graph.topics[name].publishers]
     services = [name for name in expected.services if name not in (graph.services or expected.services)]
     nodes = [name for name in expected.nodes if name not in (graph.nodes or expected.nodes)]
@@ -231,7 +231,7 @@ def _lacks(graph: GraphSnapshot, expected: Expectations) -> bool:
 
 
 def _nothing_measured(evidence: Evidence) -> list[Finding]:
-    """That nothing says that the robot is well, where nothing says that it is not."""
+    """Return a warning that nothing was measured, if no data show that the robot works; else empty."""
     is_expected_there = any(row.expected and row.state == "OK" for row in evidence.rows)
     controllers = [one for control in (evidence.ros2_control or {}).values() for one in control.controllers]
     parts = (any(flow.count for flow in evidence.flows.values()), evidence.diagnostics.rows, evidence.lifecycle)
@@ -254,11 +254,13 @@ def _report(
     source: str,
     note: str,
 ) -> Health:
-    """The lists within their bounds, the worst first; `measured` topics were listened to."""
+    """Return the report with its lists cut to their limits, the worst first; `measured` is the number of measured
+    topics.
+    """
     visible = [row for row in rows if not names.is_hidden(row.topic_name) and row.topic_name not in OF_EVERY_NODE]
     visible.sort(key=lambda row: (row.state in _NO_FAULT, not row.expected))
     in_full = [row for row in visible if row.expected or row.state not in _NO_FAULT]
-    # a recording knows who published, and neither nodes nor subscribers
+    # A recording knows the publishers, but neither nodes nor subscribers.
     without_subscribers = [row.topic_name for row in visible if graph.nodes and row.publishers and not row.subscribers]
     without_publishers = [row.topic_name for row in visible if row.subscribers and not row.publishers]
     return Health(
@@ -285,14 +287,14 @@ def _report(
 
 
 def _presence(expected: Sequence[str], present: Collection[str] | None) -> dict[str, Presence]:
-    """Which of the expected names are there, as far as that is known."""
+    """Return for each expected name whether it is present; UNKNOWN if that is not recorded."""
     if present is None:
         return dict.fromkeys(expected, "UNKNOWN")
     return {name: "OK" if name in present else "MISSING" for name in expected}
 
 
 def to_measure(graph: GraphSnapshot, expected: Expectations) -> tuple[list[str], list[str]]:
-    """Which topics to listen to: those expected, then the others as far as the bounds go; and those left out."""
+    """Return the topics to measure (expected ones first, then others within the limits), and those omitted."""
 
     def is_measurable(topic: TopicEndpoints) -> bool:
         is_own = topic.topic in OF_EVERY_NODE or names.is_hidden(topic.topic)
@@ -307,14 +309,16 @@ def to_measure(graph: GraphSnapshot, expected: Expectations) -> tuple[list[str],
 
 
 def flow(capture: Capture[AgedArrivals]) -> Flow:
-    """The rate of a capture's messages, the highest that its longest silence allows, and where it was interrupted."""
+    """Return the flow of a capture: its rate, the highest rate that its longest silence allows, and its
+    interruption.
+    """
     import numpy as np
 
     kept, holes = capture.kept, capture.holes
     end_ns = capture.end_ns if kept.all_kept else kept.last_ns
     bounded = np.sort(np.concatenate((kept.times_ns, np.array([capture.start_ns, end_ns], np.int64))))
     longest_s = float(periods_s(bounded, holes).max(initial=0.0))
-    if not kept.all_kept:  # of the beginning only, and that is said
+    if not kept.all_kept:  # only times of the beginning are kept, which `_bounds` reports
         end_ns = int(kept.times_ns[-1]) if len(kept.times_ns) else capture.start_ns
     silence = silence_in(kept.times_ns, end_ns, STOPPED_PERIODS, STOPPED_S, holes)
     rate = kept.rate_hz(holes)
@@ -379,9 +383,9 @@ def _row(graph: GraphSnapshot, name: str, flows: Mapping[str, Flow], expected: E
 
 
 def _is_late(graph: GraphSnapshot, topic: TopicEndpoints, flows: Mapping[str, Flow]) -> bool:
-    """Whether what comes once a second at the slowest did not come.
+    """Return whether a topic of a type published at 1 Hz or more was silent for too long.
 
-    A state publisher whose joints are all fixed has its publisher on /tf all the same, and is heard on /tf_static.
+    A state publisher with only fixed joints is no fault: it has a publisher on /tf, and sends on /tf_static.
     """
     if not ONCE_A_SECOND.intersection(topic.types) or is_latched(topic):
         return False
@@ -396,7 +400,7 @@ def _is_late(graph: GraphSnapshot, topic: TopicEndpoints, flows: Mapping[str, Fl
 
 
 class _Statuses:
-    """What the components report, message by message; and in words, what of it could not be decoded."""
+    """The diagnostics received, and a note on messages that could not be decoded."""
 
     def __init__(self, stream: Stream, began_ns: int | None) -> None:
         self.table = DiagnosticTable(began_ns)
@@ -405,7 +409,7 @@ class _Statuses:
         self._first_trouble = ""
 
     def add(self, samples: Sequence[Sample]) -> None:
-        """Takes in messages, in the order of time; those of another type say nothing."""
+        """Add messages, in the order of time; messages of other types are ignored."""
         for sample in samples if self._stream.type == _DIAGNOSTICS_TYPE else ():
             try:
                 self.table.add(self._stream.codec.decode(self._stream.type, sample.data), sample.received_ns)
@@ -434,6 +438,6 @@ def _note(graph: GraphSnapshot, skipped: Sequence[str], failed: Sequence[Missing
 
 
 def _bounds(flows: Mapping[str, Flow]) -> str:
-    """Up to when topics were looked at for silences, where that is not the end."""
+    """Report the time up to which silences were searched, for topics where that is not the end."""
     cut = [f"{name} up to {both_times(flow.until_ns, flow.zero_ns)}" for name, flow in flows.items() if flow.until_ns]
     return f"Silences were searched only in: {', '.join(cut)}; later times did not fit in memory." if cut else ""

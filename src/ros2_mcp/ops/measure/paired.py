@@ -1,4 +1,4 @@
-"""The columns of a topic that is compared with another one, message by message.
+"""Columns of a topic that is compared with another one message by message.
 
 Import it inside functions only: it needs NumPy.
 """
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class Paired(Columns):
-    """Columns with the stamp of each row, and a mark that equal messages have in common (a hash of 64 bits)."""
+    """Columns with the stamp and a 64-bit hash (`marks`) of each row; equal messages have equal hashes."""
 
     def __init__(self, codec: Any, type_name: str, *more: Any, **options: Any) -> None:
         super().__init__(codec, type_name, *more, **options)
@@ -28,23 +28,23 @@ class Paired(Columns):
 
     @property
     def rows(self) -> int:
-        """How many messages can be compared."""
+        """The number of rows, i.e. of messages that can be compared."""
         return len(self._marks)
 
     @property
     def marks(self) -> Times:
-        """The mark of each row."""
+        """A hash for each row; equal messages have equal hashes."""
         return np.frombuffer(self._marks, np.int64) if self._marks else np.zeros(0, np.int64)
 
     @property
     def stamps_ns(self) -> Times | None:
-        """The header's stamp of each row; None where the type does not begin with a header."""
+        """The header stamp of each row in ns; None if the type does not begin with a header."""
         if self._stamps is None:
             return None
         return np.frombuffer(self._stamps, np.int64) if self._stamps else np.zeros(0, np.int64)
 
     def keep(self, samples: Sequence[Sample]) -> None:
-        """Keeps stamps and marks."""
+        """Keep the stamp and the hash of each message."""
         self._marks.extend(hash(sample.data) for sample in samples)
         if self._stamps is not None:
             self._stamps.extend(

@@ -1,6 +1,6 @@
-"""Reads what checks need of a live robot beside the flows of its topics: each part once, all at the same time.
+"""Read the data of a live robot that checks need besides its topics: each part once, all at the same time.
 
-A part that cannot be read, or not in time, is None and is told; it takes nothing from the others.
+A part that fails or takes too long is omitted and reported; other parts are not affected.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ from ros2_mcp.robot.seen import is_of_robot
 from ros2_mcp.robot.transforms import TF, TF_STATIC
 
 _MOST_NODES = 60
-"""Nodes that are asked for their parameters and services: more than most robots have, a second for the bridge."""
+"""The most nodes queried for parameters and services: more than most robots have; it takes the bridge a second."""
 _AT_A_TIME = 6
-"""Nodes that are asked together: the questions should not weigh on the robot."""
+"""The most nodes queried at the same time, to limit the load on the robot."""
 _ANSWER_S = 1.5
-"""For one node: one that spins answers within milliseconds."""
+"""Time-out for one node: a node that spins answers within milliseconds."""
 _GIVEN_UP_S = 6.0
-"""For a part as a whole: the check itself listens for three seconds."""
+"""Time-out for a whole part: the check itself measures for three seconds."""
 _PART_READ_S = 5.5
-"""For the nodes of a part: what was read until then is judged, and the others are named."""
+"""Time-out for the nodes of a part: answers up to then are judged, and the other nodes are named."""
 _MOST_NAMED = 5
-"""Nodes that did not answer, in one note."""
+"""The most nodes without an answer named in one note."""
 _NOT_SEEN: Mapping[Need, str] = {
     "parameters": "use_sim_time and the ranges of parameters",
     "servers": "which services they offer",
@@ -49,18 +49,18 @@ _NOT_SEEN: Mapping[Need, str] = {
     "ros2_control": "controllers and hardware",
     "robot": "what ros2_robot finds",
 }
-"""What was not looked at where a part, or that of some nodes, was not read."""
+"""The data that are missing if a part, or that of some nodes, was not read."""
 _LEAST_FRAMES_S = 2.0
-"""Frames are listened to for so long: what is told once a second is then no surprise."""
+"""The least time for which frames are received, so that rates of 1 Hz can be measured."""
 _logger = logging.getLogger(__name__)
 
 
 async def read(
     needs: Collection[Need], robot: Robot | None, source: Source, graph: GraphSnapshot
 ) -> tuple[Mapping[str, Any], Sequence[str]]:
-    """The parts of the evidence by their names, and the names of those that could not be read.
+    """Return the parts of the evidence by their names, and descriptions of those that could not be read.
 
-    Of a recording, and without a robot, there are frames alone.
+    For a recording, or without a robot, only frames are read.
     """
     missed: list[str] = []
     makers: dict[Need, Callable[[], Awaitable[Any]]] = {"frames": lambda: _frames(source, graph)}
@@ -92,7 +92,9 @@ async def read(
 
 
 async def _frames(source: Source, graph: GraphSnapshot) -> Sequence[FrameProblem]:
-    """None where nobody publishes frames: a robot without is healthy, and what is silent is told of the topic."""
+    """Return the problems of frames; none without publishers on /tf or /tf_static: such a robot is healthy, and silence
+    of these topics is reported as such.
+    """
     topics = [topic for name, topic in graph.topics.items() if name.endswith((TF, TF_STATIC))]
     if not any(topic.publishers for topic in topics):
         return ()
@@ -114,7 +116,7 @@ async def _ros2_control(robot: Robot, graph: GraphSnapshot) -> Mapping[str, Ros2
 
 
 async def _parameters(robot: Robot, graph: GraphSnapshot, missed: list[str]) -> Mapping[str, Sequence[Parameter]]:
-    """Those of every node that answers; the others are told in `missed`."""
+    """Return the parameters of every node that answers; the others are added to `missed`."""
 
     async def of(node: str) -> Sequence[Parameter]:
         return await all_of(robot, node)
@@ -123,7 +125,7 @@ async def _parameters(robot: Robot, graph: GraphSnapshot, missed: list[str]) -> 
 
 
 async def _servers(robot: Robot, graph: GraphSnapshot, missed: list[str]) -> Mapping[str, Sequence[str]]:
-    """By service, the nodes that offer it."""
+    """Return the nodes that provide each service."""
 
     async def of(node: str) -> Sequence[str]:
         return [row.name for row in (await robot.graph.node(node)).servers]
@@ -136,14 +138,14 @@ async def _servers(robot: Robot, graph: GraphSnapshot, missed: list[str]) -> Map
 
 
 async def _navigation(robot: Robot, graph: GraphSnapshot) -> Sequence[NavFinding]:
-    """Nothing is read of a robot without Nav2."""
+    """Return the findings on navigation; empty for a robot without Nav2."""
     if not NavEvidence(graph=graph).is_nav2:
         return ()
     return nav_findings_in((await read_evidence(robot, NEEDS))[0])
 
 
 def _nodes(graph: GraphSnapshot, *, once: bool = False) -> list[str]:
-    """The robot's nodes; `once`: without names that several share, of which nobody knows which one answers."""
+    """Return the robot's nodes; `once`: without names shared by several nodes, as any of these may answer."""
     nodes = [node for node in graph.nodes or () if is_of_robot(node) and node != names.UNKNOWN_NODE]
     return [node for node in dict.fromkeys(nodes) if not once or nodes.count(node) == 1]
 
@@ -151,7 +153,9 @@ def _nodes(graph: GraphSnapshot, *, once: bool = False) -> list[str]:
 async def _of_each(
     need: Need, nodes: Sequence[str], of: Callable[[str], Awaitable[Any]], missed: list[str]
 ) -> dict[str, Any]:
-    """What each node answers; those that did not in time, and so what was not looked at, are told in `missed`."""
+    """Return the answer of each node; nodes that did not answer in time are added to `missed`, with the data that are
+    missing.
+    """
     limit = asyncio.Semaphore(_AT_A_TIME)
     found: dict[str, Any] = {}
     without: set[str] = set()
@@ -163,7 +167,7 @@ async def _of_each(
                     found[node] = await of(node)
             except TimedOut:
                 pass
-            except RobotError:  # it has left, or has no such services
+            except RobotError:  # the node has left, or has no such services
                 without.add(node)
 
     with anyio.move_on_after(_PART_READ_S):

@@ -1,4 +1,4 @@
-"""Joint states of several publishers that contradict each other: the same joint here and there in turn."""
+"""Joint states of several publishers that contradict each other: a joint's position alternates between messages."""
 
 from __future__ import annotations
 
@@ -11,15 +11,16 @@ from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.sources.source import Stream
 
 _FAR = 0.02
-"""rad or m: more than the noise of a joint, and less than what two that disagree tell."""
+"""Least change that counts as a jump, in rad or m: more than noise, and less than publishers that disagree differ."""
 _LEAST_TURNS = 4
-"""There and back twice: a joint that moves turns once, and one that shakes does not turn at every message."""
+"""Least number of reversals, back and forth twice: a moving joint reverses once, and a vibrating one not at every
+message."""
 _SHARE = 0.3
-"""Of the messages about a joint, where each publisher sends a third of them at least."""
+"""Least share of reversals among the messages of a joint, if each publisher sends at least a third of them."""
 
 
 class Rivals:
-    """Which joints jump there and back from message to message, of one topic."""
+    """Finds the joints of one topic whose positions jump back and forth from message to message."""
 
     def __init__(self, stream: Stream) -> None:
         self.publishers: Sequence[str] = stream.nodes
@@ -32,7 +33,7 @@ class Rivals:
 
     @property
     def joints(self) -> dict[str, float]:
-        """The joints that are told differently, and by how much at most."""
+        """The joints with contradicting positions, and the largest jump of each in rad or m."""
         return {
             name: self._farthest[name]
             for name, turns in self._turns.items()
@@ -40,12 +41,12 @@ class Rivals:
         }
 
     def add(self, samples: Sequence[Sample]) -> None:
-        """Takes in messages, in the order of time; those from before count, too."""
+        """Add messages, in the order of time, including replayed ones."""
         for sample in samples:
             try:
                 message: Any = self._stream.codec.decode(self._stream.type, sample.data)
             except BadData:
-                continue  # which the topic's row tells
+                continue  # reported in the topic's row
             for name, position in zip(message.name, message.position, strict=False):
                 if math.isfinite(position):
                     self._look_at(str(name), float(position))

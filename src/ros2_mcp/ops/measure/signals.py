@@ -1,6 +1,6 @@
-"""The arithmetic of measuring: pure functions on NumPy arrays. Times are in seconds and rise.
+"""Numerical functions of measurements: pure functions on NumPy arrays. Times are in seconds, ascending.
 
-Import it inside functions only: NumPy takes a moment, and listing the tools must not wait for it.
+Import it inside functions only: NumPy takes time to load, and listing the tools must not wait for it.
 """
 
 from __future__ import annotations
@@ -17,41 +17,42 @@ if TYPE_CHECKING:
 
 Numbers: TypeAlias = "NDArray[np.float64]"
 
-# A jump is a step larger than this many times the usual step (a robust standard deviation).
+# A jump is a step larger than this many usual steps (a robust standard deviation).
 JUMP_FACTOR = 8.0
-# A value is stuck if it stands still this long (samples, and share of all) although it changes otherwise.
+# A value is stuck if it stays the same for this many samples and this share of all, although it usually changes.
 STUCK_SAMPLES = 5
 STUCK_SHARE = 0.1
-# Of fewer steps none is usual, so that none can be unusual.
+# With fewer steps there is no usual one.
 _LEAST_STEPS = 3
-# Of a value that mostly stands still, one step in a hundred may be a jump; more are its way to move.
+# For a value that is mostly constant, up to one step in a hundred is a jump; more are normal.
 _RARE_STEPS = 100
-# Share of the messages outside long rests with which a value must change to be one that changes otherwise.
+# Least share of changes, among the messages outside long rests, of a value that usually changes.
 _LIVELY = 0.8
-# Share of steps that turn back, above which a value is noisy: of pure noise two in three do, of a smooth one few.
+# Share of steps in the opposite direction above which a value is noisy: two of three in pure noise, few in a smooth
+# signal.
 _NOISY = 0.25
-# From the median absolute deviation to the standard deviation of a normal distribution: 1 / Φ⁻¹(3/4).
+# Factor from the median absolute deviation to the standard deviation of a normal distribution: 1 / Φ⁻¹(3/4).
 _MAD_TO_SIGMA = 1.4826
-# Of fewer points some delay always fits well.
+# With fewer points some delay always fits well.
 _LEAST_POINTS = 8
-# Points at most on which two signals are laid over each other: 0.12 s for one field, measured.
+# The most points on which two signals are correlated: measured 0.12 s for one field.
 _GRID = 2000
-# A peak of this share of the best correlation fits as well: a periodic signal has one for each period.
+# A peak of at least this share of the best correlation fits as well: a periodic signal has one for each period.
 _NEAR_BEST = 0.98
-# Of values scaled to 1 a mean square below this is rounding: doubles are exact to about 1e-16.
+# For values scaled to 1, a mean square below this is rounding: doubles are exact to about 1e-16.
 _ROUNDING = 1e-28
-# Parts of the time that a trend must go through in one direction; of noise one in 5,000 does.
+# The number of parts over which a trend must keep its direction; in noise 1 of 5,000 signals does so by chance.
 _BLOCKS = 8
-# How many standard errors the slope of a trend must be from 0: what noise that goes so by chance never is.
+# Least slope of a trend in standard errors: noise that keeps its direction by chance never reaches it.
 _SURE_SLOPE = 8.0
-# A step that is smaller than this part of the largest value is none of the robot, but of its arithmetic: some units in
-# the last place of float32, in which much was computed that is sent as float64. Whole numbers are exact.
+# Changes smaller than this share of the largest value are rounding errors: some units in the last place of float32, in
+# which many values sent as float64 were computed. Integers are exact.
 _ROUNDING_OF = {"float32": 1e-6, "float64": 1e-7}
 
 
 @dataclass(frozen=True, slots=True)
 class Jump:
-    """A step much larger than the usual ones, from the value at `since_s` to the next one at `at_s`."""
+    """A step much larger than usual, from the value at `since_s` to the next one at `at_s`."""
 
     since_s: float
     at_s: float
@@ -61,7 +62,7 @@ class Jump:
 
 @dataclass(frozen=True, slots=True)
 class Stuck:
-    """A value that stood still for `samples` messages although it changes otherwise."""
+    """A value that stayed the same for `samples` messages although it usually changes."""
 
     at_s: float
     duration_s: float
@@ -70,19 +71,19 @@ class Stuck:
 
 
 def number(value: Any) -> float | None:
-    """A finite number as a float; None for anything else, as JSON has no other."""
+    """Return a finite number as a float; None for NaN and infinities, which JSON lacks."""
     return float(value) if math.isfinite(value) else None
 
 
 def rounding(path: FieldPath) -> float:
-    """Up to which share of its largest value a field's changes may be those of arithmetic."""
+    """Return the share of a field's largest value below which its changes may be rounding errors."""
     return _ROUNDING_OF.get(path.steps[-1].field.type.base, 0.0)
 
 
 def jumps(times: Numbers, values: Numbers, rounded: float = 0.0) -> list[Jump]:
-    """Steps far out of the usual, and larger than `rounded` of the largest value.
+    """Return steps much larger than usual, and larger than the share `rounded` of the largest value.
 
-    A value that mostly stands still has one only if it moves once.
+    A value that is mostly constant has jumps only if it changes rarely.
     """
     steps = np.diff(values)
     if len(steps) < _LEAST_STEPS:
@@ -102,9 +103,10 @@ def jumps(times: Numbers, values: Numbers, rounded: float = 0.0) -> list[Jump]:
 
 
 def stuck(times: Numbers, values: Numbers) -> Stuck | None:
-    """The longest time that a lively value stood still, if that is suspicious.
+    """Return the longest time that a value which usually changes stayed the same, if that is suspicious; else None.
 
-    It is where the value is noisy otherwise, or leaps when it moves again. A smooth one may just rest, as a robot does.
+    It is suspicious if the value is otherwise noisy, or jumps when it changes again. A smooth value may just rest, as a
+    robot does.
     """
     starts = np.flatnonzero(np.concatenate(([True], np.diff(values) != 0)))
     if len(starts) <= STUCK_SAMPLES:
@@ -125,10 +127,10 @@ def stuck(times: Numbers, values: Numbers) -> Stuck | None:
 
 
 def trend(times: Numbers, values: Numbers, rounded: float = 0.0) -> float | None:
-    """The change per second of a value that goes in one direction the whole time, under whatever noise; else None.
+    """Return the slope per second of a value that keeps its direction the whole time, apart from noise; else None.
 
-    That is where the means of eight parts follow each other, with one step at most in which nothing changes, by more
-    than `rounded` of the largest value.
+    The means of eight parts must follow each other in one direction, with at most one step without change, and change
+    by more than the share `rounded` of the largest value.
     """
     if len(values) < 2 * _BLOCKS:
         return None
@@ -147,9 +149,9 @@ def trend(times: Numbers, values: Numbers, rounded: float = 0.0) -> float | None
 
 
 def pairs(first: Numbers, second: Numbers) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Indices of times that belong together: each is the other's nearest in time, and they are not far apart.
+    """Return the indices of paired times: each is the nearest one to the other, within a limit.
 
-    Not far is at most half of the longer of the two median periods; without a limit where one has fewer than two times.
+    The limit is half of the longer of the two median periods; there is none if one side has fewer than two times.
     """
     if not len(first) or not len(second):
         return np.zeros(0, np.intp), np.zeros(0, np.intp)
@@ -162,7 +164,7 @@ def pairs(first: Numbers, second: Numbers) -> tuple[NDArray[np.intp], NDArray[np
 
 
 def _nearest(times: Numbers, others: Numbers) -> NDArray[np.intp]:
-    """For each time the index of the nearest of the others."""
+    """Return for each time the index of the nearest of the others."""
     if len(others) == 1:
         return np.zeros(len(times), np.intp)
     right = np.minimum(np.maximum(np.searchsorted(others, times), 1), len(others) - 1)
@@ -174,10 +176,10 @@ def _period(times: Numbers) -> float:
 
 
 def correlation(first: Numbers, second: Numbers) -> float | None:
-    """Pearson's correlation; None where one of them does not vary."""
+    """Return Pearson's correlation; None if one of the two does not vary."""
     if len(first) < 2:
         return None
-    # as shares of the largest magnitude, so that no square overflows
+    # scaled by the largest magnitude, so that no square overflows
     one, other = (values / (max(float(values.max()), -float(values.min())) or 1.0) for values in (first, second))
     one -= one.mean()
     other -= other.mean()
@@ -188,17 +190,18 @@ def correlation(first: Numbers, second: Numbers) -> float | None:
 def delay(
     first_times: Numbers, first: Numbers, second_times: Numbers, second: Numbers
 ) -> tuple[float | None, float | None]:
-    """By how many seconds the second signal follows the first, and how well the two agree then (-1 to 1).
+    """Return the delay of the second signal behind the first in s, and their correlation at that delay (-1 to 1); None
+    if there is no meaningful delay.
 
-    Both are brought onto one grid of times; the lag with the highest correlation counts, up to a third of the time
-    they have in common. Of lags that fit equally well (a periodic signal), the shortest.
+    Both are interpolated on a common time grid. The delay is the lag with the highest correlation, up to a third of the
+    common time; of lags that fit equally well (a periodic signal), the shortest.
     """
     if min(len(first), len(second)) < _LEAST_POINTS:
         return None, None
     begin, end = max(first_times[0], second_times[0]), min(first_times[-1], second_times[-1])
     if end <= begin:
         return None, None
-    # four points to the shorter period follow both signals; at most as many as can be afforded
+    # Four points in the shorter period resolve both signals; their number is limited to bound the computing time.
     step = max(min(_period(first_times), _period(second_times)) / 4, (end - begin) / _GRID)
     grid = np.arange(begin, end, step)
     if len(grid) < _LEAST_POINTS:
@@ -222,7 +225,9 @@ def delay(
 
 
 def _shortest_peak(scores: Numbers, best: float, middle: int) -> int:
-    """The highest score; of local maxima that are almost as high, the one nearest to no delay."""
+    """Return the index of the highest score; of local maxima that are almost as high, the one with the shortest
+    delay.
+    """
     padded = np.concatenate(([-np.inf], scores, [-np.inf]))
     is_peak = (padded[1:-1] >= padded[:-2]) & (padded[1:-1] >= padded[2:]) & (scores >= _NEAR_BEST * best)
     peaks = np.flatnonzero(is_peak)
@@ -230,5 +235,5 @@ def _shortest_peak(scores: Numbers, best: float, middle: int) -> int:
 
 
 def flat(values: Any) -> Numbers:
-    """A number, or a list or array of numbers, as a flat array of float64."""
+    """Return a number, or a list or array of numbers, as a flat array of float64."""
     return np.asarray(values, np.float64).ravel()

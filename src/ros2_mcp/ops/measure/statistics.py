@@ -21,33 +21,33 @@ if TYPE_CHECKING:
     from ros2_mcp.ops.measure.columns import Column, Columns, Extreme
     from ros2_mcp.values.select import FieldPath
 
-# All are subscribed to at the same time, and share the memory that a capture may take.
+# The most topics of one call: all are subscribed to at the same time and share the memory of a capture.
 MAX_TOPICS = 20
-# What one field takes in the result, 15 names and numbers, two times and a short path; for how many there is room.
+# Bytes of one field in the result (15 names and numbers, two times and a short path), to compute how many fit.
 _FIELD_BYTES = 480
-# What a topic takes beside its fields.
+# Bytes of a topic without its fields.
 _TOPIC_BYTES = 500
-# Fields of each topic that are shown in any case, however small the result has to be.
+# The least number of fields shown for each topic, however small the result must be.
 _MIN_FIELDS = 3
-# Trends and constant values in the line that names them; all are in the table.
+# The most trends and constant values in the text; all are in the table.
 _MAX_NAMED = 12
-# Up to here JSON's numbers are whole numbers exactly; larger ones are texts.
+# Integers beyond this are not exact in JSON and are given as texts.
 _EXACT = 2**53
-# Fields whose extremes stand in a line of their own; all are in the table, and who wants few has chosen them.
+# The most fields whose extremes have a line in the text; all are in the table.
 _MAX_RANGES = 6
-# Jumps that are listed of one field, and half of the gaps of one topic; the others are only counted.
+# The most jumps listed for one field, and half of the gaps listed for one topic; the others are only counted.
 _MAX_LISTED = 5
 
 
 @dataclass(frozen=True, slots=True)
 class FieldStatistics:
-    """One numeric field over the time of measuring, over its finite values; null where there are too few.
+    """One numeric field over the measured time; statistics of its finite values, null if there are too few.
 
-    `min_at` and `max_at` say when the extremes were first reached, and in which element of an array. `trend` says in
-    words that it goes in one direction all the time. `std` is the standard deviation of the values (divided by their
-    number), `slope` the change per second of the best straight line. Of an array (`array` true) all elements of all
-    messages count together; `first`, `last` and `slope` are of its means. `not_finite` counts NaN and infinities.
-    `anomalies` says in words: jumps, a stuck value, values that are not finite.
+    `min_at` and `max_at` give the first time of the extremes, and in an array the element. `trend` describes a change
+    in one direction over the whole time. `std` is the standard deviation (divided by the number of values), `slope` the
+    change per second of the least-squares line. For an array (`array` true) the elements of all messages count
+    together; `first`, `last` and `slope` are those of its means. `not_finite` counts NaN and infinities. `anomalies`
+    describes jumps, a stuck value, and values that are not finite.
     """
 
     field: str
@@ -68,7 +68,7 @@ class FieldStatistics:
 
     @property
     def range(self) -> str:
-        """Its extremes and when they were, in words."""
+        """The extremes and their times, in words."""
         extremes = (("min", self.min, self.min_at), ("max", self.max, self.max_at))
         told = [f"{name} {value:.6g} at {at}" for name, value, at in extremes if value is not None]
         return f"{self.field}: {', '.join(told)}"
@@ -76,12 +76,12 @@ class FieldStatistics:
 
 @dataclass(frozen=True, slots=True)
 class TopicStatistics:
-    """One topic over the time of measuring. Times in seconds; null where there were too few messages to tell.
+    """One topic over the measured time. Times in seconds; null if there are too few messages.
 
-    `constants` are the fields that were the same in every message, with their value; `fields` are the others. `gaps`
-    says in words when nothing came for longer than three usual periods (four of five are not longer). `started_at` is
-    ISO 8601; other times are absolute and in seconds from then, of a recording from its beginning, which is
-    `seconds_in` before.
+    `constants` holds the fields with the same value in every message, and that value; `fields` the others. `gaps`
+    describes times without messages longer than three usual periods (four of five are not longer). `started_at` is ISO
+    8601; other times are absolute and in seconds from then, or from the start of a recording, which is `seconds_in`
+    seconds earlier.
     """
 
     topic_name: str
@@ -104,7 +104,7 @@ class TopicStatistics:
     error: str = ""
 
     def summary(self) -> list[str]:
-        """One line, and one for each gap, anomaly, and range of the first fields."""
+        """Return one line for the topic, and one for each gap, anomaly, and range of the first fields."""
         if self.error:
             return [f"{named(self.topic_name)}: {self.error}"]
         rate = "rate unknown" if self.rate_hz is None else f"{self.rate_hz:.2f} Hz"
@@ -128,7 +128,7 @@ class Statistics:
     topics: Sequence[TopicStatistics]
 
     def summary(self) -> list[str]:
-        """Some lines for each topic."""
+        """Return the lines of each topic."""
         return [line for topic in self.topics for line in topic.summary()]
 
 
@@ -138,11 +138,11 @@ async def measure(
     selection: Selection,
     report: Report = silent,
 ) -> Statistics:
-    """Statistics of the chosen fields of these topics, or of all numeric ones.
+    """Measure the chosen fields of these topics, or all numeric ones.
 
     Raises:
         BadInput: if there are no topics, too many, or one twice.
-        BadValue: if the time is out of range, or a field is in none of the topics.
+        BadValue: if the time is out of range, or none of the topics has a field.
     """
     if not 1 <= len(topics) <= MAX_TOPICS:
         raise BadInput(f"{len(topics)} topics are given.", f"Give 1 to {MAX_TOPICS}.")
@@ -174,25 +174,25 @@ async def measure(
 
 
 def measured_fields(stream: Stream, chosen: Sequence[str]) -> list[FieldPath]:
-    """The chosen fields, or all numeric ones; a chosen one that this type does not have is left out."""
+    """Return the chosen fields, or all numeric ones; chosen fields that this type lacks are skipped."""
     from ros2_mcp.values.select import measurable
 
     if not chosen:
         return measurable(stream.codec.definitions, stream.type)
     found: list[FieldPath] = []
     for path in chosen:
-        with suppress(BadValue):  # another of the topics has it
+        with suppress(BadValue):  # another of the topics may have it
             found += measurable(stream.codec.definitions, stream.type, [path])
     return found
 
 
 async def _check_fields(source: Source, topics: Sequence[str], fields: Sequence[str]) -> None:
-    """Raises the error of a field that no topic has, before any time is spent on measuring."""
+    """Raise BadValue for a field that no topic has, before any time is spent on measuring."""
     from ros2_mcp.values.select import measurable
 
     types: list[str] = []
     for topic in topics:
-        with suppress(RobotError):  # its result will say that it is not there
+        with suppress(RobotError):  # reported in the result of that topic
             types.append(await source.type_of(topic))
     for path in fields:
         errors: list[BadValue] = []
@@ -206,10 +206,10 @@ async def _check_fields(source: Source, topics: Sequence[str], fields: Sequence[
 
 
 def evaluate(capture: Capture[Columns], most_fields: int = 80) -> TopicStatistics:
-    """The statistics of one capture.
+    """Return the statistics of one capture.
 
     Raises:
-        BadData: if no message is what the type says.
+        BadData: if no message could be decoded.
     """
     import numpy as np
 
@@ -281,7 +281,7 @@ def _gap_lines(capture: Capture[Columns]) -> list[str]:
 
 
 def _field_statistics(column: Column, capture: Capture[Columns]) -> FieldStatistics:
-    """The statistics of one field: of a list all elements of all messages count together."""
+    """Return the statistics of one field; for a list, the elements of all messages count together."""
     from ros2_mcp.ops.measure.signals import number
 
     totals, path = column.totals, column.path
@@ -313,12 +313,14 @@ def _field_statistics(column: Column, capture: Capture[Columns]) -> FieldStatist
 
 
 def _is_constant(column: Column, messages: int) -> bool:
-    """Whether every message has it, and all the same; what only some have keeps its row, with its count."""
+    """Return whether the field has the same finite value in every message. Fields that only some messages have are not
+    constant, so that their count is shown.
+    """
     return column.messages == messages > 1 and column.is_constant and not column.totals.not_finite
 
 
 def _constant(column: Column) -> float | str:
-    """A value that is the same in every message; of a list with different ones how many, and from where to where."""
+    """Return the constant value; for a list with different elements, their number and range in words."""
     totals = column.totals
     value = column.first_value
     if value.dtype.kind in "iu" and (value == value[0]).all():
@@ -344,7 +346,7 @@ def _extreme_at(extreme: Extreme, path: FieldPath, capture: Capture[Columns]) ->
 
 
 def _trend_and_anomalies(column: Column, capture: Capture[Columns]) -> tuple[str, list[str]]:
-    """A trend, jumps and the time that the value stood still, in words; what lies over a hole is no jump."""
+    """Return the trend and the anomalies (jumps, stuck value) in words; changes across a hole are no jumps."""
     import numpy as np
 
     from ros2_mcp.ops.measure import signals
@@ -373,7 +375,7 @@ def _trend_and_anomalies(column: Column, capture: Capture[Columns]) -> tuple[str
         return both_times(capture.start_ns + round(at_s * 1e9), capture.zero_ns)
 
     lines = [f"jump from {jump.before:g} to {jump.after:g} at {when(jump.at_s)}" for jump in found]
-    if len(found) > _MAX_LISTED:  # the first ones, and the last one: the end of a burst
+    if len(found) > _MAX_LISTED:  # list the first ones and the last one, which ends a burst
         between = f"{len(found) - _MAX_LISTED} more jumps, up to the last one:"
         lines = [*lines[: _MAX_LISTED - 1], between, lines[-1]]
     if still:

@@ -1,4 +1,4 @@
-"""Waiting until a condition on a topic holds; in a recording, finding the first time that it held."""
+"""Wait until a condition on a topic holds; in a recording, find the first time at which it held."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from ros2_mcp.values.cdr import Message
     from ros2_mcp.values.columns import ExcerptReader
 
-# Examined in one go of a thread: some 10 ms, so that a cancelled call ends at once.
+# The most samples examined in one call of a thread: some 10 ms, so that a cancelled call ends at once.
 _TURN_SAMPLES = 200
-# Of one field that the condition names; a long list is summarised after its first eight elements.
+# Bytes of one field that the condition names; a long list is cut after eight elements.
 _VALUE_BYTES = 2000
 
 
@@ -59,11 +59,11 @@ class Wait:
     from_before: str = field(default="", metadata=SAID)
     is_live: bool = field(default=True, metadata=HIDDEN)
     when: str = field(default="", metadata=HIDDEN)
-    # What values that are not finite are called in the sentence.
+    # The words for values that are not finite, in the text.
     odd: Mapping[str, str] = field(default_factory=dict[str, str], metadata=HIDDEN)
 
     def summary(self) -> str:
-        """One line."""
+        """Return one line with the outcome, the time and the values."""
         outcome = "is met" if self.met else "was not met"
         seen = f", {'at' if self.met else 'last message at'} {self.when}" if self.when else ""
         when = f"after {self.waited:.3f} s" if self.is_live else f"in {self.source}{seen}"
@@ -78,19 +78,19 @@ class Wait:
 async def wait_until(
     source: Source, topic: str, text: str, report: Report = silent, *, max_bytes: int = 32_000
 ) -> Wait:
-    """Looks at every message until one meets the condition, or the source's time is over; live, of those that a latched
-    topic replays, at the newest, which counts only where nothing newer comes within a second.
+    """Examine messages until one meets the condition or the source's time is over. Live, of the messages that a latched
+    topic replays only the newest counts, and only if no newer one is received within a second.
 
     Raises:
         BadInput: if the text is not a condition.
         BadValue: for a field that does not exist, or a time out of range.
         NotFound: if the topic does not appear in that time.
-        TypeConflict: if it has several types.
+        TypeConflict: if the topic has several types.
     """
     from ros2_mcp.ops.measure.expression import condition
 
     started = monotonic()
-    with contextlib.suppress(NotFound):  # it may appear in time
+    with contextlib.suppress(NotFound):  # the topic may still appear
         condition(source.codec.definitions, await source.type_of(topic), text)
     async with source.judging().follow(topic) as stream:
         asked = condition(stream.codec.definitions, stream.type, text)
@@ -105,11 +105,13 @@ async def wait_until(
 
 
 def _excerpts(stream: Stream, asked: Condition) -> ExcerptReader | None:
-    """Reads of recorded messages what the condition looks at; None where that is not single numbers alone."""
+    """Return a reader of only the fields that the condition names, for a recording; None if they are not all single
+    numbers.
+    """
     from ros2_mcp.values.columns import ExcerptReader  # imports NumPy, as what reads recordings does
     from ros2_mcp.values.select import parse_fields
 
-    if asked.computed or not asked.fields:  # what is computed may be of more than its fields
+    if asked.computed or not asked.fields:  # a function may need more than the fields named
         return None
     definitions = stream.codec.definitions
     reader = ExcerptReader(definitions, stream.type, parse_fields(definitions, stream.type, asked.fields))
@@ -118,10 +120,10 @@ def _excerpts(stream: Stream, asked: Condition) -> ExcerptReader | None:
 
 @dataclass(slots=True)
 class _Search:
-    """The search in one stream, and what has been seen so far: the `last` message, which is the one if it is `met`.
+    """The search in one stream, and its state: `last` is the latest message, or the one that met the condition (`met`).
 
-    Decoding and evaluating run in threads: 200 messages may take longer than other calls should wait. With `excerpts`
-    only the message that is told is decoded.
+    Decoding and evaluating run in threads: 200 messages may block the event loop for too long. With `excerpts`, only
+    the message shown in the result is decoded.
     """
 
     stream: Stream
@@ -136,11 +138,11 @@ class _Search:
     undecodable: int = 0
 
     async def run(self) -> None:
-        """Examines messages until one meets the condition, or the stream ends. What was sent before meets it only where
-        nothing newer comes: it is not now.
+        """Examine messages until one meets the condition or the stream ends. A message sent before the request counts
+        only if no newer one is received: it does not show the present state.
         """
         async for batch in self.stream.batches:
-            if self.met and not batch:  # by what was sent before, and nothing newer came for a while
+            if self.met and not batch:  # met by an earlier message, and no newer one was received for a while
                 return
             for begin in range(0, len(batch), _TURN_SAMPLES):
                 await asyncio.to_thread(self._examine, batch[begin : begin + _TURN_SAMPLES])
@@ -165,7 +167,7 @@ class _Search:
                     return
 
     def _decoded(self, sample: Sample) -> Message | None:
-        """A message as a whole; None, and counted, where it is not what its type says."""
+        """Return the decoded message; None, and counted, if it cannot be decoded."""
         try:
             return self.stream.codec.decode(self.stream.type, sample.data)
         except BadData:
@@ -173,7 +175,7 @@ class _Search:
             return None
 
     def result(self, source: Source, waited_s: float, max_bytes: int) -> Wait:
-        """The message in half of the result's size: the other half is for its text."""
+        """Return the result; the message has half of its size, the other half is for the text."""
         from ros2_mcp.values.render import RenderOptions, render
         from ros2_mcp.values.select import parse_field
 

@@ -1,1 +1,1 @@
-"""Pictures of maps, clouds and numbers."""
+"""Pictures of maps, point clouds and plots of numeric fields, with their numbers."""

@@ -1,4 +1,4 @@
-"""A point cloud from above as a picture with its facts."""
+"""`ros2_pointcloud_view`: a point cloud from above as a picture, with its numbers."""
 
 from __future__ import annotations
 
@@ -57,12 +57,12 @@ class CloudPicture(WithPictures):
     note: str = field(metadata=IF_ANY)
 
     def summary(self) -> str:
-        """One line."""
+        """Return one line with the points shown and the notes."""
         return f"{self.topic_name}: {self.shown} of {self.points} points. {self.pictures[0].note} {self.note}".rstrip()
 
 
 async def cloud_picture(source: Source, topic: str, options: BirdEyeOptions, report: Report = silent) -> CloudPicture:
-    """The next point cloud of a topic, or without one of the only topic with clouds, from above.
+    """Draw the next point cloud of a topic from above; without a topic, of the only one with clouds.
 
     Raises:
         NotFound: if the topic is not there, or there is no cloud.

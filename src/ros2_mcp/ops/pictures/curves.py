@@ -1,6 +1,6 @@
 """The fields of messages as curves, and the curves as the figure of a plot.
 
-It imports numpy, so `plot.py` imports it only when something is drawn: listing the tools must not wait for that.
+It imports NumPy, so `plot.py` imports it only for drawing: listing the tools must not wait for that.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ MAX_CURVES = len(COLOURS)
 
 @dataclass(frozen=True, slots=True)
 class FieldValues:
-    """The values of one field, with the time of each in seconds from the capture's beginning."""
+    """The values of one field, and their times in seconds from the start of the capture."""
 
     topic: str
     field: str
@@ -38,7 +38,7 @@ class FieldValues:
 
     @property
     def name(self) -> str:
-        """As callers write it: `/odom:twist.twist.linear.x`."""
+        """The name as callers write it: `/odom:twist.twist.linear.x`."""
         return f"{self.topic}:{self.field}"
 
     @property
@@ -48,18 +48,18 @@ class FieldValues:
 
     @property
     def is_constant(self) -> bool:
-        """Whether all finite values are the same."""
+        """Whether all finite values are equal."""
         return not bool((self.finite != self.finite[:1]).any())
 
 
 def drawn_fields(definitions: Definitions, type_name: str, path: str, most: int | None = None) -> list[FieldPath]:
-    """The fields that a path stands for; without a path every number that is not in a list. At most so many."""
+    """Return the fields of a path, at most `most`; without a path, all numbers that are not in a list."""
     fields = measurable(definitions, type_name, [path] if path else ())
     return [field for field in fields if path or not field.is_list][:most]
 
 
 def values_of(capture: Capture[Columns], fields: Sequence[FieldPath]) -> Iterator[FieldValues]:
-    """The values of each of these fields; of a list, of each of its first elements."""
+    """Yield the values of each field; for a list, those of each of its first elements."""
     kept = capture.kept
     times = np.maximum(seconds(kept.read_ns, capture.start_ns), 0.0)
     by_path = {column.path.path: column for column in kept.columns}
@@ -71,21 +71,23 @@ def values_of(capture: Capture[Columns], fields: Sequence[FieldPath]) -> Iterato
             continue
         lengths = column.lengths
         begins = np.cumsum(lengths) - lengths
-        # One element more than can be drawn, so that it is seen and said that some are not shown.
+        # One element more than can be drawn, so that the caller notices that some are not shown.
         for index in range(min(int(lengths.max(initial=0)), MAX_CURVES + 1)):
             has = lengths > index
             yield FieldValues(capture.topic, f"{path}[{index}]", unit, at[has], values[begins[has] + index])
 
 
 def breaks(times: Numbers) -> NDArray[np.bool_]:
-    """True at each value that came after a gap."""
+    """Return True for each value that follows a gap."""
     periods = np.diff(times)
     usual = usual_s(periods) if len(periods) > 2 else np.inf
     return np.concatenate(([False], periods > GAP_FACTOR * usual))[: len(times)]
 
 
 def over_time(values: Sequence[FieldValues], capture: Capture[Columns], title: str) -> Figure:
-    """A panel for each unit, over the time of the capture; of a recording in seconds from its beginning."""
+    """Return a figure with a panel for each unit, over the time of the capture; for a recording in seconds from its
+    start.
+    """
     units = [value.unit for value in values]
     zero_ns = capture.zero_ns
     begin_s = (capture.start_ns - zero_ns) / 1e9
@@ -104,10 +106,10 @@ def over_time(values: Sequence[FieldValues], capture: Capture[Columns], title: s
 
 
 def against_each_other(values: Sequence[FieldValues], title: str) -> Figure:
-    """One panel with a curve for each pair of x and y.
+    """Return a figure of one panel with a curve for each pair of x and y.
 
     Raises:
-        BadInput: if the values are not pairs.
+        BadInput: if the number of series is 0 or odd.
     """
     if not values or len(values) % 2:
         raise BadInput(

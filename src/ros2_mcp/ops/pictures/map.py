@@ -1,4 +1,4 @@
-"""A map as a picture with its facts."""
+"""A map as a picture, with its numbers."""
 
 from __future__ import annotations
 
@@ -54,13 +54,13 @@ class MapPicture(WithPictures):
     note: str = field(metadata=IF_ANY)
 
     def summary(self) -> str:
-        """One line."""
+        """Return one line with the notes on the map."""
         return f"{self.topic_name}: {self.pictures[0].note} {self.note}".rstrip()
 
 
 async def map_picture(robot: Robot, source: Source, topic: str, report: Report = silent) -> MapPicture:
-    """The first map of a topic, or without one of the only topic with maps; a latched one comes at once. What has
-    changed in it since is in it live, and of a recording without a start at its end.
+    """Draw the map of a topic; without a topic, of the only one with maps. Its later updates are included live, and for
+    a recording without a start time, as of its end.
 
     Raises:
         NotFound: if the topic is not there, or there is no map.
@@ -99,7 +99,7 @@ async def map_picture(robot: Robot, source: Source, topic: str, report: Report =
 
 
 async def _map(robot: Robot, source: Source, topic: str, report: Report) -> tuple[OccupancyGrid, Next]:
-    """The map; the note tells what has changed in it since it was sent whole, or that this is not in it."""
+    """Return the grid with its message; the note reports the updates applied, or that they are not shown."""
     from ros2_mcp.world.occupancy import OccupancyGrid
 
     name = await source.name_of(topic)
@@ -110,6 +110,6 @@ async def _map(robot: Robot, source: Source, topic: str, report: Report) -> tupl
         note = " ".join(filter(None, (kept.skipped, kept.note)))
         return kept.grid, Next(kept.grid, kept.sample, source.words, note, kept.skipped)
     found = await next_message(source, topic, OCCUPANCY_GRID, report)
-    if updates:  # what changed up to the start may lie before it, and is not looked for
+    if updates:  # those up to the start time may precede it, and are not read
         found = replace(found, note=f"{found.note} Later updates are not shown.".lstrip())
     return await asyncio.to_thread(OccupancyGrid, found.message), found

@@ -1,4 +1,4 @@
-"""The next message of a topic, for a picture of it."""
+"""Read the next message of a topic, for example to draw it."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from ros2_mcp.ops.sources.selection import undecodable
 from ros2_mcp.ops.sources.source import Source
 
 _TRIED = 32
-"""Messages of a recording among which the first that can be decoded is looked for; one that cannot is rare."""
+"""The most messages of a recording that are tried until one can be decoded; damaged ones are rare."""
 
 
 @dataclass(frozen=True, slots=True)
 class Next:
-    """A message with its sample, and in words where it is from.
+    """A message with its sample, and in words its source.
 
-    `note` says when it was recorded, or that it is from before, and how many were skipped as not of their type;
-    `skipped` says the latter alone, `age` that it is from before, and how old.
+    `note` gives the time of recording or the age of a replayed message, and the number of messages skipped because they
+    could not be decoded. `skipped` holds only the latter; `age` only the age of a replayed message.
     """
 
     message: Any
@@ -36,14 +36,14 @@ class Next:
 
 
 async def next_message(source: Source, topic: str, type_name: str, report: Report) -> Next:
-    """The next message of a topic that can be decoded; of several that wait live, or that a latched topic has kept, the
-    newest.
+    """Return the next message of a topic that can be decoded. If several are waiting live, or were kept by a latched
+    topic, return the newest.
 
     Raises:
         NotFound: if the topic is not there.
         TypeConflict: if it has another type.
         TimedOut: if no message came.
-        BadData: if no message is what the type says.
+        BadData: if no message could be decoded.
     """
     topic, source = await source.name_of(topic), source.judging()
     async with reporting(report, source.duration_s, f"waiting for {topic}"):
@@ -61,7 +61,7 @@ async def _next(source: Source, topic: str, type_name: str, limit: int) -> Next:
         if stream.type != type_name:
             raise TypeConflict(f"{topic} is a {named(stream.type)}, not a {type_name}.", "ros2_topic_list shows types.")
         async for batch in stream.batches:
-            # live, and of a recording without a start, the newest comes first
+            # Live, and for a recording without a start time, the newest is tried first.
             for sample in batch[::-1] if source.is_live or stream.from_end else batch:
                 try:
                     message = await asyncio.to_thread(stream.codec.decode, stream.type, sample.data)

@@ -1,4 +1,4 @@
-"""Numeric fields over time, or one against the other, as a picture with a summary of the numbers."""
+"""Plots of numeric fields over time, or against each other, as a picture with statistics."""
 
 from __future__ import annotations
 
@@ -22,18 +22,19 @@ if TYPE_CHECKING:
     from ros2_mcp.ops.pictures.curves import FieldValues
 
 _PANEL_PIXELS = 140
-"""The least height of a panel in which a curve and the labels of its axis can be read."""
+"""Least height of a panel, in pixels, at which the curve and the labels of its axis are readable."""
 _XY_FIELDS = 2
-"""Of a message that stands for its x and y."""
+"""The most fields of a message in an x-y plot: x and y."""
 _LISTED = 8
-"""How many series that are not shown are named; a message may have hundreds."""
+"""The most series named that are not shown; a message may have hundreds."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlotRequest:
-    """What to draw: series over time (`time`), or pairs of them against each other (`xy`); the size in pixels.
+    """A request: series over time (`time`), or in pairs against each other (`xy`); width and height in pixels.
 
-    A series is a topic and a field, `/odom:twist.twist.linear.x`; a topic or message stands for the numbers in it.
+    A series is a topic and a field, `/odom:twist.twist.linear.x`; a topic alone, or a field that is a message, means
+    all its numbers.
     """
 
     series: Sequence[str]
@@ -44,9 +45,9 @@ class PlotRequest:
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """One numeric field over the time of measuring; numbers over its finite values, null where there are none.
+    """One numeric field over the measured time; statistics of its finite values, null if there are none.
 
-    `unit` is empty where it is not known. `gaps` counts the silences that are breaks in the curve.
+    `unit` is empty if not known. `gaps` counts the times without messages, at which the curve is interrupted.
     """
 
     name: str
@@ -77,7 +78,7 @@ class Plot(WithPictures):
     note: str = field(metadata=IF_ANY)
 
     def summary(self) -> list[str]:
-        """A line for each series."""
+        """Return a line for the plot and one for each series."""
         lines = [
             f"{one.name}: {counted(one.count, 'value')}, {_number(one.min)} to {_number(one.max)}, "
             f"mean {_number(one.mean)}, last {_number(one.last)} {one.unit}".rstrip()
@@ -91,10 +92,10 @@ def _number(value: float | None) -> str:
 
 
 async def plot(source: Source, request: PlotRequest, report: Report = silent) -> Plot:
-    """Draws the series of a request.
+    """Draw the series of a request.
 
-    Over time there is a panel for each unit. For `xy` the series are taken in pairs, and a point alone stands for its
-    x and y; series of different topics are paired by the nearest time.
+    Over time, each unit has its own panel. For `xy` the series are taken in pairs, and a point alone gives x and y;
+    series of different topics are paired by the nearest time.
 
     Raises:
         BadInput: if there are no series, or not pairs of them.
@@ -117,14 +118,14 @@ async def plot(source: Source, request: PlotRequest, report: Report = silent) ->
 
 
 async def _split(source: Source, text: str) -> tuple[str, str]:
-    """A topic and a field: apart at the last colon before which there is the name of a topic, as some have one in it;
-    at the first colon where none is there.
+    """Split a series into topic and field at the last colon that follows the name of an existing topic, as names in
+    recordings may contain colons; else at the first colon.
     """
     for at in [None, *(number for number in reversed(range(len(text))) if text[number] == ":")]:
         topic = text[:at].strip()
         if ":" not in topic:
             break
-        with suppress(BadName, NotFound):  # of what runs no name has a colon
+        with suppress(BadName, NotFound):  # live, no topic name contains a colon
             name = await source.name_of(topic)
             await source.type_of(name)
             return name, "" if at is None else text[at + 1 :].strip()
@@ -133,7 +134,7 @@ async def _split(source: Source, text: str) -> tuple[str, str]:
 
 
 def _keeping(parts: Sequence[tuple[str, str]], request: PlotRequest) -> Callable[[Stream], Columns]:
-    """What keeps the fields that are drawn of each topic, for `Source.captures`."""
+    """Return the factory for `Source.captures` that keeps the fields drawn of each topic."""
     from ros2_mcp.ops.measure.columns import Columns, Room
     from ros2_mcp.ops.pictures.curves import drawn_fields
 
@@ -150,7 +151,9 @@ def _keeping(parts: Sequence[tuple[str, str]], request: PlotRequest) -> Callable
 
 
 async def _check_fields(source: Source, parts: Sequence[tuple[str, str]]) -> None:
-    """Raises the error of a field that does not exist before any time is spent; missing topics are reported later."""
+    """Raise BadValue for a field that does not exist, before any time is spent on measuring; missing topics are
+    reported later.
+    """
     from ros2_mcp.values.select import measurable  # with numpy: not before it is needed
 
     for topic, path in parts:

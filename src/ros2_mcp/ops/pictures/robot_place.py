@@ -1,4 +1,4 @@
-"""Where the robot is in the frame of a picture: out of the transforms, else out of what a localisation says."""
+"""The robot's pose in the frame of a picture: from TF, else from a localisation topic."""
 
 from __future__ import annotations
 
@@ -17,20 +17,22 @@ from ros2_mcp.ops.space.frames import frames_of
 from ros2_mcp.world.transforms import FrameTree, Located, pose_of
 
 _LISTEN_S = 0.6
-"""Matching takes up to 0.2 s; what moves is sent at 5 Hz at least, what is static comes at once."""
+"""Time to wait for a transform or a pose: matching takes up to 0.2 s, moving frames are published at 5 Hz or more,
+static ones are latched."""
 _BEFORE_NS, _AFTER_NS = 10_000_000_000, 200_000_000
-"""What is read around a time of a recording: what tf2 would keep, and one more message of a slow publisher."""
+"""The part of a recording that is read around a time, in ns: as much as tf2 keeps, and one more message of a slow
+publisher."""
 _MOST = 200
-"""Messages of a recording that are looked at: a localisation says the pose ten times a second."""
+"""The most messages of a recording that are read: localisation publishes the pose at 10 Hz."""
 LOCALISED = ("/amcl_pose", "/pose")
-"""Where localisation says the robot's pose, as Nav2's and slam_toolbox do, with this type."""
+"""Topics on which localisation (Nav2's amcl, slam_toolbox) publishes the robot's pose, with this type."""
 LOCALISED_TYPE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 
 
 async def robot_place(source: Source, frame: str, near_ns: int | None = None) -> RobotPlace | None:
-    """Where the robot is in that frame; None where nobody says.
+    """Return the robot's pose in that frame; None if it is not published.
 
-    Of a recording that was asked for from a time on, it is the place when the picture was received, at `near_ns`.
+    For a recording read from a start time on, it is the pose at `near_ns`, the receive time of the picture's message.
     """
     await load("ros2_mcp.values.cdr")  # with numpy: not before it is needed
     if near_ns is not None and source.covers_ns and not source.from_end:
@@ -52,7 +54,7 @@ async def robot_place(source: Source, frame: str, near_ns: int | None = None) ->
 
 
 def placed(pose: Pose, stamp_ns: int | None) -> RobotPlace:
-    """A pose as the place of the robot."""
+    """Return a pose as the place of the robot, with the stamp of its transform or message in ns (None: static)."""
     x_m, y_m, z_m = pose.translation
     return RobotPlace(x_m, y_m, pose.yaw_rad, z_m, stamp_ns)
 
@@ -62,7 +64,7 @@ def _found(tree: FrameTree, frame: str) -> Located | None:
 
 
 async def _messages(source: Source, topic: str, type_name: str) -> list[Any]:
-    """The messages of a topic, decoded; none if it is not there, or not of that type."""
+    """Return the decoded messages of a topic; empty if the topic is not found or has another type."""
     found: list[Any] = []
     with suppress(RobotError):
         if await source.type_of(topic) == type_name:

@@ -1,4 +1,4 @@
-"""In which frame a cloud is seen from above: one whose z is up, as that of an optical frame is not."""
+"""The frame in which a cloud is drawn from above: one whose z axis is up, unlike that of an optical frame."""
 
 from __future__ import annotations
 
@@ -14,18 +14,19 @@ from ros2_mcp.ops.space.frames import WORLDS, frames_of
 from ros2_mcp.ops.space.mount import mount_of
 
 OPTICAL = Pose(rotation=(-0.5, 0.5, -0.5, 0.5))
-"""Of an optical frame (x to the right, y down, z ahead) in one at its place with x ahead, y left and z up: REP 103."""
+"""Pose of an optical frame (x right, y down, z ahead) in a frame at the same place with x ahead, y left, z up (REP
+103)."""
 _OPTICAL_FRAME = "_optical_frame"
 _UP = math.cos(math.radians(5.0))
-"""A frame whose z leans by less is upright: so much a mount is off, or a robot on a ramp leans. From above a wall of
-2 m is then 17 cm thick."""
+"""Least z component of the z axis of an upright frame: mounts are inaccurate, and robots on ramps lean, by up to 5°.
+Seen from above, a wall of 2 m is then 17 cm thick."""
 _LOOK_S = 0.05
-"""For frames that have been waited for already."""
+"""Time to wait for frames that have been waited for already."""
 
 
 @dataclass(frozen=True, slots=True)
 class Upright:
-    """The frame that is shown, the `pose` in it of the cloud's own frame (None: it is that), and what is to be said."""
+    """The frame that is drawn, the pose of the cloud's own frame in it (None: it is the same), and a note."""
 
     frame: str
     pose: Pose | None = None
@@ -33,8 +34,9 @@ class Upright:
 
 
 async def upright_of(source: Source, frame: str, at_ns: int) -> Upright:
-    """The cloud's own frame where its z is up; else the robot's base or a world, by the transforms; else, of an optical
-    frame, what REP 103 says; else the cloud's own frame, with a note on whose z is up. Raises no `RobotError`.
+    """Return the cloud's own frame if its z is up; else the robot's base or a world frame, if TF has a transform; else,
+    for an optical frame, a frame turned as REP 103 says; else the cloud's own frame, with a note on its z axis. Raises
+    no `RobotError`.
     """
     bare = frame.lstrip("/")
     if bare in WORLDS:

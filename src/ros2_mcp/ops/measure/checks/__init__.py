@@ -1,8 +1,9 @@
-"""What can be wrong with a robot: one small file for each check, which says what it reads and yields findings.
+"""The checks for faults of a robot: each in a file of its own, with the evidence that it needs and a function that
+finds the fault.
 
-A module here is found by itself. It has `CHECK = Check(needs, find)`: `needs` are the parts of the evidence that are
-read for it, beside the graph, the flows and the diagnostics, which are always there; `find` yields a `Finding` for each
-fault, and none where all is well. A check whose parts could not be read is not run.
+A module of this package is found automatically. It has `CHECK = Check(needs, find)`: `needs` are the parts of the
+evidence read for it, besides the graph, the flows and the diagnostics, which are always present; `find` yields a
+`Finding` for each fault. A check is skipped if one of its parts could not be read.
 """
 
 from __future__ import annotations
@@ -22,13 +23,13 @@ CHECKS: Sequence[Check] = [
     for found in pkgutil.iter_modules(__path__)
     if hasattr(module := import_module(f"{__name__}.{found.name}"), "CHECK")
 ]
-"""Every check, by the names of their files."""
+"""All checks, in the order of their file names."""
 NEEDS: frozenset[Need] = frozenset(need for check in CHECKS for need in check.needs)
-"""What has to be read for all of them."""
+"""All parts of the evidence that checks need."""
 
 
 def findings_in(evidence: Evidence) -> list[Finding]:
-    """What all checks find, in their order; those of which something could not be read find nothing."""
+    """Return the findings of all checks, by their `place`; checks whose evidence was not read are skipped."""
     return [
         finding
         for check in sorted(CHECKS, key=lambda check: check.place)

@@ -1,4 +1,4 @@
-"""What a check is."""
+"""The declaration of a check."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from ros2_mcp.ops.measure.evidence import Evidence, Need
 from ros2_mcp.ops.measure.findings import Finding
 
 FIRST, USUAL, LAST = 0, 10, 20
-"""Places: that no robot is there, or that a node is gone, is named before what follows from it."""
+"""Values of `place`: the absence of the robot or of a node is reported before its consequences."""
 
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One kind of fault: what has to be read to see it, and the function that sees it.
+    """A kind of fault: the evidence needed, and the function that finds it.
 
-    Of findings with the same severity those of the check with the smaller `place` are named first.
+    Among findings of the same severity, those of checks with a smaller `place` come first.
     """
 
     needs: Sequence[Need]

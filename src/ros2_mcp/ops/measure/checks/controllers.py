@@ -1,4 +1,4 @@
-"""Controllers that are not active though nothing else does their work, and hardware that is not active below others."""
+"""Inactive controllers whose joints no other controller commands, and inactive hardware components."""
 
 from __future__ import annotations
 
@@ -18,7 +18,9 @@ def _find(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _idle_controllers(node: str, control: Ros2Control) -> Iterator[Finding]:
-    """One of several for the same joints is meant to wait: those whose interfaces an active one has claimed."""
+    """Report inactive controllers, except those whose command interfaces are all claimed by active ones: they are
+    alternatives.
+    """
     active = [one for one in control.controllers if one["state"] == "active"]
     claimed = {str(name) for one in active for name in one.get("claimed_interfaces", ())}
     for one in control.controllers:

@@ -1,4 +1,4 @@
-"""What components report of themselves; also at level OK, where a message or a value says that a part is inactive."""
+"""Diagnostics that are not OK, or that are OK while a message or value says that a part is inactive."""
 
 from __future__ import annotations
 
@@ -12,15 +12,17 @@ from ros2_mcp.ops.measure.evidence import Evidence, only
 from ros2_mcp.ops.measure.findings import Finding
 
 _IDLE = frozenset({"inactive", "unconfigured", "finalized", "errorprocessing", "not active", "not configured"})
-"""States of lifecycle nodes, controllers and hardware components in which they do nothing."""
+"""States in which lifecycle nodes, controllers and hardware components do nothing."""
 _SAYS_IDLE = re.compile(r"\b(inactive|unconfigured|not (active|configured))\b", re.IGNORECASE)
-"""Nav2's lifecycle manager says at level OK: "Managed nodes are inactive"."""
+"""Matches messages such as "Managed nodes are inactive", which Nav2's lifecycle manager sends at level OK."""
 _SAYS_NONE = re.compile(r"\b(no|none|0|zero)\b[^.,;]*\b(inactive|unconfigured)\b", re.IGNORECASE)
 _MOST_PARTS = 6
 
 
 def _find(evidence: Evidence) -> Iterator[Finding]:
-    """By convention (`diagnostic_updater`) a component is named after its node: `lidar: status`."""
+    """Report faults; the node is taken from the component's name, by convention (`diagnostic_updater`) `lidar:
+    status`.
+    """
     nodes = {*(evidence.graph.nodes or ()), *evidence.graph.left.nodes}
     known = {str(one["name"]) for control in (evidence.ros2_control or {}).values() for one in control.controllers}
     for row in evidence.diagnostics.rows:
@@ -33,13 +35,17 @@ def _find(evidence: Evidence) -> Iterator[Finding]:
         elif idle := _idle_parts(row, known):
             problem = f"Diagnostics report OK, and of a part that does nothing: {'; '.join(idle[:_MOST_PARTS])}."
             yield Finding("warning", row.name, problem, "Activate the part, if it is needed.", cause)
-    for row in () if evidence.is_live else evidence.diagnostics.past:  # of a recording also what was over by its end
+    for row in (
+        () if evidence.is_live else evidence.diagnostics.past
+    ):  # for a recording also faults that ended within it
         problem = f"Diagnostics reported {row.level} at {row.received_at}: {quoted(row.message)}."
         yield Finding("warning", row.name, problem, "It has become better since.")
 
 
 def _idle_parts(row: Diagnostic, judged: set[str]) -> list[str]:
-    """The message, or the values, that name a part which is idle; without the controllers that are `judged` anyway."""
+    """Return the message or the values that name an inactive part, without the controllers in `judged`, which have a
+    check.
+    """
     said = _SAYS_IDLE.search(row.message) and not _SAYS_NONE.search(row.message)
     values = [
         f"{quoted(key)} is {quoted(value.strip())}"

@@ -1,4 +1,4 @@
-"""That a recording is empty: nothing in it is wrong, and nothing right."""
+"""A recording without messages: nothing can be judged."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ros2_mcp.ops.measure.findings import Finding
 
 
 def _find(evidence: Evidence) -> Iterator[Finding]:
-    if evidence.graph.nodes is None and not evidence.graph.topics:  # a recording knows no nodes
+    if evidence.graph.nodes is None and not evidence.graph.topics:  # nodes are None for a recording
         problem = "The recording has no messages, so nothing can be judged."
         yield Finding("warning", evidence.source_title, problem, "Record again.")
 

@@ -1,4 +1,4 @@
-"""Endpoints that cannot match, and sensors that nodes wait for."""
+"""Endpoints that cannot match, and sensor topics that have subscribers but no publisher."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Topics that are silent, slow, interrupted, or carry old stamps or numbers that are not finite.
+"""Topics that are silent, slow or interrupted, or have old stamps or values that are not finite.
 
-The first in a chain is named: a topic is silent because its publisher waits for another one, which is silent too, or
-which nobody publishes.
+The start of a chain is named: a topic may be silent because its publisher waits for another topic that is silent or has
+no publisher.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def _find(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _waits(evidence: Evidence) -> Mapping[str, str]:
-    """For each silent topic the topic at the beginning of its chain, which is silent, too, or has no publisher."""
+    """Return, for each silent topic, the topic at the start of its chain, which is silent too or has no publisher."""
     silent = {row.topic_name for row in evidence.rows if row.state in _SILENT}
     topics = evidence.graph.topics
     heard: dict[str, list[str]] = {}
@@ -37,7 +37,9 @@ def _waits(evidence: Evidence) -> Mapping[str, str]:
                 heard.setdefault(subscriber.node, []).append(name)
 
     def first(name: str, seen: frozenset[str]) -> str:
-        """A silent input of a silent publisher goes before one that nobody publishes, which may be optional."""
+        """Return the first topic of the chain; silent inputs precede inputs without a publisher, which may be
+        optional.
+        """
         inputs = [each for one in topics[name].publishers for each in heard.get(one.node, ()) if each not in seen]
         for each in (one for one in inputs if one in silent):
             return first(each, seen | {each})
@@ -49,9 +51,9 @@ def _waits(evidence: Evidence) -> Mapping[str, str]:
 
 
 def _is_needed(evidence: Evidence, name: str) -> bool:
-    """Whether its subscribers cannot do without: a stream, or what is latched, such as a description or a map.
+    """Return whether subscribers depend on the topic: a stream, or latched data such as a description or a map.
 
-    Commands, goals and other orders come when somebody gives them.
+    Commands, goals and similar topics are silent unless in use.
     """
     topic = evidence.graph.topics[name]
     is_latched = all(one.qos.durability == "transient_local" for one in topic.subscribers)

@@ -1,4 +1,4 @@
-"""What is wrong with frames, as `ros2_tf_tree` says: NaN, two authorities, what is refused, stale or in two trees."""
+"""Problems of frames as in `ros2_tf_tree`: NaN, two publishers, refused or stale edges, several trees."""
 
 from __future__ import annotations
 

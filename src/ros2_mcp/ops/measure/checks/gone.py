@@ -1,4 +1,4 @@
-"""That no robot is there; or what of it was there earlier in this session, and has left."""
+"""No robot is found, or nodes and topics that were present earlier in this session have left."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ _STEADY = STREAM_TYPES | ONCE_A_SECOND
 
 
 def _find(evidence: Evidence) -> Iterator[Finding]:
-    """A sensor that has left is critical, and what is expected. Anything else may have been closed on purpose: a
-    display, a remote control, one of several ways to localise. While discovery is under way, all of it may still come.
+    """Report what has left. It is critical for sensors and expected names; other nodes (a display, a remote control,
+    one of several localisations) may have been closed on purpose. While discovery goes on, all of them may still
+    appear.
     """
     graph, expected = evidence.graph, evidence.expected
     if graph.absence:

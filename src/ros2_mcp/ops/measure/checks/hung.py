@@ -1,4 +1,4 @@
-"""That nothing at all comes of a robot whose nodes do not answer either."""
+"""No message is received from the robot, and none of its nodes answers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Lifecycle nodes that have failed, were never configured or are not active; or do not tell."""
+"""Lifecycle nodes that failed, were not configured, are not active, or do not report their state."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def _find(evidence: Evidence) -> Iterator[Finding]:
     for state, nodes in by_state.items():
         means = f" ({_MEANS[state]})" if state in _MEANS else ""
         advice = _ADVICE.get(state, _FAILED)
-        if len(nodes) == 1:  # whatever of it is silent is this fault, too
+        if len(nodes) == 1:  # as the cause, so that the silence of its topics is not a second fault
             yield Finding("warning", nodes[0], f"It is {named(state)}{means}.", advice, nodes[0])
         else:
             problem = f"{len(nodes)} nodes are {named(state)}{means}: {listed(nodes, MAX_NAMES)}."

@@ -1,4 +1,4 @@
-"""What is expected and not there; what a source does not know of (services, nodes) is not missing."""
+"""Expected names that are missing; services and nodes that a source does not record are not judged."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Why a robot with Nav2 does not navigate, as `ros2_nav_check` says, once: a stack that is down is one fault."""
+"""Faults of Nav2 as found by `ros2_nav_check`, combined: a stack that is down is one fault."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ros2_mcp.ops.navigation.checks.check import CHAIN, LOCALISER, MAP, SERVERS
 from ros2_mcp.ops.navigation.evidence import RANKS
 
 _PLACES = (LOCALISER, SERVERS, CHAIN, MAP)
-"""Clocks, sensors and frames have checks of their own here; settings are no state of a robot."""
+"""The places of faults reported here: clocks, sensors and frames have their own checks, and settings are no fault."""
 
 
 def _find(evidence: Evidence) -> Iterator[Finding]:

@@ -1,4 +1,4 @@
-"""Parameters outside the range that their own description tells in words: no node checks that."""
+"""Parameters outside the range stated in their description, which no node checks."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _BELOW = re.compile(rf"(?:{_LESS}|(?<![=>])<(?!=))\s*{_TO}", re.I)
 _POSITIVE = re.compile(r"\b(?:must|should|has to|needs to) be (?:strictly )?(?P<not>non-?\s?)?(?:a )?positive\b", re.I)
 _NEGATED = re.compile(r"\b(?:not|no|never)\s*$", re.I)
 _MOST = 10
-"""Findings: a node whose parameters are in another unit has many."""
+"""The most findings: a node whose parameters are in another unit has many."""
 
 
 def _find(evidence: Evidence) -> Iterator[Finding]:
@@ -48,7 +48,9 @@ def _find(evidence: Evidence) -> Iterator[Finding]:
 
 
 def outside(parameter: Parameter) -> str:
-    """In words, how the value is outside of what the description says; empty where it is not, or nothing is said."""
+    """Return how the value violates the range in its description, in words; empty if it does not, or no range is
+    stated.
+    """
     value, text = parameter.value, parameter.description
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not text or not math.isfinite(value):
         return ""

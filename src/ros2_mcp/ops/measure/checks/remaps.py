@@ -1,4 +1,4 @@
-"""A remapping that leads nowhere; what is silent because of it is told with it."""
+"""A subscribed topic without a publisher beside a similar one without a subscriber: most likely a missing remapping."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Two publishers of joint states that contradict each other: whoever listens sees the joints jump."""
+"""Publishers of joint states that contradict each other: subscribers see the joints jump."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What else `ros2_robot` calls unhealthy: joints that nobody reports, a low battery, faults, a lost localisation."""
+"""Further faults found by `ros2_robot`: joints that are not reported, a low battery, faults, a lost localisation."""
 
 from __future__ import annotations
 

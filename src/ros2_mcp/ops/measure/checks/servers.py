@@ -1,4 +1,4 @@
-"""A service or an action that several nodes offer: each of them, or any, acts on a request."""
+"""A service or action with several servers: a request reaches all of them, or any one."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ def _find(evidence: Evidence) -> Iterator[Finding]:
     for service, nodes in (evidence.servers or {}).items():
         is_action = service.endswith(_SEND_GOAL)
         if len(set((evidence.graph.services or {}).get(service, ()))) > 1:
-            continue  # a request has one type, and reaches the servers of that type alone; `types` tells it
+            continue  # a request has one type and reaches only servers of that type; the check `types` reports it
         if len(set(nodes)) < 2 or (names.is_hidden(service) and not is_action):
             continue
         services, actions = offered.setdefault(tuple(sorted(set(nodes))), ([], []))
         (actions if is_action else services).append(service.removesuffix(_SEND_GOAL))
-    for nodes, (services, actions) in offered.items():  # one node that was started twice is one fault
+    for nodes, (services, actions) in offered.items():  # a node started twice is one fault, not one for each service
         what = [
             f"the {kind}{'s' if len(found) > 1 else ''} {listed(found, MAX_NAMES)}"
             for kind, found in (("service", services), ("action", actions))

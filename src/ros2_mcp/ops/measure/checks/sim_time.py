@@ -1,4 +1,4 @@
-"""Nodes whose use_sim_time differs from that of the others: their stamps are of another clock."""
+"""Nodes whose use_sim_time differs from that of the others, so that their stamps come from another clock."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ _CLOCK = "/clock"
 
 
 def _find(evidence: Evidence) -> Iterator[Finding]:
-    """The simulator itself, which publishes /clock, runs by its own time."""
+    """Report nodes with a different use_sim_time. Publishers of /clock, such as the simulator, are not judged: they
+    have a time of their own.
+    """
     topic = evidence.graph.topics.get(_CLOCK)
     clocks = {one.node for one in topic.publishers} if topic else set[str]()
     simulated, by_wall = list[str](), list[str]()

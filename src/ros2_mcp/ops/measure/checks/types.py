@@ -1,4 +1,4 @@
-"""Several types on one topic or service, and types that cannot be read where the bridge runs."""
+"""Several types on one topic or service, and types that are not installed where the bridge runs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def _find(evidence: Evidence) -> Iterator[Finding]:
         by_type: dict[str, list[Endpoint]] = {}
         for publisher in topic.publishers:
             by_type.setdefault(publisher.type, []).append(publisher)
-        if len(by_type) > 1:  # who subscribes to one never gets the other
+        if len(by_type) > 1:  # a subscriber receives messages of its own type only
             who = "; ".join(f"{nodes_of(found)} publishes {type_name}" for type_name, found in by_type.items())
             severity = "critical" if name in evidence.expected.topics else "warning"
             advice = "Stop or remap the wrong publisher; the topic cannot be measured until then."
