@@ -395,7 +395,7 @@ class Columns(Arrivals):
             self._read.extend(sample.received_ns for sample in readable)
             self.keep(readable)
         self.decoded += len(readable)
-        with np.errstate(over="ignore", invalid="ignore"):  # numbers at the end of their range
+        with np.errstate(over="ignore", invalid="ignore"):  # values near the limits of float64
             for column, (rows, parts) in zip(self.columns, batches, strict=True):
                 column.add(rows, parts, times_s, first_row)
 

@@ -14,7 +14,7 @@ from ros2_mcp.robot import Robot
 
 DIAGNOSTICS = "/diagnostics"
 LEVELS = ("OK", "WARN", "ERROR", "STALE")
-# Components report once a second by convention (`diagnostic_updater`), and matching takes up to 0.2 s.
+# By convention (`diagnostic_updater`) components publish once a second; matching takes up to 0.2 s.
 LISTEN_S = 1.5
 
 

@@ -184,7 +184,7 @@ async def check_health(
             if isinstance(capture, Capture)
         }
 
-    flows = await asyncio.to_thread(flowed)  # of millions of messages it takes half a second
+    flows = await asyncio.to_thread(flowed)  # for millions of messages it takes half a second
     failed = [missing for missing in measured if isinstance(missing, Missing)]
     rows = [_row(graph, name, flows, expected) for name in sorted({*graph.topics, *expected.topics})]
     moving = [flow.count for name, flow in flows.items() if not is_latched(graph.topics[name])]

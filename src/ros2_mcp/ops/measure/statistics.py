@@ -360,7 +360,7 @@ def _trend_and_anomalies(column: Column, capture: Capture[Columns]) -> tuple[str
     def is_over_hole(since_s: float, until_s: float) -> bool:
         return any(since_s < end_s and until_s > begin_s for begin_s, end_s in holes)
 
-    with np.errstate(over="ignore", invalid="ignore"):  # numbers at the end of their range
+    with np.errstate(over="ignore", invalid="ignore"):  # values near the limits of float64
         rounded = signals.rounding(column.path)
         jumps, still = signals.jumps(times, values, rounded), signals.stuck(times, values)
         slope = signals.trend(times, values, rounded)

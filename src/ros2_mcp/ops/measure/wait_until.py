@@ -108,7 +108,7 @@ def _excerpts(stream: Stream, asked: Condition) -> ExcerptReader | None:
     """Return a reader of only the fields that the condition names, for a recording; None if they are not all single
     numbers.
     """
-    from ros2_mcp.values.columns import ExcerptReader  # imports NumPy, as what reads recordings does
+    from ros2_mcp.values.columns import ExcerptReader  # imports NumPy, as all reading of recordings does
     from ros2_mcp.values.select import parse_fields
 
     if asked.computed or not asked.fields:  # a function may need more than the fields named
@@ -190,7 +190,7 @@ class _Search:
                 try:
                     value = parse_field(definitions, type_name, path).value_in(whole)
                     values |= render(definitions, type_name, whole, options=options).value
-                except BadValue:  # a list is too short
+                except BadValue:  # the list is too short
                     values[path] = value = None
                 if isinstance(value, float) and not math.isfinite(value):
                     odd[path] = word_for(value)

@@ -43,7 +43,7 @@ class FieldValues:
 
     @property
     def finite(self) -> Numbers:
-        """The values without NaN and infinities."""
+        """The finite values."""
         return self.values[np.isfinite(self.values)]
 
     @property

@@ -48,7 +48,7 @@ async def robot_place(source: Source, frame: str, near_ns: int | None = None) ->
             message for message in await _messages(source, topic, LOCALISED_TYPE) if message.header.frame_id == frame
         ]
         if said:
-            with suppress(ValueError):  # numbers that are not finite
+            with suppress(ValueError):  # the pose has values that are not finite
                 return placed(pose_of(said[-1].pose.pose), stamp_ns(said[-1].header))
     return None
 

@@ -30,14 +30,14 @@ _PART = re.compile(
 )
 """Matches topics whose number moves a part, such as a thruster. Without a publisher they wait for a command."""
 _SO_NAMED: Mapping[str, tuple[str, re.Pattern[str]]] = {
-    "PoseStamped": ("goal", re.compile(r"[/_](goal(_pose)?$|setpoint)")),  # of Nav2, RViz; MAVROS
-    "Pose": ("pose", re.compile(r"[/_](body|target|goal|desired|cmd|command|setpoint)")),  # of bodies on legs, of hands
-    "Float64MultiArray": ("low level", LOW_LEVEL),  # forward_command_controller and its kind
+    "PoseStamped": ("goal", re.compile(r"[/_](goal(_pose)?$|setpoint)")),  # Nav2, RViz; MAVROS
+    "Pose": ("pose", re.compile(r"[/_](body|target|goal|desired|cmd|command|setpoint)")),  # legged bodies, grippers
+    "Float64MultiArray": ("low level", LOW_LEVEL),  # forward_command_controller and similar ones
     "Float32MultiArray": ("low level", LOW_LEVEL),
     "Float64": ("low level", LOW_LEVEL),  # motors of VESC, joints and thrusters of simulators
     "Float32": ("low level", LOW_LEVEL),
-    "String": ("script", re.compile(r"/script_command$")),  # of Universal Robots
-    "JointState": ("joints", re.compile(r"[/_](commands?|cmd|targets?|goals?|desired|setpoints?)$")),  # of simulators
+    "String": ("script", re.compile(r"/script_command$")),  # Universal Robots
+    "JointState": ("joints", re.compile(r"[/_](commands?|cmd|targets?|goals?|desired|setpoints?)$")),  # simulators
 }
 """Types of general use, the use that drivers make of them, and the names of such topics; in the order in which they are
 listed."""
@@ -87,7 +87,7 @@ class CommandInput:
         """The input in words, such as `/cmd_vel Twist → /base (from /smoother)`: the other publishers may conflict with
         a command.
         """
-        use = self.use if self.use != "trajectory" else ""  # its type says that
+        use = self.use if self.use != "trajectory" else ""  # the type already implies it
         use += f", or topic {named(self.or_topic)}" if self.or_topic else ""
         kind = f"{named(self.type.rpartition('/')[2])}{f' ({use})' if use else ''}"
         state = "" if self.is_active else ", not active"

@@ -75,7 +75,7 @@ def place_in_words(
         told_by = named(odometer.topic)
         if why := not_finite(odometer.message, "pose.pose"):
             return f"The robot's place is unknown: of {told_by}, {why}.", [f"{told_by}: {why}."]
-        with suppress(ValueError):  # numbers so large that they have no squares
+        with suppress(ValueError):  # the squares of very large numbers overflow
             pose = pose_of(odometer.message.pose.pose)
             how = ", ".join(filter(None, (f"odometry, {told_by}", odometer.age)))
             return _pose_in_words(odometer.message.header.frame_id, pose.translation, pose.yaw_rad, how, None), []
@@ -99,8 +99,8 @@ def _fixed_in_world(urdf: Urdf, base: str) -> Mount | None:
 
 
 def _pose_in_words(frame: str, at: Sequence[float], yaw_rad: float, how: str, age_s: float | None) -> str:
-    yaw_deg = round(math.degrees(yaw_rad))  # an int has no -0
-    x, y, z = (round(part, 2) + 0.0 for part in at)  # nor has a zero, so
+    yaw_deg = round(math.degrees(yaw_rad))  # an int has no negative zero
+    x, y, z = (round(part, 2) + 0.0 for part in at)  # adding 0.0 turns -0.0 into 0.0
     height = f" z {z:.2f}" if abs(z) >= 0.05 else ""
     age = "" if age_s is None else f", {age_s:.1f} s old" if age_s < _OLD_S else f" {age_s:.0f} s ago"
     return f"In {named(frame)} at x {x:.2f} y {y:.2f}{height} m, yaw {yaw_deg}° ({how}{age})."

@@ -385,7 +385,7 @@ async def _states(source: Source, seen: _Seen) -> None:
 
 async def _odometry(source: Source, seen: _Seen) -> None:
     found = [one.topic for one in _topics(seen.graph, ODOMETRY)]
-    found.sort(key=lambda name: ("filtered" not in name, name.rpartition("/")[2] != "odom", name))  # the better first
+    found.sort(key=lambda name: ("filtered" not in name, name.rpartition("/")[2] != "odom", name))  # the best first
     for topic in found[:1]:
         seen.odometry_topic = topic
         seen.odometry = await _message(source, seen, topic, ODOMETRY, seen.first_s)

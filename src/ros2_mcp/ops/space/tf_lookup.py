@@ -213,8 +213,8 @@ def _given(number: int, point: Sequence[float]) -> Pose:
 
 
 def _carried(pose: Pose, given: Sequence[Pose] | None, sizes: Sequence[int]) -> Sequence[Sequence[float]] | None:
-    """Return the given values in the target frame, each in its own size: 3 numbers for a point, a vector (0) or 4 for a
-    quaternion, 7 for a pose.
+    """Return the given values in the target frame. `sizes` gives the kind of each: 3 a point, 7 a pose, 4 a quaternion,
+    0 a vector, of which three numbers are returned.
     """
     if given is None:
         return None

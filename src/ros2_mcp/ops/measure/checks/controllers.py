@@ -18,9 +18,7 @@ def _find(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _idle_controllers(node: str, control: Ros2Control) -> Iterator[Finding]:
-    """Report inactive controllers, except those whose command interfaces are all claimed by active ones: they are
-    alternatives.
-    """
+    """Report inactive controllers, but not those whose command interfaces are all claimed by active ones."""
     active = [one for one in control.controllers if one["state"] == "active"]
     claimed = {str(name) for one in active for name in one.get("claimed_interfaces", ())}
     for one in control.controllers:
