@@ -237,7 +237,7 @@ class Column:
         empty.
 
         Args:
-                    values: one value for each message; None if the message lacks the field.
+            values: one value for each message; None if the message lacks the field.
         """
         whole = _WHOLE.get(self.path.type.base)
         if isinstance(values, np.ndarray):

@@ -51,7 +51,7 @@ ONCE_A_SECOND = frozenset({"tf2_msgs/msg/TFMessage", "diagnostic_msgs/msg/Diagno
 """Types published at 1 Hz or more: they are silent if none is received for `LEAST_LISTENED_S`."""
 LEAST_LISTENED_S = 2.9
 """Three periods of a topic of 1 Hz, less the time that matching took."""
-_OPTIONAL_TRANSPORT = "/compressedDepth"  # image_transport advertises it for every image, and publishes only depth
+_OPTIONAL_TRANSPORT = "/compressedDepth"  # image_transport advertises it for every image, and publishes depth only
 
 State = Literal[
     "OK", "MISSING", "SILENT", "STOPPED", "INTERRUPTED", "SLOW", "OLD STAMPS", "NOT FINITE", "QUIET", "NOT MEASURED"

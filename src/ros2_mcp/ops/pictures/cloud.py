@@ -1,4 +1,4 @@
-"""`ros2_pointcloud_view`: a point cloud from above as a picture, with its numbers."""
+"""A point cloud from above as a picture, with its numbers."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ _TWO_PARENTS, _ON_BOTH = "has two parents at the same time", f"is published on {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EdgeRow:
-    """One edge: the transform from `child` to `parent`. `age_s` is its age at the time of the answer (null for a static
+    """One edge: the pose of `child` in `parent`. `age_s` is its age at the time of the answer (null for a static
     edge, which holds at all times; below 0 if it is stamped ahead). `rate_hz` is its rate by its stamps. `publisher` is
     the node that publishes it: `probably …` if that is concluded among several publishers, `one of …` if it is not
     known; empty in a recording, which does not hold the publishers.

@@ -80,10 +80,7 @@ async def _intrinsics(source: Source, topic: str, image: Any) -> Intrinsics | No
                 break
             with suppress(RobotError):
                 info = (await next_message(source.lasting(_INFO_S), name, _CAMERA_INFO, silent)).message
-                size = (
-                    getattr(image, "width", info.width),
-                    getattr(image, "height", info.height),
-                )  # unknown if compressed
+                size = getattr(image, "width", info.width), getattr(image, "height", info.height)  # none if compressed
                 if info.header.frame_id == image.header.frame_id and (info.width, info.height) == size:
                     return intrinsics_of(info)
     return None

@@ -539,7 +539,7 @@ def _chosen_grid(asked: str, grids: Sequence[str]) -> str:
     """Return the topic of the grid: the requested one, else a map, else a costmap; empty if there is none.
 
     Raises:
-        NotFound: if the requested grid has no publisher.
+        NotFound: if `costmap` is requested and none is published.
     """
     costmaps = [name for name in grids if _COSTMAP in name]
     maps = [name for name in grids if _COSTMAP not in name]

@@ -35,9 +35,7 @@ def _find(evidence: Evidence) -> Iterator[Finding]:
         elif idle := _idle_parts(row, known):
             problem = f"Diagnostics report OK, and of a part that does nothing: {'; '.join(idle[:_MOST_PARTS])}."
             yield Finding("warning", row.name, problem, "Activate the part, if it is needed.", cause)
-    for row in (
-        () if evidence.is_live else evidence.diagnostics.past
-    ):  # for a recording also faults that ended within it
+    for row in () if evidence.is_live else evidence.diagnostics.past:  # recorded faults that have ended since
         problem = f"Diagnostics reported {row.level} at {row.received_at}: {quoted(row.message)}."
         yield Finding("warning", row.name, problem, "It has become better since.")
 
