@@ -309,7 +309,8 @@ async def everything_open(client: StdioClient) -> dict[str, int]:
 
 
 async def sandbox(rounds: int) -> list[Row]:
-    """Measure a program from its call to its answer, and a call from the program and back, beside a trivial tool."""
+    """Measure a program from its call to its answer, and a call from the program and back, compared with a trivial
+    tool."""
     calls = 200
     loop = f"import robot\nfor _ in range({calls}):\n    robot.mean([1.0, 2.0])\n"
     whole, floor, out_and_back = [], [], []

@@ -110,7 +110,7 @@ class World:
         return nearest
 
     def cast_walls(self, x, y, angles):
-        """As `cast` for walls only: return distance, index of the wall side, and position along that side (m), each
+        """Cast rays to the walls only; return distance, index of the wall side, and position along that side (m), each
         (n,)."""
         return cast_segments(x, y, angles, self.walls)
 

@@ -121,7 +121,7 @@ class Base(BaseController):
             super()._publish(stamp)
 
     def tick(self, stamp):
-        """As any base, with stamps that may be offset."""
+        """Tick like any base, with stamps that may be offset."""
         if self.stamp_offset_s:
             stamp = copy.copy(stamp)
             stamp.sec += math.floor(self.stamp_offset_s)

@@ -1,4 +1,4 @@
-"""Ends the goals of Nav2's servers below a navigator that died, hangs or does not cancel, and checks whether the robot
+"""Ends the goals of Nav2's servers after the navigator died, hung or failed to cancel, and checks that the robot
 stands.
 
 A controller follows its path to the end, even after the navigator that sent the path is gone.

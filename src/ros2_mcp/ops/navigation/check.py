@@ -58,8 +58,8 @@ async def check_navigation(robot: Robot, to: object = None, action: str = "") ->
     """Read the evidence for all checks, in parallel, and run the checks; no goal is sent.
 
     Raises:
-        BadInput: for a place that is written wrongly, or several.
-        NotFound: for a place that is not known, or where there is no Nav2.
+        BadInput: for a malformed place, or several places.
+        NotFound: for an unknown place, or without Nav2.
         LinkError: if there is no bridge.
     """
     target = None

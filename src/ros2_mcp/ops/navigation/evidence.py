@@ -71,9 +71,9 @@ class NavFinding:
 class Heard:
     """The messages received on one topic during `duration_s`.
 
-    `messages` are (time of receipt in ns, message, number of the publisher; 0 if unknown), of which some may have been
-    dropped; `count` is the number received. `kept` are messages sent before the subscription, to late subscribers.
-    `ages_s` are receipt minus stamp for messages with a header.
+    `messages` are (time of receipt in ns, message, number of the publisher; 0 if unknown); of scans and poses only the
+    first and last ones may be decoded. `count` is the number received. `kept` are messages that were sent before the
+    subscription, to late subscribers. `ages_s` are receipt minus stamp for messages with a header.
     """
 
     topic: str

@@ -84,7 +84,7 @@ class Places(Kept):
         """Store a place; return the former place of that name, or None.
 
         Raises:
-            BadInput: for a name that cannot be, numbers that are not finite, or too many places.
+            BadInput: for an invalid name, numbers that are not finite, or too many places.
             BadData: as `all`.
             RobotError: if it cannot be written.
         """

@@ -72,8 +72,8 @@ async def localize(robot: Robot, session: Session, at: object, topic: str = "") 
     """Publish an initial pose, and wait until the transforms place the robot there.
 
     Raises:
-        BadInput: for a place that is written wrongly, or has no heading where the present one is not known.
-        NotFound: for a place that is not known, or where nobody listens.
+        BadInput: for a malformed place, or one without a heading if the present heading is unknown.
+        NotFound: for an unknown place, or if the topic has no subscriber.
         RobotError: what publishing raises.
     """
     (target, *more) = targets_of(at, places_of(robot))

@@ -104,8 +104,8 @@ async def set_place(robot: Robot, session: Session, request: PlaceRequest) -> Pl
     """Store or delete a place, and write that into the audit.
 
     Raises:
-        BadInput: for a name or numbers that cannot be.
-        NotFound: if there is nothing to remove, or nobody knows where the robot is.
+        BadInput: for an invalid name or invalid numbers.
+        NotFound: if there is nothing to remove, or the robot's pose is unknown.
         BadData, RobotError: if the places cannot be read or written.
         Refused: under a policy in the mode observe.
     """

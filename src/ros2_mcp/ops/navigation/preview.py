@@ -102,8 +102,8 @@ async def preview(
     """Ask the planner for a path to a place, from the robot or from `start`.
 
     Raises:
-        BadInput: for a place that is written wrongly, or several.
-        NotFound: for a place that is not known, or where there is no planner.
+        BadInput: for a malformed place, or several places.
+        NotFound: for an unknown place, or without a planner.
         TimedOut: if it does not answer.
         RobotError: what sending a goal raises.
     """

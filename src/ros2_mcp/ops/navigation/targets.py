@@ -60,7 +60,7 @@ def targets_of(to: object, places: Places) -> Sequence[Target]:
 
     Raises:
         BadInput: for anything else, saying how it is written.
-        NotFound: for a place that is not known, with the nearest name.
+        NotFound: for an unknown place; suggests the nearest name.
     """
     if isinstance(to, list):
         several = cast("list[object]", to)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 _NEAR_M = 0.15
 """Tolerance between the end of a beam and the map: noise of the scanner, a cell, and an ordinary localisation error."""
 _OCCUPIED = 65
-"""The occupancy from which AMCL treats a cell as occupied, and which map_server writes."""
+"""Occupancy from which a cell counts as occupied: the default threshold of map_server (0.65)."""
 _LEAST_HITS = 40
 _LOST = 0.4
 """Share of the beams that fit. A well localised robot has 0.7 or more, even with people and boxes around it."""
