@@ -1,1 +1,2 @@
-"""What this server costs beside two floors: a trivial tool on the bare SDK, and bare rclpy. Run `python -m bench`."""
+"""Measures the cost of this server beside two floors: a trivial tool on the bare SDK, and bare rclpy. Run `python -m
+bench`."""

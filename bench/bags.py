@@ -27,10 +27,10 @@ GB = 10**9
 SIZES_GB = (0.1, 1, 5, 20)
 BEGAN_NS = 1_700_000_000 * 10**9
 PATTERN_S = 20
-"""The values repeat after so many seconds: only their stamps are new."""
+"""Period after which the values repeat; only the stamps are new."""
 PICTURE_BYTES, CAMERA_HZ = 100_000, 30
 CHUNK_BYTES = 786_432
-"""As rosbag2's storage for MCAP makes them, uncompressed, each with its CRC."""
+"""Chunks as rosbag2's MCAP storage writes them: uncompressed, each with its CRC."""
 TOPICS = ["/imu", "/odom", "/scan"]
 CONDITION = "linear_acceleration.z > 100"
 
@@ -100,7 +100,8 @@ print(time.perf_counter() - started)
 
 
 def _pattern() -> Iterator[tuple[str, str, int, Callable[[float], Any]]]:
-    """Topic, type, rate and message at a time, of the topics with numbers."""
+    """Yield topic, type, rate in Hz, and a function from time in s to the serialized message, for the topics with
+    numbers."""
     import numpy as np
     from rosbags.typesys import Stores, get_typestore
 
@@ -149,7 +150,7 @@ def _pattern() -> Iterator[tuple[str, str, int, Callable[[float], Any]]]:
 
 
 def write(path: Path, size: float, compression: str = "NONE") -> None:
-    """A robot's recording of about so many bytes: IMU, odometry, laser, and a camera that fills most of it."""
+    """Write a robot's recording of about `size` bytes: IMU, odometry, laser, and a camera that fills most of it."""
     from mcap.writer import CompressionType, Writer
     from rosbags.typesys import Stores, get_typestore
 
@@ -189,20 +190,20 @@ def write(path: Path, size: float, compression: str = "NONE") -> None:
 
 
 def forget(path: Path) -> None:
-    """Takes a file out of the system's memory, as it is when nobody has read it for long."""
+    """Remove a file from the page cache, as if it had not been read for long."""
     with path.open("rb") as file:
         os.fsync(file.fileno())
         os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
 
 
 def floor_s(bag: Path, *what: str) -> float:
-    """How long rosbags and NumPy take, without their start."""
+    """Return the time in s that rosbags and NumPy take, without their start."""
     command = slowed.command([sys.executable, "-c", FLOOR, str(bag), *what])
     return float(subprocess.run(command, env=ENVIRONMENT, check=True, capture_output=True, text=True).stdout)
 
 
 def peak_mb(pid: int) -> float:
-    """The most memory that a process has had."""
+    """Return the peak memory of a process in MB."""
     status = Path(f"/proc/{pid}/status").read_text()
     return int(status.partition("VmHWM:")[2].split()[0]) * 1024 / 1e6
 
@@ -216,7 +217,7 @@ LAST = "ros2_bag_read", {"topic_name": "/odom", "message_limit": 100}
 
 
 async def call_s(folder: Path, bag: Path, *calls: tuple[str, dict[str, Any]]) -> tuple[list[float], float]:
-    """How long each of some calls takes in a server that has just been started; and the server's most memory."""
+    """Return the time in s of each call in a server that has just been started, and the server's peak memory in MB."""
     found: list[float] = []
     async with ours("--bag-dir", str(folder), "--tools", "all") as client:
         await client.greet()
@@ -228,7 +229,7 @@ async def call_s(folder: Path, bag: Path, *calls: tuple[str, dict[str, Any]]) ->
 
 
 async def large(full: bool) -> list[Row]:
-    """Whole topics of a bag of 3 GB (0.5 GB where time is short), and the last messages of one topic."""
+    """Measure whole topics of a bag of 3 GB (0.5 GB unless `full`), and the last messages of one topic."""
     size_gb = 3 if full else 0.5
     found: list[Row] = []
     with tempfile.TemporaryDirectory() as folder:
@@ -255,7 +256,7 @@ async def _last_rows(folder: Path, bag: Path, size_gb: float) -> list[Row]:
 
 
 def main() -> None:
-    """Writes the points of growth into the file with those of topics, nodes and clients."""
+    """Add the growth with the size of a bag to the file with that of topics, nodes and clients."""
     parser = argparse.ArgumentParser(prog="python -m bench.bags", description=__doc__)
     parser.add_argument("folder", type=Path, help="with room for 20 GB")
     parser.add_argument("sizes", nargs="*", type=float, metavar="GB", default=SIZES_GB)

@@ -1,4 +1,5 @@
-"""The floor of discovery: a fresh process with bare rclpy ends when it knows so many topics of the bench's peers."""
+"""The floor of discovery: a fresh process with bare rclpy that ends once it has discovered a number of the bench's
+topics."""
 
 import sys
 import time
@@ -10,5 +11,5 @@ node = rclpy.create_node("bench_discovery")
 while sum(name.startswith("/bench/t") for name, _ in node.get_topic_names_and_types()) < int(sys.argv[1]):
     time.sleep(0.005)
 print("complete", flush=True)
-node.destroy_node()  # a participant that does not say goodbye is waited for by the next one
+node.destroy_node()  # the next participant would wait for one that does not announce its end
 rclpy.shutdown()

@@ -36,17 +36,17 @@ from .stdio import STRUCTURED, CallFailed, StdioClient
 
 SOURCES = Path(__file__).parents[1] / "src"
 PACKAGES = ("tf2_msgs", "ros2_mcp_demo_interfaces", "nav2_msgs", "map_msgs")
-"""The interfaces that the whole rover wants; those of `src/ros2_mcp_demo/interfaces`."""
+"""The interface packages of the whole rover, in `src/ros2_mcp_demo/interfaces`."""
 EVERY_S = 30.0
 SETTLES_S = 20 * 60.0
 WINDOW_S = 5 * 60.0
-"""A level is the median of so long."""
+"""A level is the median over this time."""
 ANSWERED_S = 120.0
 """Longer than any call of the load may take."""
 PAUSE_S = 0.4
-"""Of each caller between two calls, on average: about ten calls a second by all."""
+"""Mean pause of each caller between two calls: about ten calls a second by all callers."""
 BAGS = 6
-"""So many recordings are kept: more than the server keeps open at a time."""
+"""Number of recordings that are kept: more than the server keeps open at a time."""
 TWIST = "geometry_msgs/msg/Twist"
 SCALARS = ("/odom", "/scan", "/imu", "/battery_state", "/joint_states", "/diagnostics", "/heartbeat", "/tf", "/pose")
 PICTURES = ("/camera/image_raw", "/camera/image_raw/compressed", "/camera/depth/image_raw", "/map")
@@ -73,7 +73,7 @@ LISTINGS = (
 
 @dataclass
 class Load:
-    """What is called, with what has become of it."""
+    """The callers' shared client, and the number of calls by outcome."""
 
     client: StdioClient
     bags_folder: Path
@@ -84,11 +84,11 @@ class Load:
     recordings: int = 0
 
     async def call(self, tool: str, **arguments: Any) -> dict[str, Any]:
-        """As an agent calls: for the text, not for structured content. An error is counted."""
+        """Call a tool as an agent does, for text without structured content; errors are counted."""
         return await self._counted(tool, "tools/call", name=tool, arguments=arguments)
 
     async def begin(self, what: str, tool: str, **arguments: Any) -> str:
-        """Begin a job: its id, a field of the structured content; empty if it was refused."""
+        """Begin a job; return its id, a field of the structured content, or "" if it was refused."""
         result = await self._counted(tool, "tools/call", name=tool, arguments=arguments, _meta={STRUCTURED: True})
         return result.get("structuredContent", {}).get(what, "")
 
@@ -107,18 +107,18 @@ class Load:
         return result
 
     async def keep(self, caller: Callable[[Load], Awaitable[None]]) -> None:
-        """Call again and again, until cancelled."""
+        """Run a caller repeatedly until cancelled."""
         while True:
             await caller(self)
             await asyncio.sleep(self.chance.uniform(0.5, 1.5) * PAUSE_S)
 
     async def resource(self, method: str, uri: str) -> None:
-        """A request about a resource."""
+        """Send a request about a resource."""
         await self._counted(f"resources/{method}", f"resources/{method}", uri=uri)
 
 
 async def look(load: Load) -> None:
-    """What lists, describes, and looks up."""
+    """Call tools that list, describe and look up."""
     chance = load.chance
     topic = chance.choice(SCALARS)
     match chance.randrange(5):
@@ -135,7 +135,7 @@ async def look(load: Load) -> None:
 
 
 async def read(load: Load) -> None:
-    """Messages, and what is computed from them."""
+    """Read messages, and values computed from them."""
     chance = load.chance
     topic = chance.choice(SCALARS)
     match chance.randrange(7):
@@ -158,7 +158,7 @@ async def read(load: Load) -> None:
 
 
 async def see(load: Load) -> None:
-    """Pictures."""
+    """Read pictures."""
     chance = load.chance
     match chance.randrange(5):
         case 0:
@@ -173,7 +173,7 @@ async def see(load: Load) -> None:
 
 
 async def move(load: Load) -> None:
-    """Short motions in each way, each ended by itself or by a stop. The robot stays where it is on the whole."""
+    """Make short motions of each kind, ended by themselves or by a stop. On the whole the robot stays where it is."""
     chance = load.chance
     sign = chance.choice((-1, 1))
     twist = {"linear": {"x": 0.1 * sign}, "angular": {"z": 0.3 * sign}}
@@ -203,7 +203,7 @@ async def move(load: Load) -> None:
 
 
 async def remember(load: Load) -> None:
-    """A recording, what is asked of it, a playback onto other names, and in the end the oldest one is removed."""
+    """Record, read the recording, play it back under other names, and delete the oldest recording."""
     load.recordings += 1
     name = f"run{load.recordings}"
     topics = ["/odom", "/scan", "/imu", "/tf", "/tf_static"]
@@ -223,7 +223,7 @@ async def remember(load: Load) -> None:
 
 
 async def compute(load: Load) -> None:
-    """Programs that read, and one that fails."""
+    """Run programs that read, and one that fails."""
     programs = (
         "import robot\nprint([m['_topic'] for m in robot.messages('/odom', '/scan', message_limit=10)])",
         "import robot\nprint(robot.latest('/battery_state'))",
@@ -235,7 +235,7 @@ async def compute(load: Load) -> None:
 
 
 async def listen(load: Load) -> None:
-    """Resources: subscribed to for a while, read, and left."""
+    """Subscribe to a resource, read it, and unsubscribe after a while."""
     uri = load.chance.choice(RESOURCES)
     await load.resource("subscribe", uri)
     await load.resource("read", uri)
@@ -248,7 +248,7 @@ CALLERS = (look, look, read, read, see, move, remember, compute, listen)
 
 @dataclass(frozen=True)
 class Memory:
-    """Of one process at one time, in MB; `at_s` since the beginning."""
+    """The memory of one process in MB, `at_s` after the beginning."""
 
     at_s: float
     process: str
@@ -260,7 +260,7 @@ class Memory:
 
 
 def processes(server: int) -> dict[int, str]:
-    """The server and all below it, each as what it is: stoppers and sandboxes have names of their own."""
+    """Return the server and all processes below it, by kind: stoppers and sandboxes have process names of their own."""
     found = {server: "server"}
     for pid in descendants(server):
         with suppress(OSError):
@@ -271,7 +271,7 @@ def processes(server: int) -> dict[int, str]:
 
 
 def memory(pid: int, kind: str, at_s: float) -> Memory:
-    """What the kernel tells of a process; OSError if it has ended."""
+    """Return the memory of a process as the kernel reports it; raises OSError if it has ended."""
     lines = (line.split() for line in Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()[1:])
     megabytes = {line[0].rstrip(":"): int(line[1]) / 1024 for line in lines}
     threads, files = counts(pid)
@@ -281,23 +281,23 @@ def memory(pid: int, kind: str, at_s: float) -> Memory:
 
 
 async def sample(server: int, began: float, taken: list[Memory]) -> None:
-    """Take one of each process every 30 s, until cancelled."""
+    """Sample every process every 30 s until cancelled."""
     while True:
         for pid, kind in processes(server).items():
-            with suppress(OSError, KeyError):  # it has just ended
+            with suppress(OSError, KeyError):  # the process has just ended
                 taken.append(memory(pid, kind, time.monotonic() - began))
         await asyncio.sleep(EVERY_S)
 
 
 def level(samples: list[Memory], since_s: float, until_s: float) -> dict[str, float]:
-    """Medians within a span of time; empty if there are no samples."""
+    """Return the medians within a span of time; empty without samples."""
     within = [one for one in samples if since_s <= one.at_s <= until_s]
     names = ("rss", "pss", "anonymous", "threads", "files")
     return {name: statistics.median(getattr(one, name) for one in within) for name in names} if within else {}
 
 
 def report(taken: list[Memory], seconds: float) -> list[str]:
-    """A line for each process that was there in the beginning and at the end of what is compared."""
+    """Return a line for each process that has samples at the beginning and at the end of the comparison."""
     settled = min(SETTLES_S, seconds / 3)
     window = min(WINDOW_S, seconds / 6)
     lines: list[str] = []
@@ -314,7 +314,7 @@ def report(taken: list[Memory], seconds: float) -> list[str]:
 
 
 def environment(folder: Path) -> dict[str, str]:
-    """As the bench's, with the rover's interfaces, and state of its own."""
+    """Return the bench's environment, with the rover's interfaces and a state folder of its own."""
     sources = [str(SOURCES / "ros2_mcp_demo" / "interfaces" / package) for package in PACKAGES]
     command = [sys.executable, "-m", "ros2_mcp_interfaces", *sources]
     prefixes = subprocess.run(command, check=True, capture_output=True, text=True).stdout.split()
@@ -328,7 +328,7 @@ def environment(folder: Path) -> dict[str, str]:
 
 
 def rover_in(variables: dict[str, str]) -> subprocess.Popen[bytes]:
-    """The rover, once it is ready; it ends with its input."""
+    """Start the rover and wait until it is ready; it ends with its standard input."""
     command = [sys.executable, "-m", "ros2_mcp_demo", "--until-stdin-closes"]
     rover = subprocess.Popen(
         command, env=variables, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
@@ -338,7 +338,7 @@ def rover_in(variables: dict[str, str]) -> subprocess.Popen[bytes]:
 
 
 async def run(seconds: float) -> tuple[dict[str, Any], bool]:
-    """The whole load: what there was to measure, and whether all calls were answered."""
+    """Run the load; return the measurements, and whether all calls were answered."""
     taken: list[Memory] = []
     with tempfile.TemporaryDirectory() as folder_name:
         folder = Path(folder_name)
@@ -359,7 +359,7 @@ async def run(seconds: float) -> tuple[dict[str, Any], bool]:
                 for one in calling:
                     one.cancel()
                 await asyncio.wait(calling)
-                # What was cancelled here is answered all the same; its answers are not waited for by anybody else.
+                # The server also answers the calls that were cancelled here; wait for these answers.
                 deadline = time.monotonic() + ANSWERED_S
                 while client.owed() and time.monotonic() < deadline:
                     await asyncio.sleep(0.1)

@@ -1,4 +1,4 @@
-"""Listings of a large graph, beside the trivial tool."""
+"""Listings of a large graph, compared with the trivial tool."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ TOPICS = NODES * TOPICS_EACH
 
 
 async def large(rounds: int) -> list[Row]:
-    """`ros2_topic_list` as it is called without arguments, of 1,000 topics on 200 nodes."""
+    """Measure `ros2_topic_list` without arguments, with 1,000 topics on 200 nodes."""
     mine, floor = [], []
     with Peer("many", NODES, TOPICS_EACH):
         async with ours() as us, trivial() as them:

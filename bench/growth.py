@@ -34,16 +34,16 @@ SIZES = {"topics": (10, 40, 150, 550, 2000), "nodes": (10, 25, 70, 190, 500), "c
 PROCESSES = 4
 STARTS, CALLS, STOPS = 3, 40, 10
 MOVES_S = 0.5
-"""How long the robot moves before each stop."""
+"""Time for which the robot moves before each stop."""
 OF_A_TOKEN = 13
-"""Clients that share a token: one login may have 16 sessions."""
+"""Number of clients that share a token: one login may have 16 sessions."""
 EVERY_S = 0.5
-"""How often each of the other clients asks for the listing, while one stops the robot."""
+"""Period with which each of the other clients asks for the listing while one client stops the robot."""
 
 
 @contextmanager
 def graph_of(what: str, count: int) -> Iterator[None]:
-    """So many topics on 4 nodes, or so many nodes, in 4 processes; and a robot that can be driven."""
+    """Create `count` topics on 4 nodes, or `count` nodes, in 4 processes."""
     share, more = divmod(count, PROCESSES)
     with ExitStack() as peers:
         first = 0
@@ -55,7 +55,7 @@ def graph_of(what: str, count: int) -> Iterator[None]:
 
 
 async def whole(client: Any, what: str, count: int) -> None:
-    """Ask until everything of the peers is listed."""
+    """Ask until all topics or nodes of the peers are listed."""
     tool, key, pattern = {
         "topics": ("ros2_topic_list", "topics", "/bench/t*"),
         "nodes": ("ros2_node_list", "nodes", "/bench/n*"),
@@ -65,7 +65,7 @@ async def whole(client: Any, what: str, count: int) -> None:
 
 
 async def on_graph(what: str, count: int) -> dict[str, float]:
-    """One point of topics or nodes."""
+    """Measure one point of the growth with topics or nodes."""
     starts: list[float] = []
     with graph_of(what, count):
         for _ in range(STARTS):
@@ -89,7 +89,7 @@ async def on_graph(what: str, count: int) -> dict[str, float]:
 
 
 async def answers(client: Any) -> dict[str, float]:
-    """Medians of the calls that list something."""
+    """Return the median times of the calls that list something."""
     asked: dict[str, Callable[[], Awaitable[Any]]] = {
         "topic_list_ms": lambda: client.call("ros2_topic_list", limit=2000),
         "topic_list_default_ms": lambda: client.call("ros2_topic_list"),
@@ -108,9 +108,10 @@ async def answers(client: Any) -> dict[str, float]:
 
 
 async def stops(client: Any, peer: Peer, moving: Any = None) -> dict[str, float]:
-    """From the call of ros2_stop to the zero at a subscriber in another process: the median, and the slowest.
+    """Return the time from the call of ros2_stop to the zero at a subscriber in another process: the median and the
+    slowest.
 
-    `moving` is who drives the robot; the same client, if it can call twice at a time.
+    `moving` is the client that drives the robot; None: the same client, which can then make two calls at a time.
     """
     drive = {"topic_name": "/bench/vel0", "message_type": TWIST, "data": {"linear": {"x": 0.1}}, "frequency": 20}
     seconds: list[float] = []
@@ -126,13 +127,14 @@ async def stops(client: Any, peer: Peer, moving: Any = None) -> dict[str, float]
 
 
 async def keep_listing(client: StdioClient) -> None:
-    """One whole listing after the other."""
+    """Request one whole listing after the other."""
     while True:
         await client.call("ros2_topic_list", limit=2000)
 
 
 async def memory(server: int, client: Any) -> dict[str, float]:
-    """The resident memory of the server, of its bridge, and of the other processes below them (the stopper)."""
+    """Return the resident memory of the server, of its bridge, and of the other processes below the server (the
+    stopper)."""
     bridge = (await client.call("ros2_status"))["bridge_pid"]
     others = [pid for pid in descendants(server) if pid != bridge]
     sizes = rss_bytes(server), rss_bytes(bridge), sum(rss_bytes(pid) for pid in others)
@@ -140,7 +142,7 @@ async def memory(server: int, client: Any) -> dict[str, float]:
 
 
 def descendants(pid: int) -> list[int]:
-    """The processes below one."""
+    """Return the processes below a process."""
     listed = subprocess.run(["ps", "-e", "-o", "pid=,ppid="], check=True, capture_output=True, text=True).stdout
     above = [tuple(map(int, line.split())) for line in listed.splitlines()]
     found = [pid]
@@ -151,7 +153,7 @@ def descendants(pid: int) -> list[int]:
 
 @contextmanager
 def serving(tokens: int) -> Iterator[tuple[int, int, list[str]]]:
-    """Our server over HTTP: its process, its port, and so many tokens."""
+    """Start our server over HTTP; yield its process id, its port, and `tokens` tokens."""
     with tempfile.TemporaryDirectory() as folder, socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
@@ -177,7 +179,8 @@ def serving(tokens: int) -> Iterator[tuple[int, int, list[str]]]:
 
 
 async def with_clients(count: int) -> dict[str, float]:
-    """One point of clients: sessions of one HTTP server with 40 topics. One more drives the robot."""
+    """Measure one point of the growth with clients: sessions of one HTTP server with 40 topics. One more client drives
+    the robot."""
     tokens = -(-(count + 1) // OF_A_TOKEN)
     with graph_of("topics", 40), serving(tokens) as (pid, port, made), Peer("driven", 1) as peer:
         async with AsyncExitStack() as stack:
@@ -205,9 +208,10 @@ async def with_clients(count: int) -> dict[str, float]:
 
 
 async def burst(clients: list[HttpClient]) -> tuple[float, int]:
-    """Every client asks for the listing at the same time: until the last has it, and how often one was refused.
+    """Let every client request the listing at the same time; return the time until all have it, and the number of
+    refusals.
 
-    A server carries out 32 calls at a time; who is refused asks again at once.
+    A server executes 32 calls at a time; a refused client asks again at once.
     """
     refused = 0
 
@@ -226,7 +230,7 @@ async def burst(clients: list[HttpClient]) -> tuple[float, int]:
 
 
 async def keep_asking(client: HttpClient, phase: float) -> None:
-    """A listing every half second, each client at another time."""
+    """Request the listing every half second, each client with another phase."""
     due = time.monotonic() + phase * EVERY_S
     while True:
         await asyncio.sleep(due - time.monotonic())
@@ -235,7 +239,7 @@ async def keep_asking(client: HttpClient, phase: float) -> None:
 
 
 def keep(what: str, point: dict[str, float]) -> None:
-    """Write a point beside those that are there."""
+    """Add a point to the file; it replaces one of the same size."""
     found: dict[str, Any] = json.loads(KEPT.read_text()) if KEPT.exists() else {}
     points = {each["n"]: each for each in found.get(what, ())} | {point["n"]: point}
     found["machine"] = f"{os.cpu_count()} processors, Python {platform.python_version()}"

@@ -1,4 +1,4 @@
-"""The drawings of growth: SVG with logarithmic axes, each on paper of its own, light or dark as the reader's system."""
+"""Plots of the growth: SVG with logarithmic axes on an opaque background, light or dark as the reader's system."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 
 WIDTH, HEIGHT = 860, 380
 TOP, BOTTOM, LINE = 52, 332, 15
-"""Pixels: a panel's upper and lower edge, and a line of letters."""
+"""Pixels: upper and lower edge of a panel, and the height of a line of text."""
 LIGHT = ("#1f6fc4", "#c05400", "#15803d", "#b3125a", "#6d3fc0", "#7a5200", "#5a6672")
 DARK = ("#6fb1ff", "#ff9d4d", "#5fd38a", "#ff7fb5", "#b99cff", "#e0b860", "#aab6c2")
 Numbers = Sequence[float]
@@ -20,7 +20,7 @@ Numbers = Sequence[float]
 
 @dataclass(frozen=True)
 class Panel:
-    """Curves of one unit; `curves` is key in the points → words."""
+    """Curves with one unit; `curves` maps keys of the points to labels."""
 
     title: str
     left: int
@@ -46,7 +46,7 @@ FIGURES: Mapping[str, tuple[str, Sequence[Panel]]] = {
 
 
 def slope(sizes: Numbers, values: Numbers) -> float:
-    """Of the line that fits best where both are logarithms: 1 is linear growth, 0 none."""
+    """Return the slope of the best fit of log(value) over log(size): 1 is linear growth, 0 is none."""
     x, y = [math.log(size) for size in sizes], [math.log(value) for value in values]
     middle_x, middle_y = fmean(x), fmean(y)
     products = sum((a - middle_x) * (b - middle_y) for a, b in zip(x, y, strict=True))
@@ -54,7 +54,7 @@ def slope(sizes: Numbers, values: Numbers) -> float:
 
 
 def draw(found: Mapping[str, Any], folder: Path) -> str:
-    """Draws what was found into the folder; a table of the slopes, over all points and of the last step."""
+    """Draw the points into the folder; return a table of the slopes, over all points and over the last step."""
     lines = ["figure   what                       first     last   slope  last step"]
     for what, (x_label, panels) in FIGURES.items():
         points = [_in_ms(point) for point in found.get(what, ())]
@@ -76,7 +76,7 @@ def draw(found: Mapping[str, Any], folder: Path) -> str:
 
 
 def _in_ms(point: Mapping[str, float]) -> dict[str, float]:
-    """A point with its size under `n`, and seconds as milliseconds."""
+    """Return a point with its size under `n`, and with seconds converted to milliseconds."""
     seconds = {f"{key[:-2]}_ms": value * 1000 for key, value in point.items() if key.endswith("_s")}
     return {**point, **seconds, "n": point["n"] if "n" in point else point["gb"]}
 
@@ -143,7 +143,7 @@ def _panel(panel: Panel, x_label: str, sizes: Numbers, curves: Mapping[str, Numb
 
 
 def _guide(sizes: Numbers, low: float, high: float, across: Any, height: Any) -> list[str]:
-    """A dashed line of linear growth, from the lower left corner as far as the panel goes."""
+    """Return a dashed line of linear growth, from the lower left corner to the edge of the panel."""
     end = min(sizes[-1], sizes[0] * 10 ** (high - low))
     x, y = across(end), height(10**low * end / sizes[0])
     line = f'<line class="guide" x1="{across(sizes[0])}" y1="{height(10**low)}" x2="{x}" y2="{y}"/>'
@@ -152,7 +152,8 @@ def _guide(sizes: Numbers, low: float, high: float, across: Any, height: Any) ->
 
 
 def _apart(ends: Mapping[str, float]) -> dict[str, float]:
-    """The heights of the labels: each at its curve's end, or as much lower as the one above it needs."""
+    """Return the heights of the labels: each at the end of its curve, moved down where it would overlap the one
+    above."""
     placed: dict[str, float] = {}
     for words in sorted(ends, key=lambda one: ends[one]):
         placed[words] = max(ends[words], max(placed.values(), default=-math.inf) + LINE)

@@ -19,12 +19,13 @@ from mcp.client.session import ClientSession
 from mcp.client.stdio import StdioServerParameters, stdio_client
 
 _SETTLES_S = 8.0
-"""A robot that has just begun is no healthy one yet: its nodes wait for each other, and see each other after 3 s."""
+"""A robot that has just started is not healthy yet: its nodes wait for each other, and discover each other within 3
+s."""
 _CHECKS = 2
 
 
 async def _checked(environment: dict[str, str], interfaces: list[str]) -> list[tuple[str, float]]:
-    """What each check of a fresh session said, and how long it took."""
+    """Return the text of each check in a fresh session, and the time it took in s."""
     options = [each for folder in interfaces for each in ("--interfaces", folder)]
     command = StdioServerParameters(
         command=sys.executable, args=["-m", "ros2_mcp", "--tools", "all", *options], env=environment
@@ -40,7 +41,7 @@ async def _checked(environment: dict[str, str], interfaces: list[str]) -> list[t
 
 
 def main() -> int:
-    """Prints each check that found something, and the counts."""
+    """Print each check that found something, and the counts."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rounds", type=int, default=20)
     parser.add_argument("--robots", nargs="+", default=["rover", "arm", "drone"])

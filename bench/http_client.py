@@ -1,4 +1,4 @@
-"""A client of MCP over HTTP with next to no cost of its own: one kept connection, one call at a time."""
+"""A client of MCP over HTTP with negligible cost of its own: one connection that is kept open, one call at a time."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class HttpClient:
         self._writer.close()
 
     async def call(self, tool: str, **arguments: Any) -> dict[str, Any]:
-        """The structured content of one call."""
+        """Return the structured content of one call."""
         params = {"name": tool, "arguments": arguments, "_meta": {STRUCTURED: True}}
         request = {"id": next(self._numbers), "method": "tools/call", "params": params}
         body, _ = await self._post(request)
@@ -51,8 +51,8 @@ class HttpClient:
         self._reader, self._writer = await asyncio.open_connection("127.0.0.1", self._port, limit=LONGEST_LINE)
 
     async def _post(self, message: dict[str, Any]) -> tuple[bytes, dict[str, str]]:
-        """The body and the headers of the response."""
-        if self._reader.at_eof():  # a server closes connections that were silent for some seconds
+        """Send a message; return the body and the headers of the response."""
+        if self._reader.at_eof():  # the server closes connections that were idle for some seconds
             self._writer.close()
             await self._connect()
         body = json.dumps({"jsonrpc": "2.0", **message}).encode()

@@ -1,4 +1,4 @@
-"""What the limits of a policy cost: at the bridge's exit for one Twist, in a whole publish, and at the start."""
+"""The cost of a policy's limits: at the bridge's exit for one Twist, in a whole publish, and at the start."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ QOS = {"reliability": "reliable", "durability": "volatile", "history": "keep_las
 
 
 def rules() -> bytes:
-    """Like the profile `teleop-slow`: two norms, four zeros, ramps and a hold time, for any `cmd_vel`."""
+    """Return rules like the profile `teleop-slow`: two norms, four zeros, ramps and a hold time, for any `cmd_vel`."""
     from ros2_mcp_common.policy.checks import Checks
     from ros2_mcp_common.policy.rules import Allowance, Limit, Ramp, Rules, RuleSet
 
@@ -33,7 +33,7 @@ def rules() -> bytes:
 
 
 class _Middleware:
-    """Takes what is published and does nothing."""
+    """A middleware that discards what is published."""
 
     def publish_raw(self, data: bytes) -> None: ...
 
@@ -42,7 +42,7 @@ class _Middleware:
 
 
 def _exit_seconds(count: int, *, limited: bool) -> list[float]:
-    """How long decoding, judging, stamping and serializing of each of many Twists take, by the thread's own time."""
+    """Return the thread's CPU time in s for decoding, judging, stamping and serializing each of `count` Twists."""
     from ros2_mcp_bridge.exit.limiter import Limiter
     from ros2_mcp_bridge.exit.velocities import Velocities
     from ros2_mcp_bridge.request import Request
@@ -70,7 +70,7 @@ def _exit_seconds(count: int, *, limited: bool) -> list[float]:
 
 
 def at_the_exit(count: int) -> list[Row]:
-    """The bar of issue 12: at most 0.1 ms for 99 of 100 Twists, everything at the exit included."""
+    """Measure the target of issue 12: at most 0.1 ms for 99 of 100 Twists, with all work at the exit."""
     limited = _exit_seconds(count, limited=True)
     free = _exit_seconds(count, limited=False)
     return [
@@ -80,7 +80,7 @@ def at_the_exit(count: int) -> list[Row]:
 
 
 class _Bridge:
-    """A bridge, spoken to raw; use as a context manager."""
+    """A bridge on a raw stream; use as a context manager."""
 
     def __init__(self, *options: str) -> None:
         from ros2_mcp_common.wire.packets import PacketReader
@@ -119,7 +119,7 @@ class _Bridge:
 
 
 def publishes(rounds: int) -> list[Row]:
-    """The bar of issue 12: at most 0.3 ms more for a publish, from the request to the bridge to its answer."""
+    """Measure the target of issue 12: at most 0.3 ms more for a publish, from the request to the bridge's answer."""
     from geometry_msgs.msg import Twist
     from rclpy.serialization import serialize_message
 
@@ -133,12 +133,12 @@ def publishes(rounds: int) -> list[Row]:
             bridge.drive(data)
         turns = [("limited", limited), ("free", free)]
         for _ in range(rounds):
-            turns.reverse()  # who comes second finds the processor awake
+            turns.reverse()  # alternate the order: the second one finds the processor awake
             for name, bridge in turns:
                 started = time.perf_counter()
                 bridge.drive(data)
                 seconds[name].append(time.perf_counter() - started)
-    # Of each turn the difference, so that what else the machine does meets both.
+    # The difference within each turn, so that other load on the machine affects both.
     more = p50([ruled - other for ruled, other in zip(seconds["limited"], seconds["free"], strict=True)])
     return [
         Row("publish of a Twist: more under a policy, p50", more, "ms", 0.3, note=f"of {p50(seconds['free']):.2f} ms")
@@ -146,12 +146,12 @@ def publishes(rounds: int) -> list[Row]:
 
 
 async def initialize(rounds: int) -> Row:
-    """The bar of issue 12: at most 30 ms more from the start of the server to the answer to `initialize`."""
+    """Measure the target of issue 12: at most 30 ms more from the start of the server to the answer to `initialize`."""
     differences, free_s = list[float](), list[float]()
     options: tuple[tuple[str, ...], ...] = ((), ("--policy", "teleop-slow"))
     for _ in range(rounds + 1):
         seconds = dict[tuple[str, ...], float]()
-        options = options[::-1]  # who comes second finds the processor awake
+        options = options[::-1]  # alternate the order: the second one finds the processor awake
         for chosen in options:
             client, started = ours(*chosen), time.perf_counter()
             async with client:
@@ -159,11 +159,11 @@ async def initialize(rounds: int) -> Row:
                 seconds[chosen] = time.perf_counter() - started
         free_s.append(seconds[()])
         differences.append(sum(seconds.values()) - 2 * seconds[()])
-    note = f"of {p50(free_s[1:]):.0f} ms"  # the first compiles what is not compiled yet
+    note = f"of {p50(free_s[1:]):.0f} ms"  # the first round compiles modules
     return Row("initialize: more under a policy, p50", p50(differences[1:]), "ms", 30, note=note)
 
 
 async def cost(full: bool) -> list[Row]:
-    """All three."""
+    """Run all three measurements."""
     at_start = await initialize(20 if full else 5)
     return [*publishes(3000 if full else 500), *at_the_exit(100_000 if full else 10_000), at_start]

@@ -1,4 +1,4 @@
-"""The measurements. What is compared is measured in turns, so that the machine's other load falls on both."""
+"""The measurements. What is compared is measured alternately, so that other load on the machine affects both."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ async def topic_list(rounds: int) -> list[Row]:
 
 
 async def complete_listing(client: StdioClient) -> int:
-    """Ask until every topic of the peer is listed; how often the list was called settled while it was incomplete."""
+    """Ask until every topic of the peer is listed; return how often an incomplete listing was called settled."""
     untrue = 0
     while True:
         listing = await client.call("ros2_topic_list", pattern="/bench/t*")
@@ -89,7 +89,7 @@ async def first_listing(rounds: int) -> list[Row]:
             floor.append(await discovery())
     times.sort()
     floor.sort()
-    in_19_of_20 = times[rounds - 1 - rounds // 20]  # of fewer than 20 the slowest
+    in_19_of_20 = times[rounds - 1 - rounds // 20]  # with fewer than 20 rounds the slowest
     spread = "{}; bare rclpy {}".format(*(", ".join(f"{s:.2f}" for s in found) for found in (times, floor)))
     return [
         Row(f"start → listing with all of {PROCESSES} processes, 19 of 20", in_19_of_20, "s", 1.0, note=spread),
@@ -98,7 +98,7 @@ async def first_listing(rounds: int) -> list[Row]:
 
 
 async def discovery() -> float:
-    """How long a fresh process with bare rclpy takes until it knows all topics."""
+    """Return the time in s that a fresh process with bare rclpy needs to discover all topics."""
     started = time.perf_counter()
     command = slowed.command([sys.executable, str(Path(__file__).parent / "discovery.py"), str(TOPICS)])
     pipe = asyncio.subprocess.PIPE
@@ -116,7 +116,7 @@ async def read_one(rounds: int) -> list[Row]:
         async with ours() as us:
             await us.greet()
             await us.call("ros2_topic_subscribe", topic_name="/bench/tick0")
-            for _ in range(rounds):  # each begins anywhere between two messages, not right after the one before
+            for _ in range(rounds):  # each read begins at a random time between two messages
                 await asyncio.sleep(random.uniform(0, 0.01))
                 mine.append(await timed(us.call("ros2_topic_subscribe", topic_name="/bench/tick0")))
                 await asyncio.sleep(random.uniform(0, 0.01))
@@ -150,7 +150,7 @@ async def subscriptions(client: StdioClient, count: int) -> None:
 
 
 async def listings_during(client: StdioClient, other: Awaitable[Any]) -> list[float]:
-    """How long listings of topics take, about 30 a second, while something else goes on."""
+    """Return the times of topic listings, about 30 a second, while `other` runs."""
     task, seconds = asyncio.ensure_future(other), []
     while not task.done():
         seconds.append(await timed(client.call("ros2_topic_list")))
@@ -205,7 +205,8 @@ async def service_calls(rounds: int) -> list[Row]:
 
 
 async def acknowledged_publish(rounds: int) -> list[Row]:
-    """From the call to the answer that every subscriber has acknowledged; the floor does the same in bare rclpy."""
+    """Measure the time from the call to the answer that every subscriber has acknowledged; the floor does the same in
+    bare rclpy."""
     message = {"topic_name": "/bench/heard", "message_type": "std_msgs/msg/UInt64", "data": {"data": 1}}
     mine, floor, unacknowledged = [], [], 0
     with Peer("heard"), Peer("floor") as bare:
@@ -228,7 +229,7 @@ async def acknowledged_publish(rounds: int) -> list[Row]:
 
 
 async def idle(duration_s: float) -> list[Row]:
-    """The server and its bridge while nobody asks anything; the floor is the trivial tool and a bare node."""
+    """Measure the server and its bridge without calls; the floor is the trivial tool and a bare node."""
     with Peer("topics", MANY_TOPICS), Peer("floor") as bare:
         async with ours() as us, trivial() as them:
             await us.greet()
@@ -236,9 +237,9 @@ async def idle(duration_s: float) -> list[Row]:
             asked = {"pattern": "/bench/t*", "limit": MANY_TOPICS}
             while len((await us.call("ros2_topic_list", **asked))["topics"]) < MANY_TOPICS:
                 await asyncio.sleep(0.1)
-            await asyncio.sleep(3)  # what follows the first listing
+            await asyncio.sleep(3)  # work that follows the first listing
             pids = us.pid, (await us.call("ros2_status"))["bridge_pid"], them.pid, bare.pid
-            await asyncio.sleep(3)  # what follows that
+            await asyncio.sleep(3)  # work that follows the status
             before = [cpu_seconds(pid) for pid in pids]
             await asyncio.sleep(duration_s)
             used = [(cpu_seconds(pid) - then) / duration_s * 100 for pid, then in zip(pids, before, strict=True)]
@@ -252,13 +253,13 @@ async def idle(duration_s: float) -> list[Row]:
 
 
 def transforms_peer() -> Peer:
-    """A chain of frames, told at 50 Hz."""
+    """Return a peer that publishes a chain of frames at 50 Hz."""
     tf2_msgs = Path(__file__).parents[1] / "src" / "ros2_mcp_demo" / "interfaces" / "tf2_msgs"
     return Peer("frames", FRAMES, 50, prefixes=build([tf2_msgs], default_cache(), lambda _line: None))
 
 
 async def look_up(rounds: int) -> list[Row]:
-    """Where a frame is, ten moving edges away, told at 50 Hz."""
+    """Measure a transform across ten moving edges, published at 50 Hz."""
     asked = {"target": "map", "source": f"on_moving_{FRAMES - 1}"}
     mine, floor = [], []
     with transforms_peer():
@@ -294,7 +295,7 @@ async def many_calls(count: int) -> list[Row]:
 
 
 async def everything_open(client: StdioClient) -> dict[str, int]:
-    """Entities of the bridge, threads and open files of both processes."""
+    """Return the bridge's entities, and the threads and open files of both processes."""
     status = await client.call("ros2_status")
     server, bridge = counts(client.pid), counts(status["bridge_pid"])
     entities = {name: status[name] for name in ("subscriptions", "publishers", "service_clients")}
@@ -308,7 +309,8 @@ async def everything_open(client: StdioClient) -> dict[str, int]:
 
 
 async def sandbox(rounds: int) -> list[Row]:
-    """A program from its call to its answer, and a call out of it and back, beside a trivial tool."""
+    """Measure a program from its call to its answer, and a call from the program and back, compared with a trivial
+    tool."""
     calls = 200
     loop = f"import robot\nfor _ in range({calls}):\n    robot.mean([1.0, 2.0])\n"
     whole, floor, out_and_back = [], [], []

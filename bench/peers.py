@@ -1,4 +1,4 @@
-"""Nodes in processes of their own: `peers.py ROLE ARGUMENT...` prints a line when it is ready."""
+"""Nodes in processes of their own: `peers.py ROLE ARGUMENT...` prints `ready` when the node is ready."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from std_srvs.srv import SetBool
 
 
 def topics(node: Node, count: str, first: str = "0") -> None:
-    """Publishers on /bench/t00, /bench/t01 …"""
+    """Create publishers on /bench/t00, /bench/t01 …"""
     numbers = range(int(first), int(first) + int(count))
     node.kept = [node.create_publisher(String, f"/bench/t{number:02}", 10) for number in numbers]
 
 
 def many(node: Node, nodes: str, topics_each: str) -> None:
-    """So many nodes besides, each with so many topics: /bench/large/t0 …"""
+    """Create additional nodes, each with `topics_each` publishers: /bench/large/t0 …"""
     others = [rclpy.create_node(f"bench_{number}") for number in range(int(nodes))]
     node.kept = [
         other.create_publisher(String, f"/bench/large/t{number * int(topics_each) + each}", 10)
@@ -40,7 +40,7 @@ def many(node: Node, nodes: str, topics_each: str) -> None:
 
 
 def nodes(node: Node, count: str, first: str = "0") -> None:
-    """Nodes /bench/n000, /bench/n001 …, with all that every node of rclpy has; all of one participant."""
+    """Create the nodes /bench/n000, /bench/n001 … with rclpy's usual services, all in one participant."""
     numbers = range(int(first), int(first) + int(count))
     node.kept = [Node(f"n{number:03}", namespace="/bench") for number in numbers]
     for one in node.kept:
@@ -48,7 +48,7 @@ def nodes(node: Node, count: str, first: str = "0") -> None:
 
 
 def ticks(node: Node, count: str, rate_hz: str) -> None:
-    """Numbers on /bench/tick0, /bench/tick1 …, all at that rate."""
+    """Publish numbers on /bench/tick0, /bench/tick1 …, each at `rate_hz`."""
     publishers = [node.create_publisher(UInt64, f"/bench/tick{number}", 10) for number in range(int(count))]
     period_s, sent = 1 / float(rate_hz), 0
 
@@ -66,8 +66,10 @@ def ticks(node: Node, count: str, rate_hz: str) -> None:
 
 
 def reactions(node: Node, count: str, rate_hz: str) -> None:
-    """Numbers on /bench/tick0 … at that rate; for each line on stdin, how long those that came back on /bench/back0 …
-    took since the line before, in s.
+    """Publish numbers on /bench/tick0 … at `rate_hz`, and measure their answers.
+
+    For each line on stdin, print the times in s from publishing a number to receiving it on /bench/back0 …, for all
+    answers since the line before.
     """
     publishers = [node.create_publisher(UInt64, f"/bench/tick{number}", 10) for number in range(int(count))]
     sent_at: list[float] = []
@@ -96,7 +98,7 @@ def reactions(node: Node, count: str, rate_hz: str) -> None:
 
 
 def flood(node: Node, rate_hz: str, count: str) -> None:
-    """Whenever a subscriber comes: numbers from 0 on /bench/flood at that rate, then a line with how many."""
+    """For each subscriber: publish numbers from 0 on /bench/flood at `rate_hz`, then print how many."""
     publisher = node.create_publisher(UInt64, "/bench/flood", QoSProfile(depth=1000))
     messages = [serialize_message(UInt64(data=number)) for number in range(int(count))]
 
@@ -104,7 +106,7 @@ def flood(node: Node, rate_hz: str, count: str) -> None:
         while True:
             while not publisher.get_subscription_count():
                 time.sleep(0.01)
-            time.sleep(0.3)  # the other side learns of the match a moment later
+            time.sleep(0.3)  # the subscriber matches a moment later than the publisher
             _publish_all(publisher, messages, float(rate_hz))
             _say(len(messages))
             while publisher.get_subscription_count():
@@ -124,7 +126,7 @@ def _publish_all(publisher: object, messages: list[bytes], rate_hz: float) -> No
 
 
 def service(node: Node) -> None:
-    """Answers /bench/set at once."""
+    """Answer /bench/set at once."""
 
     def answer(request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         response.success, response.message = request.data, "set"
@@ -134,8 +136,10 @@ def service(node: Node) -> None:
 
 
 def driven(node: Node, count: str) -> None:
-    """Subscribes to /bench/vel0, /bench/vel1 … For a line `moving N` on stdin it answers as soon as N of them move the
-    robot; for `zeros`, as soon as all that moved have had a zero, with the (monotonic) time of the last first one.
+    """Subscribe to /bench/vel0, /bench/vel1 …, and answer lines on stdin.
+
+    `moving N` is answered once N of the topics have velocities that are not zero; `zeros` once all of these topics have
+    had a zero, with the monotonic time at which the last of them had its first zero.
     """
     zero_at: dict[int, float] = {}
 
@@ -166,10 +170,10 @@ def driven(node: Node, count: str) -> None:
 
 
 def frames(node: Node, count: str, rate_hz: str) -> None:
-    """A chain of so many moving frames below `map`, all told at that rate, and as many static ones below them."""
+    """Publish a chain of moving frames below `map` at `rate_hz`, and a static frame below each."""
     from geometry_msgs.msg import TransformStamped
     from rclpy.qos import DurabilityPolicy
-    from tf2_msgs.msg import TFMessage  # built by whoever starts this, and only then there
+    from tf2_msgs.msg import TFMessage  # installed only by the process that starts this one
 
     def told(parent: str, child: str) -> TransformStamped:
         one = TransformStamped(child_frame_id=child)
@@ -191,9 +195,9 @@ def frames(node: Node, count: str, rate_hz: str) -> None:
 
 
 def floor(node: Node) -> None:
-    """The floor of ROS: for each line `call N`, `read N` or `publish N` on stdin, the seconds that each took, in JSON.
+    """The floor of ROS: for each line `call N`, `read N` or `publish N` on stdin, print the N times in s, as JSON.
 
-    `publish` goes to /bench/heard, from the message to its acknowledgement.
+    `publish` publishes on /bench/heard, and takes until the acknowledgement.
     """
     client = node.create_client(SetBool, "/bench/set")
     publisher = node.create_publisher(UInt64, "/bench/heard", 1)  # a full history asks for acknowledgement at once
@@ -229,13 +233,16 @@ def _publish_one(publisher: object) -> None:
 
 
 def heard(node: Node) -> None:
-    """Subscribes to /bench/heard: it acknowledges as Fast DDS does by default, 5 ms after it is asked."""
+    """Subscribe to /bench/heard: Fast DDS acknowledges by default 5 ms after it is asked."""
     node.kept = node.create_subscription(UInt64, "/bench/heard", lambda _: None, 10)
 
 
 def sights(node: Node) -> None:
-    """For each line with a number of seconds on stdin: raw 1080p pictures at 30 Hz on /bench/sight0 and clouds of 2 MB
-    at 10 Hz on /bench/sight1, reliable, as soon as both are subscribed to; then in JSON how many, and the seconds.
+    """For each line with a number of seconds on stdin, publish raw 1080p pictures at 30 Hz on /bench/sight0 and clouds
+    of 2 MB at 10 Hz on /bench/sight1.
+
+    Both are reliable; publishing begins once both have subscribers. Print the number of messages and the seconds, as
+    JSON.
     """
     from sensor_msgs.msg import Image, PointCloud2
 
@@ -248,7 +255,7 @@ def sights(node: Node) -> None:
     def publish(seconds: float) -> str:
         while not all(publisher.get_subscription_count() for publisher in publishers):
             time.sleep(0.01)
-        time.sleep(0.3)  # the other side learns of the match a moment later
+        time.sleep(0.3)  # the subscriber matches a moment later than the publisher
         rates = [rate for *_, rate in kinds]
         due = sorted((turn / rate, number) for number, rate in enumerate(rates) for turn in range(int(seconds * rate)))
         began = time.monotonic()
@@ -265,7 +272,7 @@ def sights(node: Node) -> None:
 
 
 def picture(node: Node, path: str) -> None:
-    """A raw 1080p picture on /bench/picture, latched; its bytes are in a file."""
+    """Publish a raw 1080p picture on /bench/picture, latched; `path` is a file with its serialized bytes."""
     from rclpy.qos import DurabilityPolicy
     from sensor_msgs.msg import Image
 
@@ -275,8 +282,9 @@ def picture(node: Node, path: str) -> None:
 
 
 def recorder(node: Node) -> None:
-    """The floor of recording: for a line with a path on stdin, all of `sights` goes there as MCAP until the next line,
-    which is answered with how many messages were written.
+    """The floor of recording: for a line with a path on stdin, record all topics of `sights` there as MCAP.
+
+    The next line ends the recording and is answered with the number of messages.
     """
     from mcap.writer import CompressionType, Writer
     from sensor_msgs.msg import Image, PointCloud2
@@ -318,7 +326,7 @@ def recorder(node: Node) -> None:
 
 
 def drained(node: Node) -> None:
-    """For each line with a number of seconds on stdin: how many messages of /bench/flood came in that time."""
+    """For each line with a number of seconds on stdin, print the number of messages on /bench/flood in that time."""
 
     def receive(seconds: float) -> int:
         numbers = itertools.count()
@@ -329,7 +337,7 @@ def drained(node: Node) -> None:
         )
         time.sleep(seconds)
         gone = node.executor.create_task(lambda: node.destroy_subscription(made.result()))
-        while not gone.done():  # whoever is to be flooded next waits for that
+        while not gone.done():  # the next flood begins only after that
             time.sleep(0.01)
         return next(numbers)
 
@@ -357,7 +365,7 @@ def main() -> None:
     told_to_end = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: told_to_end.set())
     node = Node(f"bench_{role}")
-    # The other one ends with a SystemError while a large message is put together.
+    # The events executor fails with a SystemError while a large message is assembled.
     executor = SingleThreadedExecutor() if role == "recorder" else EventsExecutor()
     executor.add_node(node)
     globals()[role](node, *arguments)
@@ -366,7 +374,7 @@ def main() -> None:
         executor.spin_once(timeout_sec=0.2)  # in these versions spin() may live-lock
     node.destroy_node()
     rclpy.try_shutdown()
-    os._exit(0)  # daemon threads may still use what has just been destroyed
+    os._exit(0)  # daemon threads may still use the destroyed node
 
 
 if __name__ == "__main__":

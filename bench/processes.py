@@ -1,4 +1,4 @@
-"""The processes of a run: servers to measure, and nodes to measure them with."""
+"""The processes of a run: the servers that are measured, and the nodes that they are measured with."""
 
 from __future__ import annotations
 
@@ -17,29 +17,29 @@ from .stdio import StdioClient
 
 HERE = Path(__file__).parent
 FLOORS = ("floor", "drained", "recorder")
-"""The peers that do what the server does, in bare rclpy: they are as slow as it is."""
+"""The peers that do the server's work in bare rclpy; they are slowed down like the server."""
 ENVIRONMENT = {
     "ROS_DOMAIN_ID": str(100 + os.getpid() % 100),
     "ROS_LOG_DIR": tempfile.gettempdir(),
     **os.environ,
     "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
 }
-# As on users' machines, which compile once: else every start of a server takes 0.6 s longer.
+# Users' machines compile once; without bytecode files every start of a server takes 0.6 s longer.
 ENVIRONMENT.pop("PYTHONDONTWRITEBYTECODE", None)
 
 
 def ours(*options: str) -> StdioClient:
-    """This project's server."""
+    """Return a client of this project's server."""
     return StdioClient(slowed.command([sys.executable, "-m", "ros2_mcp", *options]), ENVIRONMENT)
 
 
 def trivial() -> StdioClient:
-    """A trivial tool on the bare SDK."""
+    """Return a client of a trivial tool on the bare SDK."""
     return StdioClient(slowed.command([sys.executable, str(HERE / "trivial.py")]), ENVIRONMENT)
 
 
 class Peer:
-    """A node of `peers.py` that is ready; use as a context manager."""
+    """A node of `peers.py` in a process of its own; use as a context manager."""
 
     def __init__(self, role: str, *arguments: object, prefixes: Sequence[Path] = ()) -> None:
         command = [sys.executable, str(HERE / "peers.py"), role, *map(str, arguments)]
@@ -54,7 +54,7 @@ class Peer:
         self._process = subprocess.Popen(
             command, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
-        while (line := self.line()) != "ready":  # what Fast DDS complains about stands on stdout, too
+        while (line := self.line()) != "ready":  # Fast DDS writes its warnings to stdout, too
             assert self._process.poll() is None, line
             print(line, file=sys.stderr)
 
@@ -75,27 +75,27 @@ class Peer:
         return self._process.stdout.readline().strip()  # type: ignore[union-attr]
 
     def tell(self, what: str) -> None:
-        """A line that it does not answer."""
+        """Send a line that has no answer."""
         self._process.stdin.write(f"{what}\n")  # type: ignore[union-attr]
         self._process.stdin.flush()  # type: ignore[union-attr]
 
     def ask(self, what: str) -> str:
-        """Its answer to a line."""
+        """Send a line and return the answer."""
         self.tell(what)
         return self.line()
 
     def seconds(self, what: str, count: int) -> list[float]:
-        """How long each took, done by the node itself with bare rclpy."""
+        """Let the node do something `count` times with bare rclpy; return the times in s."""
         return json.loads(self.ask(f"{what} {count}"))
 
 
 def rss_bytes(pid: int) -> int:
-    """The resident memory of a process."""
+    """Return the resident memory of a process."""
     return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
 def cpu_seconds(pid: int) -> float:
-    """The processor time of a process so far, to the nanosecond: the sum over its threads."""
+    """Return the CPU time of a process so far, to the nanosecond: the sum over its threads."""
     total_ns = 0
     for task in Path(f"/proc/{pid}/task").iterdir():
         with suppress(FileNotFoundError):  # a thread that has just ended
@@ -104,5 +104,5 @@ def cpu_seconds(pid: int) -> float:
 
 
 def counts(pid: int) -> tuple[int, int]:
-    """The threads and open files of a process."""
+    """Return the numbers of threads and open files of a process."""
     return len(list(Path(f"/proc/{pid}/task").iterdir())), len(list(Path(f"/proc/{pid}/fd").iterdir()))

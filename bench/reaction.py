@@ -1,4 +1,4 @@
-"""How long a program takes to react to a message: from the peer's publishing it to the peer's hearing the answer."""
+"""The reaction time of a program to a message: from the peer's publish to the peer's receipt of the answer."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ for message in robot.messages("/bench/tick@", duration=60):
 
 
 async def reactions(client: StdioClient, peer: Peer, programs: int, seconds: float) -> list[float]:
-    """From message to answer in s, with so many programs at once."""
+    """Return the times in s from message to answer, with `programs` programs at once."""
     running = [
         asyncio.ensure_future(
             client.call(
@@ -49,7 +49,7 @@ async def reactions(client: StdioClient, peer: Peer, programs: int, seconds: flo
 
 
 async def of_programs(full: bool) -> list[Row]:
-    """The bar of issue 15: one period and 5 ms for 99 of 100, with ten programs at once."""
+    """Measure the target of issue 15: one period and 5 ms for 99 of 100, with ten programs at once."""
     rows: list[Row] = []
     for programs in (1, 10):
         with Peer("reactions", programs, HZ) as peer:

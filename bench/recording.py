@@ -75,7 +75,7 @@ while True:
 
 
 def cpu_s(pid: int) -> float:
-    """Processor time of a process and its descendants so far."""
+    """Return the CPU time of a process and its descendants so far, in s."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
     own = (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
@@ -121,7 +121,7 @@ async def main(seconds: float) -> None:
 
 
 def gaps(bag_path: Path) -> dict[str, int]:
-    """Messages that are missing between the first and the last one of each topic; topics without are left out."""
+    """Return the number of missing messages between the first and the last one of each topic, for topics with any."""
     from ros2_mcp.bags.bag import Bag
 
     last: dict[str, int] = {}

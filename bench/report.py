@@ -1,4 +1,4 @@
-"""Measured numbers beside their floors and targets, as a table and as JSON."""
+"""Measured values with their floors and targets, as a table and as JSON."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Row:
-    """One number. With a `floor`, `target` is the highest ratio to it; without one, the highest value."""
+    """One value. With a `floor`, `target` is the highest allowed ratio to it; without one, the highest allowed
+    value."""
 
     what: str
     value: float
@@ -59,10 +60,10 @@ def save(rows: Sequence[Row], path: Path, circumstances: dict[str, Any]) -> None
 
 
 def p50(seconds: Sequence[float]) -> float:
-    """The median in milliseconds."""
+    """Return the median in milliseconds, of times in s."""
     return statistics.median(seconds) * 1000
 
 
 def p99(seconds: Sequence[float]) -> float:
-    """The 99th percentile in milliseconds."""
+    """Return the 99th percentile in milliseconds, of times in s."""
     return sorted(seconds)[min(len(seconds) - 1, int(len(seconds) * 0.99))] * 1000

@@ -1,11 +1,11 @@
-"""A short form for every change: `python -m bench.short` fails when the ratio of a row to its floor has grown by half.
+"""A short form for every change: `python -m bench.short` fails if the ratio of a row to its floor has grown by half.
 
-It compares the processor time of the server and its bridge with that of the floor: a busy machine makes both wait, and
-waiting is not counted. Work that only waits longer is seen by `python -m bench`, which measures the time until the
-answer and wants a quiet machine. `ratios.json` has the ratios to compare with; with `--record` this rewrites them.
+It compares the CPU time of the server and its bridge with that of the floor: on a busy machine both wait, and waiting
+does not count. Longer waiting is found by `python -m bench`, which measures the time until the answer and needs a quiet
+machine. `ratios.json` has the ratios for comparison; `--record` rewrites it.
 
-Both sides of a ratio are measured in turns. What still looks grown is measured again, and the best of three counts:
-noise adds to a time and takes nothing from it.
+Both sides of a ratio are measured alternately. A ratio that looks grown is measured again, and the best of three
+counts: noise only lengthens a time.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _HEARD = {"topic_name": "/bench/heard", "message_type": "std_msgs/msg/UInt64", "
 
 
 class Used:
-    """The processor time that some processes use for calls."""
+    """The CPU time that some processes use for calls."""
 
     def __init__(self, *pids: int) -> None:
         self._pids = pids
@@ -39,7 +39,7 @@ class Used:
         self._calls = 0
 
     async def add(self, count: int, call: Callable[[], Awaitable[Any]]) -> None:
-        """Makes the call so many times."""
+        """Make a call `count` times."""
         before = self._so_far()
         for _ in range(count):
             await call()
@@ -55,7 +55,7 @@ class Used:
 
 
 async def _used_by(us: StdioClient) -> Used:
-    """Of the server and its bridge."""
+    """Return the CPU time of the server and its bridge."""
     return Used(us.pid, (await us.call("ros2_status"))["bridge_pid"])
 
 
@@ -67,7 +67,7 @@ async def _start_to_tools_list() -> Row:
     async def start(make: Callable[[], StdioClient]) -> float:
         async with make() as client:
             await client.greet()
-            return cpu_seconds(client.pid) * 1000  # of the server alone: the bridge starts beside it
+            return cpu_seconds(client.pid) * 1000  # of the server alone: the bridge starts in parallel
 
     used_ms: dict[Any, list[float]] = {ours: [], trivial: []}
     for make in (ours, trivial):
@@ -108,7 +108,7 @@ async def _service_call() -> Row:
 
 async def _read_one() -> Row:
     async def read() -> None:
-        await asyncio.sleep(random.uniform(0, 0.01))  # anywhere between two messages, not right after the one before
+        await asyncio.sleep(random.uniform(0, 0.01))  # a random time between two messages
         await us.call("ros2_topic_subscribe", topic_name="/bench/tick0")
 
     async def read_bare() -> None:
@@ -155,7 +155,7 @@ def _row(what: str, used_ms: float, floor_ms: float) -> Row:
 
 
 async def _best(measurement: Callable[[], Awaitable[Row]]) -> Row:
-    """The row with the best ratio of its attempts."""
+    """Return the row with the best ratio of some attempts."""
     rows: list[Row] = []
     for _ in range(_ATTEMPTS):
         rows.append(await measurement())
@@ -171,7 +171,7 @@ async def _all() -> Sequence[Row]:
 
 
 def main() -> None:
-    """Prints the table; exits with 1 when a ratio has grown by half, unless the ratios are to be recorded."""
+    """Print the table; exit with 1 if a ratio has grown by half, unless `--record` is given."""
     rows = asyncio.run(_all())
     print(table(rows))
     if sys.argv[1:] == ["--record"]:

@@ -1,4 +1,4 @@
-"""What is large: recording raw pictures and clouds, and a picture that is read."""
+"""Large messages: recording raw pictures and clouds, and reading a picture."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ SETTLE_S = 1.0
 
 
 async def recording(duration_s: int, rounds: int) -> list[Row]:
-    """Raw 1080p pictures at 30 Hz and clouds of 2 MB at 10 Hz, recorded by us and by bare rclpy and mcap in turns."""
+    """Record raw 1080p pictures at 30 Hz and clouds of 2 MB at 10 Hz, alternately with our server and with bare rclpy
+    and mcap."""
     lost: list[int] = []
     bare_lost: list[int] = []
     cpu: list[float] = []
@@ -52,7 +53,7 @@ async def recording(duration_s: int, rounds: int) -> list[Row]:
 
 
 async def picture_read(rounds: int) -> list[Row]:
-    """A raw 1080p picture, read as a JPEG; the floor decodes it, makes it as small, and saves it as JPEG, no more."""
+    """Read a raw 1080p picture as a JPEG; the floor only decodes it, scales it to the same size, and encodes it."""
     store, name = get_typestore(Stores.ROS2_JAZZY), "sensor_msgs/msg/Image"
     header = store.types["std_msgs/msg/Header"](store.types["builtin_interfaces/msg/Time"](1, 0), "camera")
     rows, columns = np.mgrid[0:1080, 0:1920]

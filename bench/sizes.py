@@ -35,12 +35,13 @@ TOPICS = {
     "/camera/image_raw": 6,
     "/map": 1,
 }
-"""The main topics, and how many messages are read of each: what comes in a few seconds."""
+"""The main topics, with the number of messages that are read of each: those of a few seconds."""
 
 
 @contextlib.contextmanager
 def robot() -> Iterator[None]:
-    """The simulated robot, if none runs already; its first line on stdout says that it is ready."""
+    """Start the simulated robot unless `ROS_DOMAIN_ID` names one that runs; its first line on stdout says that it is
+    ready."""
     if "ROS_DOMAIN_ID" in os.environ:
         yield
         return
@@ -57,13 +58,13 @@ def robot() -> Iterator[None]:
 
 
 def sizes(result: dict[str, Any]) -> tuple[int, int]:
-    """The bytes of the text and of the structured content (written compactly)."""
+    """Return the bytes of the text and of the structured content (written compactly)."""
     text = sum(len(block["text"].encode()) for block in result["content"] if block["type"] == "text")
     return text, len(json.dumps(result["structuredContent"], separators=(",", ":"), ensure_ascii=False).encode())
 
 
 async def run(shown: str) -> None:
-    """Reads each topic with the defaults, then several messages, and prints the bytes."""
+    """Read each topic with the defaults, then several messages of each, and print the bytes."""
     total = 0
     print(f"{'topic':20} {'messages':>8} {'text':>8} {'structured':>10} {'sum':>8}")
     async with ours() as client:

@@ -1,6 +1,6 @@
-"""A small computer: what is measured, and its floor, get a part of one core, each in a cgroup of its own.
+"""Simulates a small computer: the measured server and its floor get a part of one core, each in a cgroup of its own.
 
-The client and the nodes that are looked at keep the machine's own speed: they stand for what is elsewhere.
+The client and the observed nodes keep the machine's own speed: they stand for other machines.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-# Short, so that a process is slow and not stopped for long: the kernel's own of 100 ms would be seen in each answer.
+# Short, so that a process is slow without long pauses: the kernel's default of 100 ms would be visible in each answer.
 _PERIOD_US = 10_000
 _ENTER = 'echo $$ >"$0/cgroup.procs" && exec "$@"'
 _numbers = itertools.count(1)
@@ -21,9 +21,9 @@ _share: list[float] = []
 
 @contextmanager
 def slowed(share: float) -> Generator[None]:
-    """While it is entered, each process that `command` starts may use so much of one core, with its children.
+    """Limit each process that `command` starts meanwhile, with its children, to `share` of one core.
 
-    Needs the right to make cgroups, as root has it. Raises `OSError` without it.
+    Needs the right to create cgroups, as root has it. Raises `OSError` without it.
     """
     _share.append(share)
     try:
@@ -36,7 +36,7 @@ def slowed(share: float) -> Generator[None]:
 
 
 def command(words: Sequence[str]) -> list[str]:
-    """The command that starts these words, slowed where that was asked for; the process keeps its number."""
+    """Return the command that starts these words, slowed down inside `slowed`; the process keeps its id."""
     if not _share:
         return list(words)
     group = _new_group(round(_share[0] * _PERIOD_US))
@@ -44,7 +44,7 @@ def command(words: Sequence[str]) -> list[str]:
 
 
 def _new_group(quota_us: int) -> Path:
-    """A cgroup with that much time in each period, of either version of cgroups."""
+    """Create a cgroup with this CPU time in each period, for either version of cgroups."""
     first = Path("/sys/fs/cgroup/cpu")
     name = f"ros2-mcp-bench-{os.getpid()}-{next(_numbers)}"
     if first.is_dir():

@@ -1,7 +1,7 @@
-"""The same on a small computer: a quarter of one core for the server with its bridge, and as much for each floor.
+"""The measurements on a small computer: a quarter of one core for the server with its bridge, and for each floor.
 
-Calls of milliseconds follow one another without a pause, and the mean counts: between two calls a process that waits
-would save up time that a slow processor does not have. What takes longer is measured as with the whole machine.
+Calls of milliseconds follow each other without a pause, and their mean counts: between two calls a waiting process
+would save CPU time that a slow processor does not have. Longer calls are measured as on the whole machine.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _CALLS_OF_BARE = 200
 
 
 async def rows(full: bool) -> list[Row]:
-    """Each row slowed, the longer ones only if there is time; its note says what it is with all of the machine."""
+    """Measure each row slowed down, the longer ones only with `full`; the note has the value with the whole machine."""
     found: list[Row] = []
     for measured in (_start, _list, _service, _publish, _look_up, *(_LONGER if full else ())):
         all_fast = await measured(full)
@@ -97,7 +97,7 @@ async def _ping(client: StdioClient, full: bool) -> float:
 
 
 async def _mean(call: Callable[[], Awaitable[Any]], full: bool) -> float:
-    """The mean time of calls without a pause, in ms; the first ones, which import and match, do not count."""
+    """Return the mean time of calls without a pause, in ms; the first ones, which import and match, do not count."""
     for _ in range(20):
         await call()
     count, started = 0, time.perf_counter()

@@ -1,4 +1,4 @@
-"""A client of MCP over stdio with next to no cost of its own: a line of JSON out, a line of JSON in."""
+"""A client of MCP over stdio with negligible cost of its own: one line of JSON per message."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from typing import Any
 
 PROTOCOL = "2025-11-25"
 STRUCTURED = "io.github.ros2-mcp/structured"
-"""As in `ros2_mcp/mcp/server.py`, which takes a second to import: asks for structured content."""
+"""Requests structured content; a copy from `ros2_mcp/mcp/server.py`, whose import takes a second."""
 LONGEST_LINE = 64 * 1024 * 1024
 LEAVE_S = 5.0
 
 
 class CallFailed(Exception):
-    """The server answered with an error."""
+    """Raised if the server answers with an error."""
 
 
 class StdioClient:
-    """One server process, and the calls to it; use as an async context manager."""
+    """One server process and the calls to it; use as an async context manager."""
 
     def __init__(self, command: Sequence[str], env: Mapping[str, str]) -> None:
         self._command = command
@@ -50,22 +50,22 @@ class StdioClient:
         return self._process.pid
 
     def owed(self) -> int:
-        """How many requests have no answer yet."""
+        """Return the number of requests without an answer."""
         return len(self._open)
 
     async def greet(self) -> list[dict[str, Any]]:
-        """Handshake; returns the list of tools."""
+        """Initialize the session; return the list of tools."""
         await self.initialize()
         return (await self.request("tools/list"))["tools"]
 
     async def initialize(self) -> None:
-        """Handshake."""
+        """Initialize the session."""
         me = {"name": "bench", "version": "1"}
         await self.request("initialize", protocolVersion=PROTOCOL, capabilities={}, clientInfo=me)
         self._send({"method": "notifications/initialized"})
 
     async def call(self, tool: str, **arguments: Any) -> dict[str, Any]:
-        """The structured content of one call."""
+        """Return the structured content of one call."""
         result = await self.request("tools/call", name=tool, arguments=arguments, _meta={STRUCTURED: True})
         if result.get("isError"):
             raise CallFailed(result["content"][0]["text"])

@@ -1,4 +1,4 @@
-"""How long a stop takes: from the call of a client to the zero that a subscriber in another process gets."""
+"""The duration of a stop: from a client's call to the zero at a subscriber in another process."""
 
 from __future__ import annotations
 
@@ -13,15 +13,16 @@ from .stdio import CallFailed, StdioClient
 
 TWIST, STRING = "geometry_msgs/msg/Twist", "std_msgs/msg/String"
 DRIVEN, OTHERS, SUBSCRIPTIONS = 50, 150, 50
-"""Repeats on velocity topics (64 is the most that a server drives), and on others; what is read meanwhile."""
+"""Number of repeats on velocity topics (a server drives at most 64), of repeats on other topics, and of subscriptions
+meanwhile."""
 TICKS, TICKS_HZ = 10, 20
 AFTER_S = 1.0
-"""From when all velocity topics are driven: those on others, which are called for later, have begun, too."""
+"""Wait once all velocity topics are driven, for the repeats on other topics, which are called later."""
 LONG_S = 3600.0
 
 
 async def round_of(client: StdioClient, peer: Peer, driven: int, others: int = 0) -> float:
-    """The time from a stop's call to the last first zero of all driven topics, in s."""
+    """Return the time in s from the call of a stop until every driven topic has had its first zero."""
     velocities: list[dict[str, Any]] = [
         {"topic_name": f"/bench/vel{number}", "message_type": TWIST, "data": {"linear": {"x": 0.1}}, "frequency": 20}
         for number in range(driven)
@@ -44,7 +45,8 @@ async def round_of(client: StdioClient, peer: Peer, driven: int, others: int = 0
 
 
 async def stop_to_zero(full: bool) -> list[Row]:
-    """The bars of issue 12: at most 50 ms for 99 of 100 stops, and 200 ms beside 200 repeats and 50 subscriptions."""
+    """Measure the targets of issue 12: at most 50 ms for 99 of 100 stops, and 200 ms with 200 repeats and 50
+    subscriptions."""
     with Peer("driven", DRIVEN) as peer, Peer("ticks", TICKS, TICKS_HZ):
         async with ours() as us:
             await us.greet()
@@ -68,7 +70,7 @@ async def stop_to_zero(full: bool) -> list[Row]:
 
 
 async def _read(client: StdioClient, number: int) -> None:
-    """Read a topic for as long as this goes on."""
+    """Read a topic until the call fails or is cancelled."""
     while True:
         try:
             await client.call("ros2_topic_subscribe", topic_name=f"/bench/tick{number % TICKS}", duration=60)

@@ -1,6 +1,7 @@
 """`python -m bench.twelve`: a robot with twelve planted situations, for the tasks of twelve.md.
 
-It ends with its standard input. What is true of it, and what was done with it, it prints as JSON when a line comes in.
+It ends with its standard input. For each line on standard input it prints its state, and what was done with it, as
+JSON.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ LATE_S = 0.08
 CHARGE = 0.37
 ERROR_EVERY_S = 15.0
 SLOW_SCAN = 20
-"""Steps between two scans: 5 Hz, where 8 are wanted."""
+"""Steps between two scans: 5 Hz, where 8 Hz are expected."""
 COMMANDS_LAST_S = 0.5
 
 
@@ -56,7 +57,7 @@ class Robot:
         node.create_service(SetBool, "/lamp/set", self.on_lamp)
 
     def send(self, topic: str, message: Any) -> None:
-        """Publish it, with a stamp if it has one."""
+        """Publish a message, with a stamp if it has a header."""
         if topic not in self.sends:
             self.sends[topic] = self.node.create_publisher(type(message), topic, 10).publish
         if hasattr(message, "header"):
@@ -145,7 +146,7 @@ class Robot:
         self.send("/estop", Bool(data=False))
 
     def tell_scan(self) -> None:
-        """A wall ahead, a corridor open to 130° on the left, walls at 1 m elsewhere."""
+        """Publish a scan: a wall ahead, a corridor open at 130° on the left, walls at 1 m elsewhere."""
         message = LaserScan(angle_min=-math.pi, angle_max=math.pi, angle_increment=math.tau / 360)
         message.header.frame_id = "base_link"
         message.range_min, message.range_max = 0.05, 12.0

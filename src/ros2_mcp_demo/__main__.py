@@ -1,4 +1,4 @@
-"""`python -m ros2_mcp_demo`: run a simulated robot until a signal, or the end of its input, stops it."""
+"""`python -m ros2_mcp_demo`: run a simulated robot until a signal, or the end of standard input, stops it."""
 
 # pyright: basic
 from __future__ import annotations
@@ -12,13 +12,13 @@ import threading
 
 from .robots import ROBOTS, left_out, named
 
-# Fast DDS hangs in one of some hundred ends, and keeps Python from running: the kernel ends the process then. A robot
-# leaves within a second; a busy machine stretches that. See docs/known-races.md.
+# Fast DDS hangs in about one of a hundred shutdowns and blocks Python; then the kernel ends the process. A robot
+# normally ends within a second, later on a busy machine. See docs/known-races.md.
 LEAVES_S = 8.0
 
 
 def main():
-    """Run the robot; it ends on SIGINT, on SIGTERM, or with its standard input if asked to."""
+    """Run the robot until SIGINT, SIGTERM or, with --until-stdin-closes, the end of standard input."""
     parser = argparse.ArgumentParser(prog="ros2_mcp_demo", description="A simulated robot of ROS 2 nodes.")
     parser.add_argument("--robot", choices=ROBOTS, default="rover", help="which one (default %(default)s)")
     parser.add_argument("--seed", type=int, default=7, help="of all noise (default %(default)s)")
@@ -30,7 +30,7 @@ def main():
     signalled = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: signalled.set())
-    # Imported now, since it takes a second or more, in which a signal must already end the robot in order.
+    # Imported after the signal handlers: it takes a second or more, and a signal must end the robot cleanly meanwhile.
     from .robot import Robot
 
     chosen = named(options.robot)
@@ -57,7 +57,7 @@ def _rate(text):
 
 
 def _stdin_has_ended(chosen):
-    """Whether it has; lines that come, `plant NAME` or `heal NAME`, are followed by a robot that has faults."""
+    """Whether standard input has ended. A robot with faults also executes its lines `plant NAME` and `heal NAME`."""
     try:
         readable, _, _ = select.select([0], [], [], 0)
         if not readable:

@@ -19,21 +19,21 @@ SLIP_TIME_S = 1.0
 
 @dataclass
 class Pose:
-    """Position in m, heading in radians within ±π."""
+    """A position in m, and a heading in rad within ±π."""
 
     x: float = 0.0
     y: float = 0.0
     yaw: float = 0.0
 
     def moved(self, distance, turn):
-        """The pose after an arc of that length (m) and turn (rad)."""
+        """Return the pose after an arc of length `distance` (m) that turns by `turn` (rad)."""
         middle = self.yaw + turn / 2
         x, y = self.x + distance * math.cos(middle), self.y + distance * math.sin(middle)
         return Pose(x, y, wrapped(self.yaw + turn))
 
 
 class Wheel:
-    """One driven wheel: its encoder counts whole ticks, the ground feels a slowly varying slip."""
+    """A driven wheel: its encoder counts whole ticks, and its slip on the ground varies slowly."""
 
     def __init__(self, rng):
         self._rng = rng
@@ -43,7 +43,7 @@ class Wheel:
         self.velocity = 0.0
 
     def roll(self, speed, dt):
-        """Turn with the rim at `speed` (m/s); returns metres over ground and metres as the encoder counts."""
+        """Roll with the rim at `speed` (m/s); return the distance on the ground and by the encoder, both in m."""
         keep = math.exp(-dt / SLIP_TIME_S)
         self._slip = keep * self._slip + math.sqrt(1 - keep * keep) * SLIP_STDDEV * self._rng.standard_normal()
         self.velocity = speed / WHEEL_RADIUS
@@ -55,10 +55,10 @@ class Wheel:
 
 
 class Base:
-    """The moving base. `pose` is where it truly stands, `odometry` where its encoders believe it stands.
+    """The moving base. `pose` is its true pose, `odometry` the pose by its encoders.
 
-    `linear` (m/s) and `angular` (rad/s) are the velocities it drives with; `blocked` tells that it is
-    commanded to move but stands against something.
+    `linear` (m/s) and `angular` (rad/s) are its velocities; `blocked`: it is commanded to move, but stands against an
+    obstacle.
     """
 
     def __init__(self, world, rng, pose=None):
@@ -72,14 +72,14 @@ class Base:
         self.travelled = 0.0
 
     def step(self, linear, angular, dt):
-        """Drive for `dt` s towards these velocities (m/s, rad/s) as far as inertia and walls allow."""
+        """Drive for `dt` s towards these velocities (m/s, rad/s), as far as inertia and walls allow."""
         before = self.linear
         braking = abs(linear) < abs(self.linear) or linear * self.linear < 0
         self.linear = approach(self.linear, linear, (LINEAR_BRAKING if braking else LINEAR_ACCELERATION) * dt)
         self.angular = approach(self.angular, angular, ANGULAR_ACCELERATION * dt)
         if self.linear != 0.0 and self._is_blocked_at(self.pose.moved(self.linear * dt, self.angular * dt)):
             self.linear = 0.0
-        # A centimetre more in the direction of the command would run into something.
+        # Blocked: one centimetre further in the direction of the command would be a collision.
         self.blocked = abs(linear) > 0.01 and self._is_blocked_at(self.pose.moved(math.copysign(0.01, linear), 0.0))
         self.acceleration = (self.linear - before) / dt
         half_turn_speed = self.angular * WHEEL_SEPARATION / 2
@@ -91,16 +91,16 @@ class Base:
         self.travelled += abs(left + right) / 2
 
     def _is_blocked_at(self, pose):
-        """Whether it would touch something there; a place that is no nearer than the present one is always open."""
+        """Whether the base would collide at a pose; moving away from an obstacle is always allowed."""
         clearance = self._world.clearance(pose.x, pose.y)
         return clearance < RADIUS and clearance <= self._world.clearance(self.pose.x, self.pose.y)
 
 
 def approach(value, target, step):
-    """`value` moved towards `target` by at most `step`."""
+    """Return `value` moved towards `target` by at most `step`."""
     return value + max(-step, min(step, target - value))
 
 
 def wrapped(angle):
-    """The same direction within ±π."""
+    """Return an angle (rad) normalised to ±π."""
     return math.remainder(angle, 2 * math.pi)

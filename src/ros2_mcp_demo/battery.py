@@ -16,7 +16,7 @@ _CURVE_VOLTAGE = (3.0, 3.3, 3.45, 3.55, 3.65, 3.78, 3.95, 4.05, 4.2)  # of one c
 
 
 class Battery:
-    """`charge` is the share that is left (0 to 1), `current` what flows out now (A)."""
+    """`charge` is the remaining share (0 to 1), `current` the present discharge current in A."""
 
     def __init__(self, charge=0.87):
         self.charge = charge
@@ -24,12 +24,12 @@ class Battery:
         self.drain_rate = 1.0
 
     def step(self, speed, dt):
-        """Discharge for `dt` s with the wheels running at `speed` (m/s, both added up)."""
+        """Discharge for `dt` s; `speed` is the sum of both wheels' rim speeds in m/s."""
         self.current = IDLE_CURRENT + DRIVE_CURRENT * speed
         self.charge = max(0.0, self.charge - self.drain_rate * self.current * dt / 3600 / CAPACITY_AH)
 
     @property
     def voltage(self):
-        """The voltage at the terminals under the present load."""
+        """The terminal voltage under the present load, in V."""
         unloaded = CELLS * float(np.interp(self.charge, _CURVE_CHARGE, _CURVE_VOLTAGE))
         return unloaded - INTERNAL_RESISTANCE * self.current

@@ -1,4 +1,4 @@
-"""What it costs to be somewhere, as Nav2's costmaps tell it. No ROS."""
+"""Costs of cells, as in Nav2's costmaps. No ROS."""
 
 # pyright: basic
 from __future__ import annotations
@@ -8,13 +8,13 @@ import numpy as np
 from .planner import INFLATION, RESOLUTION, inflated
 
 LETHAL, INSCRIBED = 100, 99
-"""Of an occupancy grid that is a costmap: the cell is occupied; the robot would touch what is."""
+"""Costs in an occupancy grid: the cell is occupied; the robot would touch an occupied cell."""
 _FALLING = (75, 50, 25, 10)
-"""Of the rings around, each a cell wide: the way keeps away from walls where there is room."""
+"""Costs of the rings around, each one cell wide: paths keep away from walls where there is room."""
 
 
 def costs(lethal):
-    """Cells (int8) of a costmap around what is occupied: bool (rows, columns), in cells of `RESOLUTION`."""
+    """Return the costs (int8) around occupied cells: `lethal` is bool (rows, columns), in cells of `RESOLUTION`."""
     cells = np.zeros(lethal.shape, np.int8)
     for ring, cost in reversed([*enumerate(_FALLING, start=1)]):
         cells[inflated(lethal, INFLATION / RESOLUTION + ring)] = cost

@@ -1,4 +1,4 @@
-"""One drive to a goal: plan, follow, look out, plan anew, give up. No ROS."""
+"""Drives to a goal: plans, follows the path, watches for obstacles, plans again, gives up. No ROS."""
 
 # pyright: basic
 from __future__ import annotations
@@ -21,7 +21,7 @@ KNOWN_WITHIN = 0.15
 
 
 class Surroundings:
-    """The map and what was seen lately besides it."""
+    """The map and the obstacles seen recently."""
 
     def __init__(self, cells, origin, resolution):
         self._cells, self._origin, self._resolution = cells, origin, resolution
@@ -29,7 +29,7 @@ class Surroundings:
         self._seen = {}
 
     def see(self, points, now):
-        """Remember points (n, 2) that the map does not explain, for `MEMORY_S`."""
+        """Store the points (n, 2) in m that are not on the map, for `MEMORY_S`."""
         columns, rows = np.floor((points - self._origin) / self._resolution).astype(int).T
         on_map = (rows >= 0) & (rows < self._known.shape[0]) & (columns >= 0) & (columns < self._known.shape[1])
         points, rows, columns = points[on_map], rows[on_map], columns[on_map]
@@ -38,14 +38,14 @@ class Surroundings:
         self._seen = {cell: seen for cell, seen in self._seen.items() if now - seen[2] < MEMORY_S}
 
     def costmap(self):
-        """Where the robot may be, as far as is known now."""
+        """Return the costmap of the map and the stored points."""
         points = [(x, y) for x, y, _ in self._seen.values()]
         return Costmap.from_occupancy(self._cells, self._origin, self._resolution, points)
 
 
 @dataclass(frozen=True)
 class Goal:
-    """A place in the map (m), a heading (rad) or None for any, and how near is near enough (m)."""
+    """A position in the map (m), a heading (rad; None for any), and the tolerance of the position (m)."""
 
     x: float
     y: float
@@ -54,7 +54,7 @@ class Goal:
 
 
 class Drive:
-    """Call `step` until `outcome` is set: (reached, reason in words). `path` is the present plan."""
+    """A drive: call `step` until `outcome` is set, to (is it reached, reason in words). `path` is the current plan."""
 
     def __init__(self, goal, surroundings, now):
         self.goal = goal
@@ -71,9 +71,10 @@ class Drive:
         self._forward = False
 
     def step(self, pose: Pose, now, blocked, fastest, turning):
-        """The velocities (m/s, rad/s) to drive with from here; `blocked`: the base was commanded to drive, but stands
-        against something. Only what stops it on its way forward counts: at the beginning it may have been somebody
-        else's command, and when it backs off there may be a wall behind it.
+        """Return the next velocities (m/s, rad/s).
+
+        `blocked`: the base is commanded to drive, but stands against an obstacle. It counts only while this drive moves
+        forward: at the beginning it may result from another node's command, and when backing off from a wall behind.
         """
         linear, angular = self._velocity(pose, now, blocked and self._forward, fastest, turning)
         self._forward = linear > 0.0
@@ -97,17 +98,17 @@ class Drive:
 
     @property
     def recoveries(self):
-        """How often it backed off, or had no way where it had one before."""
+        """The number of times the robot backed off, or lost its path."""
         return self._bumps + self._lost
 
     def remaining(self, pose: Pose):
-        """The way still to go in m; the straight line while there is no plan."""
+        """Return the remaining length of the path in m; without a plan, the straight distance."""
         if self._pursuit is None:
             return math.dist((pose.x, pose.y), (self.goal.x, self.goal.y))
         return self._pursuit.remaining(pose)
 
     def _has_arrived(self, pose):
-        """Well within the tolerance; once there, it stays arrived unless it is pushed out of the tolerance."""
+        """Whether the robot is well within the tolerance; once arrived, it stays so until it leaves the tolerance."""
         reach = self.goal.tolerance * (1.0 if self._arrived else 0.8)
         self._arrived = math.dist((pose.x, pose.y), (self.goal.x, self.goal.y)) <= reach
         return self._arrived
@@ -122,7 +123,7 @@ class Drive:
 
     def _look(self, pose):
         costmap = self._surroundings.costmap()
-        # What is nearer than 0.4 m, eight points of the way, cannot be avoided any more.
+        # Obstacles nearer than 0.4 m, eight points of the path, cannot be avoided any more.
         if self._pursuit is not None and all(costmap.is_free(x, y) for x, y in self._pursuit.ahead()[8:]):
             return
         path = plan(costmap, (pose.x, pose.y), (self.goal.x, self.goal.y))
@@ -134,7 +135,7 @@ class Drive:
             self.path, self._pursuit = path, Pursuit(path)
 
     def _back_off(self, now, blocked):
-        """After a bump go back a little and look for another way; give up after `MOST_BUMPS`."""
+        """Back off a little after a collision and replan; give up after `MOST_BUMPS`."""
         if blocked and now >= self._back_off_until:
             self._bumps += 1
             self._back_off_until = self._next_look = now + BACK_OFF_S

@@ -1,4 +1,4 @@
-"""Interface packages that this ROS installation may lack; what needs them is left out and named."""
+"""Interface packages that may be missing in this ROS installation; features that need them are omitted and named."""
 
 # pyright: basic
 from __future__ import annotations
@@ -10,7 +10,7 @@ from typing import Any
 
 
 def module(name: str) -> Any:
-    """The module, or None where it is not installed."""
+    """Return a module, or None if it is not installed."""
     try:
         return importlib.import_module(name)
     except ImportError:
@@ -18,14 +18,14 @@ def module(name: str) -> Any:
 
 
 def arrived(package: str, *names: str) -> list[Any]:
-    """The modules of a package that may be built while the robot runs; empty while they are not there."""
+    """Return modules of a package that may be built while the robot runs; an empty list unless all exist."""
     importlib.invalidate_caches()
     found = [module(f"{package}.{name}") for name in names]
     return [] if None in found else found
 
 
 def is_expected(package: str) -> bool:
-    """Whether it is there, or has a place in the search path, which is empty while it is being built."""
+    """Whether a package is installed, or has an entry in the search path, which is empty while it is being built."""
     return module(package) is not None or any(f"{os.sep}{package}-" in entry for entry in sys.path)
 
 

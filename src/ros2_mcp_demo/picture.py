@@ -1,4 +1,4 @@
-"""What the robot's camera sees: walls, floor and obstacles drawn column by column. Pure numpy, no ROS."""
+"""Renders the robot's camera: walls, floor and obstacles, drawn column by column. Pure numpy, no ROS."""
 
 # pyright: basic
 from __future__ import annotations
@@ -33,7 +33,7 @@ _SKY = np.broadcast_to(_SKY_TOP + (_SKY_LOW - _SKY_TOP) * _SKY_SHARE, (_HORIZON,
 
 
 def render(world, pose, brightness=1.0, rng=None):
-    """The camera's picture, uint8 (HEIGHT, WIDTH, 3) in RGB, with sensor noise when `rng` is given."""
+    """Return the camera's picture, uint8 (HEIGHT, WIDTH, 3) in RGB, with sensor noise if `rng` is given."""
     picture = np.empty((HEIGHT, WIDTH, 3), np.float32)
     picture[:_HORIZON] = _SKY
     picture[_HORIZON:] = _floor(pose)
@@ -48,7 +48,7 @@ def render(world, pose, brightness=1.0, rng=None):
 
 
 def render_depth(world, pose):
-    """The depth picture, float32 (HEIGHT, WIDTH): metres along the optical axis, infinite for the sky."""
+    """Return the depth picture, float32 (HEIGHT, WIDTH): m along the optical axis, infinite for the sky."""
     depth = np.full((HEIGHT, WIDTH), np.inf, np.float32)
     depth[_HORIZON:] = _FLOOR_DEPTHS
     distances, _, _ = world.cast_walls(pose.x, pose.y, pose.yaw + _BEARINGS)
@@ -60,7 +60,7 @@ def render_depth(world, pose):
 
 
 def _visible(world, pose):
-    """(distance, obstacle, depth per column, normals) of what stands in view, the farthest first."""
+    """Return (distance, obstacle, depth per column, normals) of the obstacles in view, the farthest first."""
     angles = pose.yaw + _BEARINGS
     walls = world.cast_walls(pose.x, pose.y, angles)[0]
     seen = []
@@ -73,7 +73,7 @@ def _visible(world, pose):
 
 
 def _floor(pose):
-    """A chessboard of half-metre tiles, fading with distance, float32 (rows, WIDTH, 3)."""
+    """Return a chessboard of half-metre tiles that fades with distance, float32 (rows, WIDTH, 3)."""
     left = (CENTER_X - np.arange(WIDTH, dtype=np.float32)) / FOCAL
     forward_x, forward_y = math.cos(pose.yaw), math.sin(pose.yaw)
     x = pose.x + _FLOOR_DEPTHS * (forward_x - left * forward_y).astype(np.float32)
@@ -93,7 +93,7 @@ def _draw_walls(picture, world, pose):
 
 
 def _draw(picture, depths, height, values):
-    """Fill columns from the floor up to `height` m at its depth (n,), with its value (n,) or color (n, 3)."""
+    """Fill each column from the floor up to `height` m, at its depth (n,), with its value (n,) or colour (n, 3)."""
     safe = np.where(np.isfinite(depths), np.maximum(depths, 0.02), FAR)
     bottom = CENTER_Y + EYE_HEIGHT * FOCAL / safe
     top = CENTER_Y - (height - EYE_HEIGHT) * FOCAL / safe

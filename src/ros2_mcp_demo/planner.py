@@ -1,4 +1,4 @@
-"""Finding a way over an occupancy grid (A*) and following it (pure pursuit). No ROS."""
+"""Plans a path on an occupancy grid (A*) and follows it (pure pursuit). No ROS."""
 
 # pyright: basic
 from __future__ import annotations
@@ -22,9 +22,9 @@ _NEIGHBOURS = [(dx, dy, math.hypot(dx, dy)) for dx in (-1, 0, 1) for dy in (-1, 
 
 @dataclass
 class Costmap:
-    """Where the middle of the robot may be: `blocked` is bool (rows, columns), row 0 at the smallest y.
+    """The cells where the robot's centre may be: `blocked` is bool (rows, columns), row 0 at the smallest y.
 
-    `occupied`, of the same shape, is where something stands; None where only the other is known.
+    `occupied`, of the same shape, marks occupied cells; None if unknown.
     """
 
     blocked: np.ndarray
@@ -33,7 +33,7 @@ class Costmap:
 
     @classmethod
     def from_occupancy(cls, cells, origin, resolution, points=()):
-        """Coarsen a map (int8, unknown counts as occupied), add seen points (n, 2) in m, and inflate."""
+        """Coarsen a map (int8; unknown counts as occupied), add seen points (n, 2) in m, and inflate it."""
         factor = round(RESOLUTION / resolution)
         rows, columns = cells.shape[0] // factor, cells.shape[1] // factor
         coarse = cells[: rows * factor, : columns * factor].reshape(rows, factor, columns, factor)
@@ -47,29 +47,29 @@ class Costmap:
         return costmap
 
     def cell(self, x, y):
-        """Row and column of a point."""
+        """Return the row and column of a point in m."""
         return math.floor((y - self.origin[1]) / RESOLUTION), math.floor((x - self.origin[0]) / RESOLUTION)
 
     def point(self, row, column):
-        """The middle of a cell."""
+        """Return the centre of a cell in m."""
         return self.origin[0] + (column + 0.5) * RESOLUTION, self.origin[1] + (row + 0.5) * RESOLUTION
 
     def holds(self, row, column):
-        """Whether the cell lies on the map."""
+        """Whether a cell is on the map."""
         return 0 <= row < self.blocked.shape[0] and 0 <= column < self.blocked.shape[1]
 
     def is_free(self, x, y):
-        """Whether the middle of the robot may be at a point."""
+        """Whether the robot's centre may be at a point."""
         row, column = self.cell(x, y)
         return self.holds(row, column) and not self.blocked[row, column]
 
     def is_clear(self, start, end):
-        """Whether the straight line between two points is free all along."""
+        """Whether the straight line between two points is free."""
         return all(self.is_free(x, y) for x, y in [start, *_line(start, end, RESOLUTION / 2)])
 
 
 def inflated(blocked, cells):
-    """Grow what is blocked by a disc of that radius in cells."""
+    """Grow the blocked cells by a disc of radius `cells`."""
     reach = math.floor(cells)
     padded = np.pad(blocked, reach)
     grown = np.zeros_like(blocked)
@@ -82,7 +82,7 @@ def inflated(blocked, cells):
 
 
 def plan(costmap, start, goal):
-    """A path [(x, y), …] in m from start to goal that stays free, or None when there is none.
+    """Return a free path [(x, y), …] in m from start to goal; None if there is none.
 
     A start inside the inflation is allowed, so that a robot close to a wall can leave it.
     """
@@ -114,7 +114,8 @@ def _search(costmap, start, goal):
 
 
 def _steps(costmap, cell):
-    """The free neighbours; from a blocked cell also the blocked ones, at a price, so that one can leave."""
+    """Yield the free neighbours of a cell and their distance; from a blocked cell also blocked ones at a higher cost,
+    so that the robot can leave."""
     for dx, dy, length in _NEIGHBOURS:
         row, column = cell[0] + dy, cell[1] + dx
         if costmap.holds(row, column):
@@ -125,7 +126,7 @@ def _steps(costmap, cell):
 
 
 def shortened(costmap, path):
-    """Leave out points that a straight free line can skip."""
+    """Remove points of a path that a free straight line can skip."""
     short, last = [path[0]], 0
     while last < len(path) - 1:
         ahead = len(path) - 1
@@ -137,14 +138,14 @@ def shortened(costmap, path):
 
 
 def _line(start, end, spacing):
-    """Points on the way from `start`, which is left out, to `end`, at most `spacing` m from each other."""
+    """Return points from `start`, exclusive, to `end`, at most `spacing` m apart."""
     (x, y), (to_x, to_y) = start, end
     steps = max(1, math.ceil(math.dist(start, end) / spacing))
     return [(x + step / steps * (to_x - x), y + step / steps * (to_y - y)) for step in range(1, steps + 1)]
 
 
 class Pursuit:
-    """Pure pursuit: steer at a point of the path that lies a little ahead."""
+    """Pure pursuit: steers towards a point of the path that is a little ahead."""
 
     def __init__(self, path):
         self._points = [path[0]]
@@ -153,16 +154,16 @@ class Pursuit:
         self._reached = 0
 
     def remaining(self, pose: Pose):
-        """The way still to go, in m."""
+        """Return the remaining length of the path in m."""
         points = [(pose.x, pose.y), *self.ahead()]
         return sum(math.dist(points[i], points[i + 1]) for i in range(len(points) - 1))
 
     def ahead(self):
-        """The points not yet passed."""
+        """Return the points that were not yet passed."""
         return self._points[self._reached :]
 
     def velocity(self, pose: Pose, fastest, turning):
-        """Linear (m/s) and angular (rad/s) velocity now, within the two limits."""
+        """Return the linear (m/s) and angular (rad/s) velocity now, within the two limits."""
         target = self._target(pose)
         distance = math.dist((pose.x, pose.y), target)
         bearing = wrapped(math.atan2(target[1] - pose.y, target[0] - pose.x) - pose.yaw)

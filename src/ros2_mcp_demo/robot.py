@@ -1,4 +1,4 @@
-"""The robot put together: its nodes, its loop, its start and its end."""
+"""A complete robot: its nodes, its loop, its start and its end."""
 
 # pyright: basic
 from __future__ import annotations
@@ -13,14 +13,14 @@ from rclpy.utilities import try_shutdown
 
 from . import optional
 
-LATE_EVERY_S = 1.0  # between looks for what could not be there at the start
-FALLEN_BEHIND_S = 0.25  # more than that is not made up for: the steps would come in a jump
+LATE_EVERY_S = 1.0  # period of checking for nodes that could not start with the robot
+FALLEN_BEHIND_S = 0.25  # a longer delay is not made up for, to avoid a burst of steps
 
 
 class Robot:
-    """All nodes of one of the `robots` in one process.
+    """All nodes of one of the `robots`, in one process.
 
-    `rate` times a second the world moves on and nodes publish what is due.
+    The simulation advances `rate` times a second, and the nodes publish what is due.
     """
 
     def __init__(self, robot, seed=7, namespace="", rate=50.0):
@@ -30,7 +30,7 @@ class Robot:
         self._late = (lambda: robot.late(self._simulation, namespace, self._parts)) if has_late else None
         self._period = 1.0 / rate
         self._clock = Clock()
-        # The events executor is by far the cheapest; older ROS installations have only the other one.
+        # The events executor uses by far the least CPU; older ROS installations have only the other one.
         experimental = optional.module("rclpy.experimental")
         self._executor = getattr(experimental, "EventsExecutor", SingleThreadedExecutor)()
         self._spun = []
@@ -39,11 +39,11 @@ class Robot:
 
     @property
     def node_count(self):
-        """How many nodes the robot has."""
+        """The number of the robot's nodes."""
         return len(self._parts)
 
     def run(self, should_stop):
-        """Live until `should_stop()`; a computer that is too slow makes the robot slow, not jumpy."""
+        """Run until `should_stop()`; on a slow computer the robot becomes slow instead of jumpy."""
         due = look_at = time.monotonic()
         while not should_stop():
             if self._late and time.monotonic() >= look_at:
@@ -58,7 +58,7 @@ class Robot:
             self._answer_until(due)
 
     def close(self):
-        """Leave the graph in order."""
+        """Leave the graph cleanly."""
         for part in self._spun:
             self._executor.remove_node(part)
         self._executor.shutdown()
@@ -67,7 +67,7 @@ class Robot:
         try_shutdown()
 
     def _change(self):
-        """Take in what was planted meanwhile, and let go what has died."""
+        """Add and remove the nodes of planted faults."""
         if self._stack is None:
             return
         for part in self._stack.left:
@@ -77,7 +77,7 @@ class Robot:
             for waitable in [*part.waitables]:  # action servers, which a node does not destroy
                 getattr(waitable, "destroy", lambda: None)()
             part.destroy_node()
-            if machine := getattr(part, "_state_machine", None):  # of a lifecycle node; it keeps the node in the graph
+            if machine := getattr(part, "_state_machine", None):  # it keeps a lifecycle node in the graph
                 machine.destroy_when_not_in_use()
         if self._stack.joined:
             self._parts += self._stack.joined
@@ -85,7 +85,7 @@ class Robot:
         self._stack.joined, self._stack.left = [], []
 
     def _join(self, parts):
-        """Take in nodes that were not there at the start."""
+        """Add nodes that could not start with the robot."""
         if parts:
             self._late = None
             self._parts += parts
@@ -98,7 +98,7 @@ class Robot:
                 self._spun.append(part)
 
     def _answer_until(self, due):
-        """Handle commands, requests and goals; at least one, however late it is."""
+        """Handle commands, requests and goals until `due`; at least one, however late."""
         while True:
             left = due - time.monotonic()
             try:

@@ -29,7 +29,7 @@ GOES_WITHOUT = (
 
 
 def build(seed, namespace):
-    """The simulation, and the nodes in the order in which they tick: commands are followed before measuring."""
+    """Return the simulation, and the nodes in the order in which they tick: commands are applied before measuring."""
     simulation = Simulation(seed)
     classes = [BaseController, Lidar, Camera, ImuDriver, BatteryMonitor, MapServer, Localization, RobotStatePublisher]
     if optional.demo_actions:
@@ -37,7 +37,7 @@ def build(seed, namespace):
     if optional.demo_services:
         classes += [Simulator, EchoServer]
     if optional.lifecycle:
-        from .nodes.gripper_driver import GripperDriver  # it inherits from what an installation may lack
+        from .nodes.gripper_driver import GripperDriver  # it inherits from a class that may be missing
 
         classes.append(GripperDriver)
     parts = [part(simulation, namespace) for part in classes]
@@ -47,10 +47,11 @@ def build(seed, namespace):
 
 
 def late(simulation, namespace, parts):
-    """The nodes that join when their interfaces have been built; empty until then. `parts` are those that are there."""
+    """Return the nodes that join once their interfaces have been built; an empty list before. `parts` are the existing
+    nodes."""
     if not optional.lifecycle:
         return []
-    from .nodes import nav2  # it inherits from what an installation may lack
+    from .nodes import nav2  # it inherits from a class that may be missing
 
     joining = nav2.parts(simulation, namespace)
     parts[-1].watch(joining)

@@ -1,4 +1,4 @@
-"""The robot and its world without ROS: what moves, what is measured, what may drive. Same seed, same story."""
+"""The robot and its world without ROS: motion, measurements, modes. The same seed gives the same run."""
 
 # pyright: basic
 from __future__ import annotations
@@ -28,11 +28,11 @@ _BEAM_ANGLES = -math.pi + np.arange(BEAMS) * (2 * math.pi / BEAMS)
 
 
 class Simulation:
-    """The state of everything.
+    """The complete state of the robot and its world.
 
-    `now` is the simulated time in s, `commanded` the velocities (m/s, rad/s) to drive with. `ranges` is the latest scan
-    (see `scan`), or None while the scanner is off. `driver` is what drives by itself, or did last. `localized_at` is
-    when the robot last knew where it is (s).
+    `now` is the simulated time in s, `commanded` the commanded velocities (m/s, rad/s). `ranges` is the latest scan
+    (see `scan`), or None while the scanner is off. `driver` is the node that drives autonomously, or did last.
+    `localized_at` is when the robot was last localised (s).
     """
 
     def __init__(self, seed=7):
@@ -54,7 +54,7 @@ class Simulation:
         self._steps = 0
 
     def step(self, dt):
-        """Let `dt` s pass."""
+        """Advance the simulation by `dt` s."""
         self._steps += 1
         self.now = self._steps * dt
         self.base.step(*(self.commanded if self.why_not_driving() is None else (0.0, 0.0)), dt)
@@ -62,11 +62,11 @@ class Simulation:
         self.battery.step(rims * 0.05, dt)
 
     def heartbeat(self):
-        """How the robot is, in one line."""
+        """Return the robot's state in one line."""
         return f"alive {self.now:.0f} s, mode {self.mode}, battery {self.battery.charge * 100:.0f} %"
 
     def why_not_driving(self):
-        """None while the motors have power, else in words why not."""
+        """Return why the motors have no power; None if they have."""
         if not self.motors_enabled:
             return "motors are disabled"
         if self.mode == IDLE:
@@ -74,11 +74,11 @@ class Simulation:
         return "the battery is empty" if self.battery.charge <= 0.0 else None
 
     def is_moving(self):
-        """Whether the base drives at all."""
+        """Whether the base moves."""
         return abs(self.base.linear) > 0.005 or abs(self.base.angular) > 0.01
 
     def scan(self, noise_stddev):
-        """One turn of the laser: float32 ranges (BEAMS,) in m from -π on, infinite where nothing came back."""
+        """Return one laser scan: float32 ranges (BEAMS,) in m from -π on, infinite without a return."""
         pose = self._scanned_from = self.base.pose
         ranges = self.world.cast(pose.x, pose.y, pose.yaw + _BEAM_ANGLES)
         ranges = ranges + noise_stddev * self._lidar_rng.standard_normal(BEAMS)
@@ -86,21 +86,21 @@ class Simulation:
         return np.where(lost, np.inf, np.maximum(ranges, RANGE_MIN)).astype(np.float32)
 
     def scan_points(self, ranges):
-        """Where in the map the beams of the latest scan ended, (n, 2) in m."""
+        """Return the end points of the latest scan's beams in the map, (n, 2) in m."""
         pose, hit = self._scanned_from, np.isfinite(ranges)
         angles, ranges = pose.yaw + _BEAM_ANGLES[hit], ranges[hit]
         return np.column_stack([pose.x + ranges * np.cos(angles), pose.y + ranges * np.sin(angles)])
 
     def photo(self, brightness):
-        """The camera's picture, uint8 (rows, columns, 3) RGB."""
+        """Return the camera's picture, uint8 (rows, columns, 3) RGB."""
         return picture.render(self.world, self._camera_pose(), brightness, self._camera_rng)
 
     def depth_photo(self):
-        """The depth picture, float32 (rows, columns) in m, infinite for the sky."""
+        """Return the depth picture, float32 (rows, columns) in m, infinite for the sky."""
         return picture.render_depth(self.world, self._camera_pose())
 
     def inertia(self):
-        """What the IMU feels: yaw (rad), yaw rate (rad/s), acceleration (x, y, z) in m/s²."""
+        """Return the IMU's measurement: yaw (rad), yaw rate (rad/s), acceleration (x, y, z) in m/s²."""
         noise = self._imu_rng.standard_normal(5)
         base = self.base
         x, y, z = np.array([base.acceleration, base.linear * base.angular, 9.81]) + 0.03 * noise[2:]
@@ -108,18 +108,18 @@ class Simulation:
         return yaw, yaw_rate, (float(x), float(y), float(z))
 
     def localize(self, stddev=0.008):
-        """Where the robot believes to be in the map: its true pose to `stddev` m, and half as many radians."""
+        """Localise the robot: return its true pose with an error of `stddev` m, and half as many radians."""
         self.localized_at = self.now
         self._misplaced = tuple(stddev * self._place_rng.standard_normal(3) * (1.0, 1.0, 0.5))
         return self.believed()
 
     def believed(self):
-        """Where it believes to be now, as wrong as when it was localized."""
+        """Return the estimated pose now, with the error of the last localisation."""
         (dx, dy, turn), pose = self._misplaced, self.base.pose
         return Pose(pose.x + dx, pose.y + dy, wrapped(pose.yaw + turn))
 
     def spawn(self, name, x, y, radius):
-        """Put a pillar into the world. Returns None, or in words why not."""
+        """Place a pillar in the world; return None, or why that is not possible."""
         if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(radius)):
             return "x, y and radius must be finite numbers"
         if not 0.0 < radius <= MAX_SPAWN_RADIUS:
@@ -135,7 +135,7 @@ class Simulation:
 
     @cached_property
     def map(self):
-        """The map the robot was given, in cells of `MAP_RESOLUTION`, as `World.occupancy` makes it."""
+        """The robot's map, in cells of `MAP_RESOLUTION`, as `World.occupancy` returns it."""
         return self.world.occupancy(MAP_RESOLUTION)
 
     def _camera_pose(self):

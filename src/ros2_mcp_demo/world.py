@@ -1,6 +1,6 @@
 """The simulated world: a walled room with an inner wall, a doorway and obstacles; ray casting and occupancy.
 
-Metres and radians; x to the right, y up, the robot starts at (0, 0) and looks along x. Pure numpy, no ROS.
+Metres and radians; x to the right, y up; the robot starts at (0, 0), facing along x. Pure numpy, no ROS.
 """
 
 # pyright: basic
@@ -19,7 +19,7 @@ FREE, OCCUPIED, UNKNOWN = 0, 100, -1
 
 @dataclass(frozen=True)
 class Box:
-    """An axis-aligned box standing on the floor; `x`, `y` is its centre."""
+    """An axis-aligned box on the floor; (`x`, `y`) is its centre in m."""
 
     name: str
     x: float
@@ -30,25 +30,26 @@ class Box:
     color: tuple[int, int, int]
 
     def edges(self):
-        """The four sides as an array (4, 4) of x1, y1, x2, y2, counter-clockwise."""
+        """Return the four sides as an array (4, 4) of x1, y1, x2, y2, counter-clockwise."""
         half_x, half_y = self.size_x / 2, self.size_y / 2
         return rectangle(self.x - half_x, self.y - half_y, self.x + half_x, self.y + half_y)
 
     def distance(self, x, y):
-        """The distance from points to the box, in m; 0 inside."""
+        """Return the distance from points to the box, in m; 0 inside."""
         outside_x = np.maximum(np.abs(np.asarray(x) - self.x) - self.size_x / 2, 0.0)
         outside_y = np.maximum(np.abs(np.asarray(y) - self.y) - self.size_y / 2, 0.0)
         return np.hypot(outside_x, outside_y)
 
     def cast(self, x, y, angles):
-        """Distance (n,) along each ray, infinite where it misses, and the angle (n,) of the normal there."""
+        """Return the distance (n,) along each ray, infinite where it misses, and the angle (n,) of the surface normal
+        there."""
         distances, side, _ = cast_segments(x, y, angles, self.edges())
         return distances, np.array([-0.5, 0.0, 0.5, 1.0])[side] * math.pi
 
 
 @dataclass(frozen=True)
 class Pillar:
-    """An upright cylinder standing on the floor."""
+    """An upright cylinder on the floor."""
 
     name: str
     x: float
@@ -58,11 +59,12 @@ class Pillar:
     color: tuple[int, int, int]
 
     def distance(self, x, y):
-        """The distance from points to the pillar, in m; 0 inside."""
+        """Return the distance from points to the pillar, in m; 0 inside."""
         return np.maximum(np.hypot(np.asarray(x) - self.x, np.asarray(y) - self.y) - self.radius, 0.0)
 
     def cast(self, x, y, angles):
-        """Distance (n,) along each ray, infinite where it misses, and the angle (n,) of the normal there."""
+        """Return the distance (n,) along each ray, infinite where it misses, and the angle (n,) of the surface normal
+        there."""
         to_x, to_y = self.x - x, self.y - y
         along = to_x * np.cos(angles) + to_y * np.sin(angles)
         half_chord_squared = self.radius**2 - (to_x**2 + to_y**2 - along**2)
@@ -77,7 +79,7 @@ INNER_WALLS = (
     Box("inner wall south", 2.5, -1.1, 0.1, 3.8, WALL_HEIGHT, (0, 0, 0)),
     Box("inner wall north", 2.5, 2.4, 0.1, 1.2, WALL_HEIGHT, (0, 0, 0)),
 )
-"""They leave the doorway: x = 2.5, y from 0.8 to 1.8."""
+"""The inner wall with its doorway: x = 2.5, y from 0.8 to 1.8."""
 
 OBSTACLES = (
     Pillar("red pillar", 1.6, -1.0, 0.22, 0.9, (205, 52, 44)),
@@ -88,7 +90,7 @@ OBSTACLES = (
 
 
 class World:
-    """The room and what stands in it. `obstacles` can grow while the robot drives; the walls stay."""
+    """The room and its obstacles. `obstacles` can change while the robot drives; the walls and the map do not."""
 
     def __init__(self, obstacles=OBSTACLES):
         self.obstacles = list(obstacles)
@@ -96,29 +98,30 @@ class World:
         self.walls = np.vstack([rectangle(*ROOM), *(wall.edges() for wall in INNER_WALLS)])
 
     def place(self, obstacle):
-        """Put an obstacle down, or move the one of that name; the map does not learn of it."""
+        """Add an obstacle, or move the one of the same name; the map does not change."""
         self.obstacles = [other for other in self.obstacles if other.name != obstacle.name]
         self.obstacles.append(obstacle)
 
     def cast(self, x, y, angles):
-        """The distance (n,) in m from a point along each ray to what comes first; infinite when nothing does."""
+        """Return the distance (n,) in m from a point along each ray to the first hit; infinite without a hit."""
         nearest, _, _ = self.cast_walls(x, y, angles)
         for obstacle in self.obstacles:
             nearest = np.minimum(nearest, obstacle.cast(x, y, angles)[0])
         return nearest
 
     def cast_walls(self, x, y, angles):
-        """As `cast`, walls only: distance, which wall side, and where along that side (m), each (n,)."""
+        """Cast rays to the walls only; return distance, index of the wall side, and position along that side (m), each
+        (n,)."""
         return cast_segments(x, y, angles, self.walls)
 
     def clearance(self, x, y):
-        """The distance in m from a point to the nearest wall or obstacle; negative outside of the room."""
+        """Return the distance in m from a point to the nearest wall or obstacle; negative outside the room."""
         x_min, y_min, x_max, y_max = ROOM
         to_room = min(x - x_min, x_max - x, y - y_min, y_max - y)
         return float(min(to_room, *(solid.distance(x, y) for solid in (*INNER_WALLS, *self.obstacles))))
 
     def occupancy(self, resolution=0.05, margin=0.1):
-        """The map the robot was given: int8 (rows, columns), row 0 at the smallest y; and its origin (x, y)."""
+        """Return the robot's map: int8 (rows, columns), row 0 at the smallest y; and its origin (x, y) in m."""
         x_min, y_min, x_max, y_max = ROOM
         columns = round((x_max - x_min + 2 * margin) / resolution)
         rows = round((y_max - y_min + 2 * margin) / resolution)
@@ -132,13 +135,13 @@ class World:
 
 
 def rectangle(x_min, y_min, x_max, y_max):
-    """The sides (4, 4) of an axis-aligned rectangle: south, east, north, west."""
+    """Return the sides (4, 4) of an axis-aligned rectangle: south, east, north, west."""
     corners = [(x_min, y_min), (x_max, y_min), (x_max, y_max), (x_min, y_max)]
     return np.array([[*corners[side - 1], *corners[side]] for side in (1, 2, 3, 0)])
 
 
 def cast_segments(x, y, angles, segments):
-    """Where rays from one point first meet segments (m, 4).
+    """Find where rays from one point first hit segments (m, 4).
 
     Returns three arrays (n,): the distance (infinite where a ray meets none), the segment's index, and the
     distance of the meeting point from the segment's first end.

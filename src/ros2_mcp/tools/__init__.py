@@ -1,8 +1,8 @@
-"""What the model sees: one module per family of tools. Every module of this folder is found by itself.
+"""What the model sees: one module per family of tools. Modules of this package are discovered automatically.
 
-A module says with `PLACE` where its tools stand in `tools/list`: the list must be the same for every connection, and
-models read it from the top, so what is looked at first stands first. Tools of the same place keep the order of their
-declaration. A tool whose neighbours in the list live in another module has a `place` of its own.
+`PLACE` of a module is the position of its tools in `tools/list`, lowest first. The list must be the same for every
+connection, and models read it from the top, so tools that are used first come first. Tools with the same place keep the
+order of their declaration. A tool may have a `place` of its own, next to tools of another module.
 """
 
 import pkgutil
@@ -15,12 +15,12 @@ __all__ = ["GROUPS", "PAGE_TOOLS", "TOOLS", "ToolDeclaration", "in_order"]
 
 _MODULES = [import_module(f"{__name__}.{found.name}") for found in pkgutil.iter_modules(__path__)]
 _LAST = 1000
-"""The place of a module that names none: after all others."""
+"""Place of the tools of a module without `PLACE`: last."""
 _PLACES: dict[str, int] = {module.__name__: getattr(module, "PLACE", _LAST) for module in _MODULES}
 
 
 def in_order(tools: Iterable[ToolDeclaration]) -> list[ToolDeclaration]:
-    """The tools in the order of `tools/list`."""
+    """Return the tools in the order of `tools/list`."""
 
     def place(tool: ToolDeclaration) -> int:
         return _PLACES.get(tool.function.__module__, _LAST) if tool.place is None else tool.place
@@ -32,7 +32,7 @@ TOOLS = in_order(tool for tool in DECLARED if tool.audience == "model")
 """Every tool, in the order of `tools/list`."""
 
 PAGE_TOOLS = in_order(tool for tool in DECLARED if tool.audience == "page")
-"""The tools that only the page calls, through a chat host; they stand at the end of the list for such hosts."""
+"""Tools that only the page calls, through a chat host; at the end of the list for such hosts."""
 
 GROUPS = tuple(dict.fromkeys(tool.group for tool in TOOLS))
 """The groups that a user can choose."""

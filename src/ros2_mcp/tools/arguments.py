@@ -1,4 +1,4 @@
-"""The kinds of arguments that tools share, with their bounds and descriptions."""
+"""Argument types that several tools share, with their bounds and descriptions."""
 
 from __future__ import annotations
 
@@ -12,40 +12,40 @@ from ros2_mcp.ops.sources.times import is_seconds_ago, taken_as
 from ros2_mcp_common.wire.limits import MAX_DURATION_S
 
 WHOLE_SENTENCE = "whole_sentence"
-"""The type of a validation error whose message also says what was given."""
+"""Type of a validation error whose message is a complete sentence, including the given value."""
 
 
 def _no_bool(value: Any) -> Any:
-    """Python's `True` is the integer 1: as a number it can only be a mistake."""
+    """Reject a bool, which Python treats as the integer 0 or 1: as a number it can only be a mistake."""
     if isinstance(value, bool):
         raise ValueError("a number is expected")
     return value
 
 
 def _strictly_bool(value: Any) -> Any:
-    """Pydantic would take 1 and "yes" as well, and a flag may decide whether something is sent to the robot."""
+    """Accept only a bool. Pydantic also accepts 1 and "yes", and a flag may decide whether the robot is commanded."""
     if not isinstance(value, bool):
         raise ValueError("true or false is expected")
     return value
 
 
 def _as_text(value: Any) -> Any:
-    """Models write seconds as a number, although the argument is a text."""
+    """Convert a number to a string: models write seconds as a number even if the argument is a string."""
     return str(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else value
 
 
 @dataclass(frozen=True)
 class TimeArgument:
-    """Metadata of an argument that is a time in the past, or with `ago` may be a number of seconds ago."""
+    """Metadata of an argument that is a time in the past; with `ago` also a number of seconds ago."""
 
     ago: bool = False
 
     def taken_as(self, text: str) -> str:
-        """How a text is taken that does not say it all; empty for any other."""
+        """Return how an ambiguous time is interpreted; "" for a time that is complete."""
         return "" if self.ago and is_seconds_ago(text) else taken_as(text)
 
 
-# NaN and infinities are refused: as a time, a rate or a bound they compare in ways that nobody means.
+# NaN and infinities are rejected: as a time, a rate or a bound they give meaningless comparisons.
 Number = Annotated[float, BeforeValidator(_no_bool), Field(allow_inf_nan=False)]
 Whole = Annotated[int, BeforeValidator(_no_bool)]
 Flag = Annotated[bool, BeforeValidator(_strictly_bool)]
@@ -56,7 +56,7 @@ MessageType = Annotated[
     Field(description="Such as sensor_msgs/msg/LaserScan. Default: the topic's own."),
 ]
 Pattern = Annotated[str, Field(description="Part of a name (or type), or a glob: */map*.")]
-# At most: a result as long as that is cut by its size in characters (`mcp/binding.py`) before it is by this number.
+# A result with more rows would be cut by its number of characters first (`mcp/binding.py`).
 Limit = Annotated[Whole, Field(ge=1, le=2000, description="Maximum rows.")]
 Hidden = Annotated[Flag, Field(description="Also hidden names (a part starts with _).")]
 Fields = Annotated[

@@ -13,7 +13,7 @@ from ros2_mcp.tools.arguments import Whole
 from ros2_mcp.tools.declare import tool
 
 PLACE = 135
-"""Behind what was recorded."""
+"""After the tools for recordings."""
 
 
 @tool(

@@ -1,6 +1,6 @@
-"""How a tool is declared: one typed function, one word for its risk, one for its group.
+"""Declares tools: a typed function with a title, a risk and a group.
 
-Read-only mode, annotations, schemas and documentation follow from the declaration.
+Read-only mode, annotations, schemas and documentation are derived from the declaration.
 """
 
 from __future__ import annotations
@@ -16,19 +16,18 @@ from ros2_mcp.tools.injection import Call, Makers, arguments_of, made_by, values
 from ros2_mcp_common.policy.verbs import Verb
 
 Risk = Literal["read", "write", "actuate", "stop"]
-"""`read` changes nothing; `write` changes the software's state; `actuate` can move the robot; `stop` ends what was set
-in motion, and is offered wherever a tool is that does more than read.
-"""
+"""`read` changes nothing; `write` changes the software's state; `actuate` can move the robot; `stop` ends motion and
+jobs, and is offered with every tool that does more than read."""
 
 Audience = Literal["model", "page"]
-"""Who calls a tool: the model, or in a chat host the page that a tool has opened, which no model sees."""
+"""The caller of a tool: the model, or in a chat host the page that a tool has opened, whose tools no model sees."""
 
 ToolFunction = Callable[..., Awaitable[Any]]
 
 
 @dataclass(frozen=True, slots=True)
 class ForPage:
-    """A result for the page alone, as it is: no model reads it. `told` is one line for the host's log."""
+    """A result that only the page receives, unchanged; no model reads it. `told` is one line for the host's log."""
 
     value: Mapping[str, Any]
     told: str
@@ -38,17 +37,21 @@ class ForPage:
 class ToolDeclaration:
     """One tool as the model sees it.
 
-    `aliases` maps other spellings of its arguments to the right ones, and to nothing what is taken and has no meaning
-    here. Tools that are not offered `by_default` come with their group: models choose well among at most forty. A call
-    of `also_named` is answered too; it is not listed. `recorded` tools also work where a recording stands for the
-    robot. `program` is the name of the function that they are in the module `robot` of programs; without one they are
-    not in it. One that `runs_programs` is there where the sandbox is installed, its description shows the module, and
-    where nothing may be moved it only reads. `place` is where the tool stands in `tools/list`; None: at the `PLACE` of
-    its module. A tool whose `audience` is the page gives `ForPage`; one that `opens_page` has it shown beside the chat.
-    `does` is what a policy must allow for it to be of any use: by verb the types, of which one is enough (none: any).
-    `beside` are sentences at the end of the description that name another tool, by that tool: where it is offered, too.
-    `finds` are words with which a person asks for it, at most fifteen: some clients show their model a tool only after
-    a search. One that is `always_loaded` should be there without.
+    - `by_default`: offered without its group being chosen; others come with their group, as models choose well among at
+      most forty tools.
+    - `aliases`: other spellings of arguments → the right ones, or "" for an argument that is accepted and ignored.
+    - `also_named`: another name under which a call is accepted; it is not listed.
+    - `recorded`: also works where a recording stands for the robot.
+    - `program`: its function in the module `robot` of programs; "" if it is not in the module.
+    - `runs_programs`: offered only with an installed sandbox; its description shows the module `robot`; it only reads
+      where nothing may be moved.
+    - `place`: position in `tools/list`; None: the `PLACE` of its module.
+    - `audience`: a tool for the page returns `ForPage`.
+    - `opens_page`: its page is shown in the chat.
+    - `does`: what a policy must allow for the tool to be useful: verb → types, of which one is enough (none: any).
+    - `beside`: other tool → a sentence added to the description if that tool is offered.
+    - `finds`: at most fifteen words with which a person asks for it: some clients show a tool only after a search.
+    - `always_loaded`: the tool should be available without such a search.
     """
 
     function: ToolFunction
@@ -71,41 +74,41 @@ class ToolDeclaration:
     always_loaded: bool = False
 
     def is_of_use(self, policy: Policy) -> bool:
-        """Whether the policy allows anything that it does."""
+        """Whether the policy allows any act of this tool."""
         rules = policy.rules
         return not (rules and self.does) or any(rules.may(verb, types) for verb, types in self.does.items())
 
     @property
     def description(self) -> str:
-        """What the model reads first: the function's docstring."""
+        """The function's docstring: the text that the model reads first."""
         return inspect.cleandoc(self.function.__doc__ or "")
 
     def description_beside(self, offered: Collection[str]) -> str:
-        """All that the model reads where these tools are offered."""
+        """Return the description, with the sentences about other tools that are `offered`."""
         beside = (sentence for name, sentence in self.beside.items() if name in offered)
         return " ".join((self.description, *beside))
 
     @cache  # noqa: B019 - declarations live as long as the process
     def signature(self) -> inspect.Signature:
-        """The function's signature with its annotations evaluated."""
+        """Return the function's signature with evaluated annotations."""
         return inspect.signature(self.function, eval_str=True)
 
     @cache  # noqa: B019 - as above; it is needed with each call
     def makers(self) -> Makers:
-        """How the values of the function's parameters are made."""
+        """Return how the value of each parameter is made."""
         return {name: made_by(parameter) for name, parameter in self.signature().parameters.items()}
 
     def arguments(self) -> inspect.Signature:
-        """The signature that the model sees: without what is made for the function."""
+        """Return the signature that the model sees, without injected parameters."""
         return arguments_of(self.signature())
 
     async def perform(self, call: Call, arguments: Mapping[str, Any]) -> Any:
-        """Calls the function with validated arguments and with what is made for it; raises `RobotError` as it does."""
+        """Call the function with validated arguments and injected values; raises the `RobotError`s of the function."""
         return await self.function(**await values_for(self.makers(), call, arguments))
 
 
 DECLARED: list[ToolDeclaration] = []
-"""Every tool, in the order of declaration."""
+"""All tools in the order of their declaration."""
 
 
 def tool(
@@ -127,7 +130,7 @@ def tool(
     finds: str = "",
     always_loaded: bool = False,
 ) -> Callable[[ToolFunction], ToolFunction]:
-    """Declares the function as a tool of the same name."""
+    """Declare the decorated function as a tool with the same name; the arguments are those of `ToolDeclaration`."""
 
     def declare(function: ToolFunction) -> ToolFunction:
         DECLARED.append(

@@ -13,7 +13,7 @@ from ros2_mcp.tools.declare import tool
 from ros2_mcp.tools.injection import Limitations
 
 PLACE = 12
-"""After the nodes; the status stands before them, at the very top."""
+"""After the tools for nodes; ros2_status has a place of its own before them."""
 
 
 @tool(

@@ -1,9 +1,9 @@
-"""Dependency injection: parameters of a tool's function whose values are made here, such as the robot or a source.
+"""Dependency injection: parameters of tools whose values the server makes, such as the robot or a source.
 
 The model sees the arguments that a value is made from: for a parameter `source: Source` these are `bag`, `start` and
-`end`. What makes a value is a function, the maker. It is found by the parameter's type (`_BY_TYPE`), or the annotation
-names it (`MadeBy`). A maker takes the `Call`; its other parameters (or some of them) become arguments of the tool.
-Where the tool has a parameter of the same name, both get the same value.
+`end`. The function that makes a value is its maker. It is found by the type of the parameter (`_BY_TYPE`), or by the
+annotation (`MadeBy`). A maker takes the `Call`; its other parameters, or some of them, become arguments of the tool. If
+the tool has a parameter of the same name, both get the same value.
 """
 
 from __future__ import annotations
@@ -44,20 +44,21 @@ from ros2_mcp.tools.arguments import (
 from ros2_mcp.view.viewing import Viewing
 
 _FOR_VALUES = 5 / 6
-"""Of a text's bytes; the others are for what stands above and below the values."""
+"""Share of a text's bytes for values; the rest is for the text before and after them."""
 _TIMES_TO_WAIT = frozenset(
     {"duration", "duration_s", "duration_sec", "timeout", "timeout_s", "timeout_sec", "wait_timeout_sec"}
     | {"wait_for_service_sec"}
 )
-"""Arguments of tools that say how long to wait."""
+"""Arguments of tools that set how long to wait."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Call:
-    """What tools can get in every call; `limitations` says in words what this server does not offer and why.
+    """The values that makers can use in a call. `limitations` are sentences on what this server does not offer, and
+    why.
 
-    `given` are the names of the arguments that the caller gave, `functions` gives those of the module of programs,
-    `viewing` has the robot's pages in chats, and `shows_pages` says whether this client can show one.
+    `given` are the names of the arguments in the call, `functions` returns the functions of the programs' module,
+    `viewing` has the robot's pages in chats, and `shows_pages` says whether the client can show a page.
     """
 
     robot: Robot
@@ -74,14 +75,15 @@ class Call:
 
 @dataclass(frozen=True, slots=True)
 class MadeBy:
-    """Metadata of a parameter: the function that makes its value, and the arguments it gives the tool (None: all)."""
+    """Metadata of a parameter: the maker of its value, and which of the maker's parameters become arguments (None:
+    all)."""
 
     maker: Callable[..., Any]
     arguments: tuple[str, ...] | None = None
 
 
 Makers = Mapping[str, MadeBy | None]
-"""Name of a parameter → how its value is made; None for an argument of the tool."""
+"""Parameter name → how its value is made; None for an argument of the tool."""
 
 
 # ── makers ───────────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -96,17 +98,17 @@ async def _source(call: Call, bag: FromBag = "", start: FromStart = "", end: UpT
 
 
 async def _at_one_time(call: Call, bag: FromBag = "", time: RecordedTime = "") -> Source:
-    """What was known at a time: of a recording, up to it."""
+    """Open a source that ends at a time; a recording is read up to it."""
     return await _sources(call).open(bag, "", time, names=("time", "time"), waits=False, report=call.report)
 
 
 def _waits(call: Call) -> bool:
-    """Whether the caller gave a time to wait: then what is not there yet is waited for."""
+    """Whether the caller gave a time to wait; then the source waits for topics that do not exist yet."""
     return not _TIMES_TO_WAIT.isdisjoint(call.given)
 
 
 async def _log_source(call: Call, since: Since = "", bag: FromBag = "", end: UpToLogEnd = "") -> Source:
-    """Without the name of a bag the log is the robot's own: times alone do not mean the black box here."""
+    """Open the source of the log: the robot's own without a bag; a time alone does not select the black box here."""
     if not (bag or call.store.subject_name):
         return Live(call.robot)
     start, until = (f"{text} s ago" if is_seconds_ago(text) else text for text in (since, end))
@@ -154,9 +156,9 @@ ProgramsHere = Annotated[Programs, MadeBy(_programs, ())]
 ShowsPages = Annotated[bool, MadeBy(attrgetter("shows_pages"), ())]
 Waits = Annotated[bool, MadeBy(_waits, ())]
 RecordingSource = Annotated[Source, MadeBy(_source, ("bag",))]
-"""For tools with a time of their own."""
+"""For tools with time arguments of their own."""
 AtOneTime = Annotated[Source, MadeBy(_at_one_time)]
-"""What was known at a time."""
+"""A source that ends at one time."""
 LogSource = Annotated[Source, MadeBy(_log_source)]
 
 _BY_TYPE: Mapping[Any, MadeBy] = {
@@ -169,21 +171,21 @@ _BY_TYPE: Mapping[Any, MadeBy] = {
     Report: MadeBy(attrgetter("report"), ()),
     Viewing: MadeBy(_viewing, ()),
 }
-"""Type of a parameter → how its value is made, where the type alone says what is meant."""
+"""Parameter type → how its value is made, for types that have only one meaning."""
 
 
 # ── how they are used ────────────────────────────────────────────────────────────────────────────────────────────────
 
 
 def made_by(parameter: inspect.Parameter) -> MadeBy | None:
-    """How the value of a parameter is made; None if it is an argument of the tool."""
+    """Return how the value of a parameter is made; None for an argument of the tool."""
     metadata = getattr(parameter.annotation, "__metadata__", ())
     found = next((item for item in metadata if isinstance(item, MadeBy)), None)
     return found or next((made for kind, made in _BY_TYPE.items() if parameter.annotation == kind), None)
 
 
 def arguments_of(whole: inspect.Signature) -> inspect.Signature:
-    """The signature that the model sees: injected parameters are replaced by the arguments that they are made from."""
+    """Return the signature that the model sees: injected parameters are replaced by the arguments of their makers."""
     arguments: dict[str, inspect.Parameter] = {}
     for parameter in whole.parameters.values():
         made = made_by(parameter)
@@ -194,7 +196,7 @@ def arguments_of(whole: inspect.Signature) -> inspect.Signature:
 
 
 async def values_for(makers: Makers, call: Call, arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """The values of all parameters of a tool's function, each with how it is made.
+    """Return the values of all parameters of a tool's function.
 
     Raises:
         RobotError: if one cannot be made, such as a source that is not there.
@@ -211,7 +213,7 @@ async def values_for(makers: Makers, call: Call, arguments: Mapping[str, Any]) -
 
 @cache
 def _parameters_of(made: MadeBy) -> Sequence[inspect.Parameter]:
-    """The arguments that a tool has for a maker; its first parameter is the call."""
+    """Return the maker's parameters that become arguments of the tool; the first parameter, the call, never does."""
     if made.arguments == ():
         return ()
     found = dict(inspect.signature(made.maker, eval_str=True).parameters)

@@ -1,11 +1,11 @@
-"""What of a call's arguments counts as not given, and what is taken at its bound: clients and models fill in forms.
+"""Interprets the arguments of a call leniently, since clients and models often fill in every field of a form.
 
-A null is never anything but *not given*. A tool that only reads cannot do harm by asking less strictly: an empty value
-that its schema does not have means *not given* there, and a number above the maximum means the maximum, which is told.
-A tool that acts takes nothing but what its schema says. No tool takes a number that is not finite.
+A null always means *not given*. For tools that only read, an empty value that the schema forbids means *not given*,
+too, and a number above the maximum means the maximum; the latter is reported. Tools that act accept only what their
+schema allows. No tool accepts a number that is not finite.
 
-Where a list of texts or objects is expected, one of them alone is a list of one, and the other way round; where an
-object with one necessary text is expected, that text alone is it. That is told.
+Where a list of strings or objects is expected, a single one is a list of one, and the reverse; where an object with one
+required string is expected, a string stands for it. Both are reported.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _NUMBERS = ("number", "integer")
 
 
 def as_meant(schema: Schema, arguments: Mapping[str, Any], *, acts: bool) -> tuple[dict[str, Any], list[str]]:
-    """The arguments without those that count as not given, and sentences that tell what was taken at its bound.
+    """Return the arguments without those that count as not given, and a sentence for each value that was changed.
 
     Args:
         schema: of the arguments, in the plain form of `argument_schema`.
@@ -55,9 +55,8 @@ def _value(node: Schema, value: object, path: str, acts: bool, told: list[str]) 
 
 
 def _one_or_many(node: Schema, value: object, path: str, told: list[str]) -> object:
-    """A list of one for a text or an object alone, and the text for a list of one, as the schema has it; an object for
-    the one text that it needs.
-    """
+    """Wrap a single string or object in a list, or unwrap a list of one string, as the schema requires; build an object
+    from the one string that it needs."""
     items = cast("Schema", node.get("items", {}) if node.get("type") == "array" else {})
     alone = {"string": (str,), "object": (dict, str) if natural_field(items) else (dict,)}
     kinds = alone.get(str(items.get("type")))
@@ -86,7 +85,7 @@ def _bounded(node: Schema, value: object, path: str, told: list[str]) -> object:
 
 
 def _is_nothing(node: Schema, value: object, acts: bool) -> bool:
-    """Whether an optional argument counts as not given. A flag of 0 may well mean false: that stays an error."""
+    """Whether an optional argument counts as not given. A flag of 0 may mean false, so it stays an error."""
     kind = node.get("type")
     if value is None or acts or kind in ("boolean", "object") or isinstance(value, bool):
         return value is None
@@ -100,7 +99,7 @@ def _is_nothing(node: Schema, value: object, acts: bool) -> bool:
 
 
 def _number(value: object) -> int | float | None:
-    """A finite number, also one that came as text, as some clients send all of a form; None for anything else."""
+    """Return a finite number, also from a string, as some clients send all fields of a form; None for anything else."""
     if isinstance(value, str):
         try:
             value = json.loads(value)

@@ -1,4 +1,4 @@
-"""Tools for the past: they record topics, read and play bags, and find messages that were kept."""
+"""Tools for the past: record topics, read and play bags, and find stored messages."""
 
 from __future__ import annotations
 
@@ -34,7 +34,8 @@ from ros2_mcp_common.wire.limits import MAX_DURATION_S
 
 PLACE = 130
 HISTORY_PLACE = 120
-"""Of `ros2_get_messages`: it is offered by default, the others of this module only with their group."""
+"""Place of `ros2_get_messages`, which is offered by default; the other tools of this module come only with their
+group."""
 
 Bytes = Annotated[Whole, Field(ge=0, le=record.MAX_BYTES)]
 Topics = Annotated[list[str] | None, Field(min_length=1, description="Only these topics.")]

@@ -1,6 +1,6 @@
-"""Which argument was meant by a name that the tool does not have: models write the names of other tools and systems.
+"""Finds the argument that a wrong name means: models use the names of other tools and systems.
 
-Names that mean the same are taken for one another, which the answer tells; other names are only hinted at.
+Names with the same meaning are accepted, which the answer reports; other names only get a hint in the error.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ MEANT: Mapping[str, Sequence[str]] = {
     **dict.fromkeys(("start_time", "from", "since"), ("start", "time_start", "since")),
     **dict.fromkeys(("end_time", "to", "until"), ("end", "time_end")),
 }
-"""What is written, and what it may mean; the first of these that the tool has is named."""
+"""Wrong name → the arguments it may mean; the hint names the first one that the tool has."""
 
 
 _SAME: Sequence[Sequence[str]] = (
@@ -56,13 +56,13 @@ _SAME: Sequence[Sequence[str]] = (
     ("playback_id", "playback"),
     ("relay_id", "relay"),
 )
-"""Names that mean the same wherever a tool has exactly one of them."""
+"""Names with the same meaning, accepted if the tool has exactly one of them."""
 _SAME_FOR_READING: Sequence[Sequence[str]] = ((*_SAME[0], *_SAME[1]),)
-"""The same for tools that only read: there, both say how long the call may take."""
+"""More such names for tools that only read: there, duration and time-out both limit the call."""
 
 
 def taken_for(name: str, known: Collection[str], *, acts: bool) -> str:
-    """The argument of a tool that is meant by another name for it; the name itself where that is not certain.
+    """Return the argument of a tool that another name means; the name itself if that is not certain.
 
     Args:
         name: as it was given.
@@ -79,6 +79,6 @@ def taken_for(name: str, known: Collection[str], *, acts: bool) -> str:
 
 
 def hint_for(name: str, known: Sequence[str]) -> str:
-    """Names the argument that was meant, or else all that there are."""
+    """Return a hint with the argument that was probably meant, or else with all arguments."""
     meant = next((one for one in MEANT.get(name.lower(), ()) if one in known), "")
     return f"Did you mean {meant}?" if meant else did_you_mean(name, known, f"It takes: {', '.join(known) or 'none'}.")

@@ -1,4 +1,4 @@
-"""Tools that move the robot by feedback, closed beside it."""
+"""Tools that move the robot with feedback; the control loop runs on the robot's side."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ros2_mcp_common.policy.velocity import HOLD_TYPES, VELOCITY_TYPES
 from ros2_mcp_common.wire.limits import MAX_DURATION_S
 
 PLACE = 62
-"""Beside publishing: what only reads comes before, `ros2_stop` after."""
+"""Next to publishing: after the tools that only read, before `ros2_stop`."""
 
 VelocityTopic = Annotated[str, Field(description="Velocity topic. Default: from the graph.")]
 OdometryTopic = Annotated[str, Field(description="Odometry topic. Default: from the graph.")]

@@ -1,4 +1,4 @@
-"""Tools for navigation with Nav2, and for places by name."""
+"""Tools for navigation with Nav2, and for named places."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ PLACE = 95
 
 
 def _as_object(to: Any) -> Any:
-    """A name alone is that of a place."""
+    """Convert a name to a place object; reject anything but names and objects."""
     if isinstance(to, (dict, type(None))):
         return cast("Any", to)
     if isinstance(to, str):
@@ -35,7 +35,7 @@ def _as_object(to: Any) -> Any:
 
 
 def _as_object_if_any(to: Any) -> Any:
-    """What is empty is not given: nothing acts here."""
+    """As `_as_object`; an empty value counts as not given, as these tools only read."""
     return _as_object(to) if to else None
 
 
@@ -46,10 +46,10 @@ def _no_place(to: object) -> PydanticCustomError:
 
 
 def _as_list(to: Any) -> Any:
-    """One place is a list of one."""
+    """Convert a single place to a list of one."""
     if isinstance(to, list):
         if to and not any(isinstance(one, (str, dict, list)) for one in cast("list[Any]", to)):
-            raise _no_place(cast("object", to))  # numbers alone are the coordinates of one place
+            raise _no_place(cast("object", to))  # a list of numbers is one place, written wrongly
         return [_as_object(one) for one in cast("list[Any]", to)]
     return to if to is None else [_as_object(to)]
 

@@ -14,7 +14,7 @@ from ros2_mcp.tools.arguments import Flag, Hidden, Limit, Pattern
 from ros2_mcp.tools.declare import tool
 
 PLACE = 100
-"""Of parameters and lifecycle; the list of nodes stands near the top."""
+"""Place of the tools for parameters and lifecycle; the list of nodes has a place near the top."""
 
 NodeName = Annotated[str, Field(description="Full name, such as /base_controller.")]
 NodeNames = Annotated[list[str] | None, Field(description="Full names of nodes. Default: every node.")]

@@ -1,4 +1,4 @@
-"""Tools that show: plots, maps, point clouds."""
+"""Tools that return pictures: plots, maps, point clouds."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The tool that tells what is allowed."""
+"""The tool that reports what the policy allows."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ros2_mcp.robot import Robot
 from ros2_mcp.tools.declare import DECLARED, tool
 
 PLACE = 11
-"""Right behind the status: whoever wants to act asks it first."""
+"""Right after the status: a model that wants to act should call it first."""
 
 
 @tool(title="What is allowed", risk="read", finds="what is allowed, permissions, speed limits, forbidden, rules")

@@ -1,4 +1,4 @@
-"""Tools that run programs, and keep them for next time."""
+"""Tools that run programs, and keep them for later."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from ros2_mcp.tools.declare import tool
 from ros2_mcp.tools.injection import ProgramsHere
 
 PLACE = 66
-"""Beside what moves the robot, before `ros2_stop`."""
+"""After the tools that move the robot, before `ros2_stop`."""
 _KEPT = 121
-"""Of the tools for kept programs: behind those that everybody needs."""
+"""Place of the tools for kept programs: after the tools that everybody needs."""
 
 MAX_RUN_S = 600.0
-"""Longer work is not a program that somebody waits for."""
+"""A program that takes longer is not one whose caller waits for it."""
 
 Inputs = Annotated[
     list[dict[str, Any]] | None,

@@ -1,4 +1,5 @@
-"""JSON schemas in the plain form that every MCP client accepts: no references, no unions, no titles, closed objects."""
+"""JSON schemas in the plain form that every MCP client accepts: without references, unions and titles; objects are
+closed."""
 
 from __future__ import annotations
 
@@ -13,11 +14,11 @@ from ros2_mcp.ops.results.results import may_be_absent
 
 Schema = dict[str, Any]
 _REFERENCE = "#/$defs/"
-# pydantic's names of the bounds of a number → those of JSON schema.
+# Bounds of a number: pydantic's name → name in JSON schema.
 _BOUNDS = {"ge": "minimum", "gt": "exclusiveMinimum", "le": "maximum", "lt": "exclusiveMaximum"}
 _SCALARS: Mapping[Any, str] = {str: "string", bool: "boolean", int: "integer", float: "number"}
 _IN_SECONDS = re.compile("timeout|duration|^wait_")
-"""Names of arguments that say for how long something goes on, or is waited for."""
+"""Matches names of arguments that are a duration or a time to wait."""
 _KINDS: Mapping[Any, str] = {
     "string": "a text",
     "boolean": "true or false",
@@ -26,13 +27,14 @@ _KINDS: Mapping[Any, str] = {
 }
 _NULL: Schema = {"type": "null"}
 _ANY_SCALAR: list[Schema] = [{"type": "boolean"}, {"type": "number"}, {"type": "string"}]
-# Of a value whose type is known only at run time, such as that of a parameter. Some clients refuse a schema without a
-# type, and some one with a list of types: each branch has one.
+# A value whose type is known only at run time, such as that of a parameter. Some clients reject a schema without a
+# type, others one with a list of types, so each branch has one type.
 _ANY_VALUE: Schema = {"anyOf": [*_ANY_SCALAR, {"type": "array", "items": {"anyOf": _ANY_SCALAR}}, _NULL]}
 
 
 def argument_schema(schema: Mapping[str, Any]) -> Schema:
-    """A schema of arguments: optional values are shown as plain ones, unknown arguments are errors."""
+    """Return the schema of a tool's arguments: optional values appear as plain ones, and unknown arguments are
+    errors."""
     result = _plain(schema, schema.get("$defs", {}))
     result["additionalProperties"] = False
     for name, node in result.setdefault("properties", {}).items():
@@ -42,9 +44,8 @@ def argument_schema(schema: Mapping[str, Any]) -> Schema:
 
 
 def _with_bounds(node: Mapping[str, Any]) -> str:
-    """The description with default and maximum in words: some clients drop the keywords, and nobody guesses how long a
-    call may take.
-    """
+    """Return the description with default and maximum in words: some clients drop these keywords, and a model must know
+    how long a call may take."""
     said = [f"default {node['default']:g}"] if "default" in node else []
     said += [f"at most {node['maximum']:g}"] if "maximum" in node else []
     words = ", ".join(said)
@@ -52,9 +53,8 @@ def _with_bounds(node: Mapping[str, Any]) -> str:
 
 
 def result_schema(kind: Any) -> Schema:
-    """The schema of a result: dataclasses of plain values. A field is always there, unless it is left out where it is
-    empty; what may be null says so.
-    """
+    """Return the schema of a result: dataclasses of plain values. Fields are required unless they may be absent when
+    empty; a value that may be null has null as an alternative."""
     options = get_args(kind)
     if NoneType in options:
         (present,) = (option for option in options if option is not NoneType)
@@ -76,7 +76,7 @@ def result_schema(kind: Any) -> Schema:
 
 
 def node_at(schema: Mapping[str, Any], path: Sequence[str | int]) -> Mapping[str, Any]:
-    """The part of a schema that a path of names and indices leads to; empty if none is there."""
+    """Return the part of a schema at a path of names and indices; empty if there is none."""
     for part in path:
         if isinstance(part, int):
             schema = schema.get("items", {})
@@ -87,7 +87,8 @@ def node_at(schema: Mapping[str, Any], path: Sequence[str | int]) -> Mapping[str
 
 
 def expected_kind(node: Mapping[str, Any]) -> str:
-    """In words, what a part of a schema takes: "a whole number of at least 1 and at most 2000"; empty if it is open."""
+    """Describe what a part of a schema accepts: "a whole number of at least 1 and at most 2000"; "" if it accepts
+    anything."""
     kind = node.get("type")
     if "enum" in node:
         return f"one of {', '.join(map(str, node['enum']))}"
@@ -108,9 +109,8 @@ def expected_kind(node: Mapping[str, Any]) -> str:
 
 
 def natural_field(node: Mapping[str, Any]) -> str:
-    """The field of an object that a text alone stands for: the only one that it needs, if that is a text; empty if it
-    is not clear.
-    """
+    """Return the field of an object that a string alone can stand for: its only required field, if that is a string;
+    else ""."""
     needed = node.get("required", ()) if node.get("type") == "object" else ()
     if len(needed) != 1 or node["properties"][needed[0]].get("type") != "string":
         return ""
@@ -118,7 +118,8 @@ def natural_field(node: Mapping[str, Any]) -> str:
 
 
 def text_for_number(schema: Mapping[str, Any], value: Any, path: str = "") -> str:
-    """Where a value, or something in it, is a text although the schema has a number there; empty if nowhere."""
+    """Return the path of a string where the schema expects a number, in `value` or anything inside it; "" if there is
+    none."""
     if isinstance(value, str):
         return path if schema.get("type") in ("number", "integer") else ""
     below: Iterable[tuple[str, Any, Any]] = ()
@@ -136,9 +137,8 @@ def text_for_number(schema: Mapping[str, Any], value: Any, path: str = "") -> st
 
 
 def _plain(node: Mapping[str, Any], definitions: Mapping[str, Any]) -> Schema:
-    """The same schema with references resolved, and without what costs the model tokens and tells it nothing: titles,
-    and the defaults null and empty text of what is not required: it is *not given* where it is left out.
-    """
+    """Return the schema with references resolved, without parts that cost the model tokens and add nothing: titles, and
+    defaults null and "", which mean *not given*."""
     if "$ref" in node:
         target = definitions[str(node["$ref"]).removeprefix(_REFERENCE)]
         return _plain({**target, **_without(node, "$ref")}, definitions)
@@ -158,7 +158,7 @@ def _plain(node: Mapping[str, Any], definitions: Mapping[str, Any]) -> Schema:
 
 
 def _optional(node: Mapping[str, Any], definitions: Mapping[str, Any]) -> Schema:
-    """`X | None` is shown as plain X. No other union is ever declared."""
+    """Return the schema of `X | None` as plain X; raises `TypeError` for any other union, which some clients reject."""
     options = cast("list[Schema]", node["anyOf"])
     present = [option for option in options if option.get("type") != "null"]
     if len(present) != 1 or len(options) != 2:

@@ -21,7 +21,7 @@ _EMPTY = ("", "{}", "[]")
 
 
 def _empty_request(value: Any) -> Any:
-    """An empty request, as other servers and forms know it ([] or ""), counts as not given."""
+    """Treat an empty request ([] or "", as other servers and forms send it) as not given."""
     return None if value is None or value == [] or (isinstance(value, str) and value.strip() in _EMPTY) else value
 
 

@@ -1,4 +1,4 @@
-"""Tools that tell where things are."""
+"""Tools that report where things are."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The tool that stops."""
+"""The tool that stops the robot."""
 
 from __future__ import annotations
 

@@ -30,12 +30,12 @@ from ros2_mcp_common.wire.limits import MAX_DURATION_S, MAX_RATE_HZ, MIN_RATE_HZ
 
 PLACE = 20
 _PUBLISHING_PLACE = 60
-"""After everything that only reads, just before `ros2_stop`."""
+"""After all tools that only read, just before `ros2_stop`."""
 
 MAX_MEASURE_S = 600
-"""A time and a size are kept of every message: at 1 kHz these are 600,000 for each topic in ten minutes."""
+"""The time and the size of every message are stored: at 1 kHz 600,000 for each topic in ten minutes."""
 MEASURE_S = 3.0
-"""Enough for the rate of anything above 1 Hz, and short enough to be asked often."""
+"""Enough for the rate of any topic above 1 Hz, and short enough to be called often."""
 
 Data = Annotated[
     dict[str, Any],

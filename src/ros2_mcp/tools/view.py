@@ -1,4 +1,4 @@
-"""Tools of the page beside the chat: the model opens it and asks what is seen there; the page asks what it shows."""
+"""Tools of the page in the chat: the model opens it and asks what it shows; the page requests its data."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ PageRequest = Annotated[dict[str, Any], Field(description="What the page asks.")
 
 
 def _one_or_several(value: Any) -> Any:
-    """The name of one topic is a list of one."""
+    """Convert the name of one topic to a list of one."""
     return [value] if isinstance(value, str) else value
 
 
@@ -58,7 +58,7 @@ class ViewState:
     told: Sequence[str] = field(default=(), metadata=HIDDEN)
 
     def summary(self) -> list[str]:
-        """What each page shows, and what was picked."""
+        """Return what each page shows, and what was picked on it."""
         return list(self.told)
 
 

@@ -1,4 +1,4 @@
-"""What the arm is: its joints with their limits, its links, and its URDF. No ROS."""
+"""The arm's joints with their limits, its links, and its URDF. No ROS."""
 
 # pyright: basic
 from __future__ import annotations
@@ -12,9 +12,8 @@ GRIPPER = ("gripper_joint",)
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint of the arm. `lower`, `upper` in rad (m), `velocity` per s, `acceleration` per s²; `xyz` in m is where its
-    child sits in its parent; `length` (m) and `radius` (m) are those of the child's tube, along z.
-    """
+    """A joint of the arm. `lower` and `upper` in rad (m for prismatic), `velocity` per s, `acceleration` per s²; `xyz`
+    is the origin of the child in its parent, in m; `length` and `radius` (m) are those of the child's tube along z."""
 
     name: str
     parent: str
@@ -71,13 +70,13 @@ JOINTS = (
 )
 BY_NAME = {joint.name: joint for joint in JOINTS}
 FIXED = (("base_joint", "world", "base_link", (0, 0, 0)), ("camera_joint", "tool_link", "camera_link", (0.05, 0, 0.02)))
-"""Name, parent, child and place of the joints that do not move."""
+"""Name, parent, child and origin (m) of the fixed joints."""
 HOME = {"shoulder_lift_joint": -0.6, "elbow_joint": 1.2, "wrist_1_joint": 0.6, "gripper_joint": 0.02}
-"""Where the joints stand at the start; the others at 0."""
+"""Start positions of the joints; 0 for the others."""
 
 
 def description(prefix=""):
-    """The arm as URDF; `prefix` stands before the name of every link and joint."""
+    """Return the arm's URDF; `prefix` is prepended to the name of every link and joint."""
     tubes = {joint.child: joint for joint in JOINTS}
     names = ["world", "base_link", *tubes, "right_finger", "camera_link"]
     links = "".join(f'  <link name="{prefix}{name}">{_shape(name, tubes.get(name))}</link>\n' for name in names)
@@ -101,7 +100,7 @@ def description(prefix=""):
 
 
 def tool_point(positions):
-    """Where the tool sits above the table, in m: x, y, z of `tool_link` in `world`, from the positions by name."""
+    """Return x, y and z (m) of `tool_link` in `world`, computed from joint positions by name."""
     x, y, z = 0.0, 0.0, 0.06
     for joint in reversed([BY_NAME[name] for name in ARM]):
         angle = positions.get(joint.name, 0.0)

@@ -1,4 +1,4 @@
-"""/joint_state_broadcaster: where the joints are, on /joint_states."""
+"""/joint_state_broadcaster: publishes the joints' positions and velocities on /joint_states."""
 
 # pyright: basic
 from __future__ import annotations
@@ -9,7 +9,7 @@ from ..nodes.part import RobotPart
 
 
 class JointStateBroadcaster(RobotPart):
-    """Publishes /joint_states as long as it is enabled."""
+    """Publishes /joint_states while it is enabled."""
 
     needs_executor = True
 
@@ -20,7 +20,7 @@ class JointStateBroadcaster(RobotPart):
         self._publisher = self.create_publisher(JointState, "joint_states", 10)
 
     def tick(self, stamp):
-        """Tell it when it is time."""
+        """Publish when it is due."""
         if not self.setting("enabled") or not self.is_due(self.setting("rate")):
             return
         names, positions, velocities = self.robot.measured()

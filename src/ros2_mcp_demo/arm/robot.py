@@ -1,6 +1,6 @@
-"""The arm put together: `python -m ros2_mcp_demo --robot arm`.
+"""The complete arm: `python -m ros2_mcp_demo --robot arm`.
 
-It stands in `world` on a table; `tool_link` is its last link. /arm_controller moves the six joints, /gripper_controller
+It stands on a table in `world`; `tool_link` is its last link. /arm_controller moves the six joints, /gripper_controller
 the fingers (0 closed, 0.04 m open).
 """
 
@@ -24,7 +24,7 @@ GOES_WITHOUT = (
 
 
 def build(seed, namespace):
-    """The simulation and its nodes in the order in which they tick."""
+    """Return the simulation, and its nodes in the order in which they tick."""
     simulation = Simulation(seed)
     controllers = [TrajectoryController(simulation, namespace, which) for which in simulation.controllers]
     parts = [*controllers, JointStateBroadcaster(simulation, namespace), StatePublisher(simulation, namespace)]

@@ -1,8 +1,8 @@
-"""The arm without ROS: joints with inertia that follow what their controllers want, and how trajectories are followed.
+"""The arm without ROS: joints with inertia that follow the set points of their controllers, and the trajectories.
 
-A trajectory is followed as ros2_control's joint_trajectory_controller does it: between two points by a line if only
-positions are given, by a cubic spline with velocities; the first point is reached from where the arm is. Same seed,
-same story.
+Trajectories are followed as by ros2_control's joint_trajectory_controller: linear interpolation between points with
+only positions, a cubic spline with velocities; the arm moves to the first point from its current position. The same
+seed gives the same run.
 """
 
 # pyright: basic
@@ -21,7 +21,7 @@ ENCODER_STEP = 1e-4  # rad, m
 
 @dataclass
 class Moving:
-    """One joint: where it is and how fast; a `stuck` one does not move."""
+    """One joint with its position and velocity; a `stuck` joint does not move."""
 
     joint: Joint
     position: float
@@ -29,11 +29,11 @@ class Moving:
     stuck: bool = False
 
     def step(self, wanted, rate, dt):
-        """Follow `wanted`, which itself moves at `rate`, as far as inertia and limits allow."""
+        """Follow the set point `wanted`, which moves at `rate`, as far as inertia and limits allow."""
         limit, joint = self.joint.velocity, self.joint
         target = max(-limit, min(limit, rate + STIFFNESS * (wanted - self.position)))
         change = max(-joint.acceleration * dt, min(joint.acceleration * dt, target - self.velocity))
-        # It must be able to stop at what is wanted: what is faster than braking allows would swing past it.
+        # The joint must be able to stop at the set point: faster than this it would brake too late and overshoot.
         most = abs(rate) + math.sqrt(2 * joint.acceleration * abs(wanted - self.position))
         self.velocity = 0.0 if self.stuck else max(-most, min(most, self.velocity + change))
         moved = self.position + self.velocity * dt
@@ -43,7 +43,8 @@ class Moving:
 
 
 class Trajectory:
-    """Points to pass through: `times` in s from the start, `positions` and `velocities` (or None) by joint for each."""
+    """A trajectory from `start` through `points`: for each the time in s from the start, and positions and velocities
+    (or None) by joint."""
 
     def __init__(self, start, names, points):
         self.names = list(names)
@@ -53,7 +54,7 @@ class Trajectory:
             self._points = list(points)
 
     def at(self, elapsed):
-        """What is wanted then: positions and velocities, in the order of the names."""
+        """Return the set points at a time in s: positions and velocities, in the order of the names."""
         points = self._points
         if elapsed >= points[-1][0] or len(points) == 1:
             return points[-1][1], [0.0] * len(self.names)
@@ -73,7 +74,8 @@ class Trajectory:
 
 
 def _cubic(start, goal, slope, end_slope, share):
-    """Position, and its derivative by the share, of the cubic with these ends."""
+    """Return the position and its derivative with respect to `share` (0 to 1) on a cubic with these end values and
+    slopes."""
     gap = goal - start
     square, cube = 3 * gap - 2 * slope - end_slope, slope + end_slope - 2 * gap
     position = start + share * (slope + share * (square + share * cube))
@@ -81,7 +83,7 @@ def _cubic(start, goal, slope, end_slope, share):
 
 
 class Controller:
-    """A joint trajectory controller: follows one trajectory after the other; without one it holds what it held."""
+    """A joint trajectory controller: follows one trajectory at a time, and holds its position without one."""
 
     def __init__(self, arm, names):
         self.names = tuple(names)
@@ -91,7 +93,7 @@ class Controller:
         self.began = 0.0
 
     def follow(self, names, points):
-        """Begin a trajectory now; joints that it does not name stay as they are wanted to be."""
+        """Begin a trajectory now; joints that it does not name keep their set points."""
         wanted = dict(zip(self.names, self.wanted()[0]))  # noqa: B905 (3.8)
         others = [name for name in self.names if name not in names]
         more = [wanted[name] for name in others]
@@ -100,11 +102,11 @@ class Controller:
         self.began = self._arm.now
 
     def hold(self):
-        """Stay where the joints are measured to be."""
+        """Hold the joints at their present positions."""
         self._held, self.trajectory = [self._arm.joints[name].position for name in self.names], None
 
     def wanted(self):
-        """Positions and velocities wanted now, in the order of `names`."""
+        """Return the set points now: positions and velocities, in the order of `names`."""
         if self.trajectory is None:
             return self._held, [0.0] * len(self._held)
         positions, rates = self.trajectory.at(self._arm.now - self.began)
@@ -112,11 +114,11 @@ class Controller:
         return [by_name[name][0] for name in self.names], [by_name[name][1] for name in self.names]
 
     def is_over(self):
-        """Whether the time of the trajectory is over, or there is none."""
+        """Whether the trajectory's time is over, or there is no trajectory."""
         return self.trajectory is None or self._arm.now - self.began >= self.trajectory.duration
 
     def errors(self):
-        """What is wanted less what is measured, by joint."""
+        """Return set point minus true position, by joint."""
         wanted, _ = self.wanted()
         return {name: want - self._arm.joints[name].position for name, want in zip(self.names, wanted)}  # noqa: B905 (3.8)
 
@@ -131,22 +133,22 @@ class Simulation:
         self.controllers = {"arm": Controller(self, ARM), "gripper": Controller(self, GRIPPER)}
 
     def step(self, dt):
-        """Let `dt` s pass."""
+        """Advance the simulation by `dt` s."""
         self.now += dt
         for controller in self.controllers.values():
             for name, wanted, rate in zip(controller.names, *controller.wanted()):  # noqa: B905 (3.8)
                 self.joints[name].step(wanted, rate, dt)
 
     def measured(self):
-        """Names, positions and velocities as the encoders tell them, with noise of half a step."""
+        """Return the joints' names, measured positions (with noise of half an encoder step) and velocities."""
         noise = self._rng.uniform(-0.5, 0.5, len(self.joints)) * ENCODER_STEP
         positions = [joint.position + float(error) for joint, error in zip(self.joints.values(), noise)]  # noqa: B905 (3.8)
         return list(self.joints), positions, [joint.velocity for joint in self.joints.values()]
 
     def is_moving(self):
-        """Whether a joint moves at all."""
+        """Whether any joint moves."""
         return any(abs(joint.velocity) > 1e-3 for joint in self.joints.values())
 
     def heartbeat(self):
-        """How the robot is, in one line."""
+        """Return the robot's state in one line."""
         return f"alive {self.now:.0f} s, {'moving' if self.is_moving() else 'standing'}"

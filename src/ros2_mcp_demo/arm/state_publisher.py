@@ -1,4 +1,4 @@
-"""/robot_state_publisher: the arm's description, and where its parts are."""
+"""/robot_state_publisher: publishes the arm's description and the transforms of its links."""
 
 # pyright: basic
 from __future__ import annotations
@@ -17,7 +17,7 @@ RATE = 20.0
 
 
 class StatePublisher(RobotPart):
-    """Publishes /robot_description and /tf_static once, /tf all the time."""
+    """Publishes /robot_description and /tf_static once, /tf continuously."""
 
     def __init__(self, robot, namespace):
         super().__init__("robot_state_publisher", robot, namespace)
@@ -30,7 +30,7 @@ class StatePublisher(RobotPart):
         self._published = False
 
     def tick(self, stamp):
-        """Publish what is fixed the first time, and what moves when it is time."""
+        """Publish the fixed transforms on the first call, and the moving ones when they are due."""
         if not self._published:
             self._published = True
             self._description.publish(String(data=self._text))

@@ -18,9 +18,10 @@ FEEDBACK_RATE = 10.0
 
 
 class TrajectoryController(RobotPart):
-    """Follows one trajectory at a time; a new one, by topic or action, replaces the old one.
+    """Follows one trajectory at a time; a new one, by topic or action, replaces it.
 
-    As the real one it wants all of its joints in each trajectory, unless `allow_partial_joints_goal` is set.
+    Like the real controller it requires all of its joints in each trajectory, unless `allow_partial_joints_goal` is
+    set.
     """
 
     def __init__(self, robot, namespace, which):
@@ -39,7 +40,7 @@ class TrajectoryController(RobotPart):
         self._tolerances, self._time_tolerance = {}, 0.0
 
     def tick(self, stamp):
-        """See whether the trajectory is over, and tell how it goes."""
+        """Check whether the trajectory is over, and publish feedback."""
         if self._server is None and self.is_due(1.0, "action"):
             self._offer_action()
         for name, joint in self.robot.joints.items():
@@ -57,13 +58,13 @@ class TrajectoryController(RobotPart):
             self._handle.publish_feedback(self._feedback(stamp))
 
     def diagnosis(self):
-        """What the controller does."""
+        """Return what the controller does."""
         if stuck := self.setting("stuck_joint"):
             return WARN, f"{stuck} does not move", {}
         return OK, "holding" if self._controller.is_over() else "following a trajectory", {}
 
     def _offer_action(self):
-        """As soon as its interfaces are there, which may be built while the robot runs."""
+        """Offer the action once its interfaces are installed, which may be built while the robot runs."""
         for actions in optional.arrived("control_msgs", "action"):
             self._action = actions.FollowJointTrajectory
             self._server = GoalServer(self, self._action, "~/follow_joint_trajectory", self._judge, self._begin)
@@ -85,7 +86,7 @@ class TrajectoryController(RobotPart):
         return GoalResponse.REJECT
 
     def _why_not(self, trajectory):
-        """None, or the error code and in words why a trajectory is not followed."""
+        """Return why a trajectory is rejected, as error code and text; None if it is accepted."""
         names, known = list(trajectory.joint_names), [self.frame(name) for name in self._controller.names]
         if not names or not trajectory.points:
             return -1, "it has no joints, or no points"
@@ -125,7 +126,7 @@ class TrajectoryController(RobotPart):
         self._follow(goal.trajectory)
 
     def _judge_end(self):
-        """Succeed where every joint is near enough and stands; give up, and hold, when that takes too long."""
+        """Succeed if every joint is within its tolerance and stands; abort and hold if that takes too long."""
         far = {}
         for name, error in self._controller.errors().items():
             shown = self.frame(name)
@@ -141,7 +142,7 @@ class TrajectoryController(RobotPart):
             self._end("abort", -5, f"{worst} is {far[worst]:.3f} from its goal")
 
     def _end(self, how, code, text):
-        """Bring the goal to its end: `how` is the goal handle's succeed, abort or canceled."""
+        """End the goal; `how` is the name of the goal handle's method: succeed, abort or canceled."""
         handle, self._handle = self._handle, None
         self.get_logger().info(f"goal ended: {how}{': ' + text if text else ''}")
         getattr(handle, how)()

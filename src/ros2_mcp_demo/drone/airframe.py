@@ -1,6 +1,6 @@
-"""The quadcopter as a body: thrust with inertia, wind, drag, the ground, and its battery. Pure numbers, no ROS.
+"""The dynamics of the quadcopter: thrust with inertia, wind, drag, the ground, and its battery. Pure numbers, no ROS.
 
-Metres, seconds and radians; x east, y north, z up from where it stands at the start.
+Metres, seconds and radians; x east, y north, z up from the start position.
 """
 
 # pyright: basic
@@ -13,11 +13,11 @@ import numpy as np
 GRAVITY = 9.81
 
 MAX_TILT_ACCELERATION, MAX_THRUST_ACCELERATION = 4.5, 6.0
-"""What tilting gives along the ground, and what the motors give above or below hovering, in m/s²."""
+"""Largest horizontal acceleration by tilting, and largest vertical one above or below hovering, in m/s²."""
 TILT_TIME_S = 0.15
-"""How fast an acceleration that is asked for comes: the body has to tilt first."""
+"""Time constant of the acceleration: the body has to tilt first."""
 DRAG_PER_S = 0.25
-"""How fast the air takes it along, per second and m/s of difference."""
+"""Acceleration by the air per relative velocity, in 1/s."""
 YAW_TIME_S = 0.2
 GUST_TIME_S = 2.0
 
@@ -27,7 +27,7 @@ _EMPTY_V, _FULL_V = 3.3, 4.2
 
 
 class Wind:
-    """A steady wind with gusts: `mean` is (x, y) in m/s, `gusts` the standard deviation of what comes on top."""
+    """A steady wind with gusts: `mean` is (x, y) in m/s, `gusts` the standard deviation of the gusts in m/s."""
 
     def __init__(self, rng, mean=(1.5, 0.8), gusts=0.5):
         self._rng = rng
@@ -36,34 +36,35 @@ class Wind:
         self.gusts = gusts
 
     def step(self, dt):
-        """The velocity (3,) of the air during the next `dt` s."""
+        """Return the velocity (3,) of the air in m/s during the next `dt` s."""
         keep = math.exp(-dt / GUST_TIME_S)
         self._gust = keep * self._gust + math.sqrt(1 - keep * keep) * self.gusts * self._rng.standard_normal(3)
         return np.array([*self.mean, 0.0]) + self._gust * (1.0, 1.0, 0.3)
 
 
 class Battery:
-    """Four lithium cells: `charge` is the share that is left, `current` what flows out now (A)."""
+    """Four lithium cells: `charge` is the remaining share, `current` the present discharge current in A."""
 
     def __init__(self, charge=0.95):
         self.charge = charge
         self.current = _IDLE_CURRENT_A
 
     def step(self, motors_run, thrust, dt):
-        """Discharge for `dt` s; `thrust` is 1 for hovering."""
+        """Discharge for `dt` s; `thrust` is relative to hovering."""
         self.current = _IDLE_CURRENT_A + (_HOVER_CURRENT_A * thrust**1.5 if motors_run else 0.0)
         self.charge = max(0.0, self.charge - self.current * dt / 3600 / _CAPACITY_AH)
 
     @property
     def voltage(self):
-        """The voltage at the terminals under the present load."""
+        """The terminal voltage under the present load, in V."""
         return _CELLS * (_EMPTY_V + (_FULL_V - _EMPTY_V) * self.charge) - _RESISTANCE_OHM * self.current
 
 
 class Airframe:
-    """`position`, `velocity` (3,) as they truly are; `motors_run` is all that arming means to it.
+    """The true state: `position` and `velocity` (3,), `yaw`, and `motors_run`, the only effect of arming on the
+    dynamics.
 
-    `roll` and `pitch` are how it must tilt for its acceleration, `fell_at` the speed (m/s) of the last touch-down.
+    `thrust` (3,) is the motors' acceleration beyond hovering, `fell_at` the speed of the last touch-down in m/s.
     """
 
     def __init__(self, rng, wind=None):
@@ -77,11 +78,11 @@ class Airframe:
 
     @property
     def is_on_ground(self):
-        """Whether it stands."""
+        """Whether the drone is on the ground."""
         return self.position[2] <= 0.0
 
     def step(self, wanted, yaw_rate, dt):
-        """`dt` s with an acceleration (3,) that is asked of the motors beyond hovering, and a turning rate (rad/s)."""
+        """Advance by `dt` s with a wanted acceleration (3,) beyond hovering, in m/s², and a yaw rate in rad/s."""
         air = self.wind.step(dt)
         wanted = np.array(wanted) if self.motors_run else np.array([0.0, 0.0, -GRAVITY])
         along_ground = math.hypot(wanted[0], wanted[1])
@@ -103,7 +104,7 @@ class Airframe:
 
     @property
     def tilt(self):
-        """Roll and pitch in rad, of a body that looks along its yaw."""
+        """Roll and pitch in rad that give the present acceleration at the present yaw."""
         forward = self.thrust[0] * math.cos(self.yaw) + self.thrust[1] * math.sin(self.yaw)
         left = -self.thrust[0] * math.sin(self.yaw) + self.thrust[1] * math.cos(self.yaw)
         upward = max(GRAVITY + self.thrust[2], 1.0)

@@ -1,4 +1,4 @@
-"""How the drone is turned, as a message."""
+"""The drone's attitude as a message."""
 
 # pyright: basic
 from __future__ import annotations
@@ -9,7 +9,7 @@ from geometry_msgs.msg import Quaternion
 
 
 def attitude(frame):
-    """How the body is turned, as a geometry_msgs/Quaternion."""
+    """Return the attitude of an airframe as a geometry_msgs/Quaternion."""
     roll, pitch = frame.tilt
     cr, sr, cp, sp = math.cos(roll / 2), math.sin(roll / 2), math.cos(pitch / 2), math.sin(pitch / 2)
     cy, sy = math.cos(frame.yaw / 2), math.sin(frame.yaw / 2)

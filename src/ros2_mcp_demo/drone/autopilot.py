@@ -1,7 +1,7 @@
-"""The simulated autopilot: modes, arming, missions and what it refuses, after ArduCopter. Pure Python, no ROS.
+"""The simulated autopilot: modes, arming, missions and refusals, modelled on ArduCopter. Pure Python, no ROS.
 
-What it does on an order is what ArduCopter's documents and messages say, as far as a flight by MAVROS needs it; where
-ArduCopter only refuses, this one also says why.
+Orders have the effects that ArduCopter documents, as far as a flight through MAVROS needs them; where ArduCopter only
+refuses, this autopilot also says why.
 """
 
 # pyright: basic
@@ -33,20 +33,20 @@ MODES = {
     "POSHOLD": 16,
     "BRAKE": 17,
 }
-"""Those of ArduCopter that it has, with their numbers."""
+"""The supported modes of ArduCopter, with their numbers."""
 _NOT_ARMABLE = ("AUTO", "RTL", "LAND", "BRAKE")
 _HOLDING = ("ALT_HOLD", "LOITER", "POSHOLD", "BRAKE", "GUIDED")
 _FORCE = 21196.0
-"""The second number of an order to arm or disarm that is carried out in whatever state it is."""
+"""Second parameter of an arm or disarm command that skips all checks."""
 
 IDLE_DISARM_S = 10.0
-"""Armed on the ground for so long without taking off, it disarms (DISARM_DELAY)."""
+"""Time until the motors are disarmed when armed on the ground without a take-off (DISARM_DELAY)."""
 LANDED_S = 1.0
 SETPOINT_S = 3.0
-"""So long a velocity holds without another one (GUID_TIMEOUT)."""
+"""Time until a velocity set point expires (GUID_TIMEOUT)."""
 TELEOP_S = 1.0
 RTL_ALTITUDE, RTL_SLOPE = 15.0, 3.0
-"""Height above home for the way back, in m, and how steeply it climbs to it when it is near home."""
+"""Height above home of the return flight in m, and the slope of the climb when it is near home."""
 LAND_FAST, LAND_SLOW, LAND_SLOW_BELOW = 1.5, 0.5, 5.0
 REACHED_M, TAKEN_OFF_M = 1.0, 0.3
 MOST_TEXTS = 50
@@ -54,10 +54,10 @@ LOW_BATTERY = 0.15
 
 
 class Autopilot:
-    """Orders are methods; `step` flies. `mode`, `armed`, `current` (of the mission) are what it tells.
+    """The autopilot: orders are methods, and `step` flies. Its state: `mode`, `armed`, `current` (mission item).
 
-    `texts` are (severity, text) that it has to say; `reached` is the item that it reached last. `fence_altitude` is the
-    ceiling in m above home.
+    `texts` are pending status texts as (severity, text); `reached` is the last item that was reached. `fence_altitude`
+    is the ceiling in m above home.
     """
 
     def __init__(self, frame):
@@ -80,12 +80,12 @@ class Autopilot:
 
     @property
     def altitude(self):
-        """Height above home in m."""
+        """The height above home in m."""
         return float(self.frame.position[2])
 
     @property
     def landed_state(self):
-        """One of the states of EXTENDED_SYS_STATE."""
+        """The MAV_LANDED_STATE of EXTENDED_SYS_STATE."""
         if self.frame.is_on_ground:
             return ON_GROUND
         if self._taking_off_to:
@@ -93,17 +93,17 @@ class Autopilot:
         return LANDING if self._is_landing else IN_AIR
 
     def say(self, text, severity=INFO):
-        """Something for STATUSTEXT, which has room for 50 characters in a piece; ours are whole."""
+        """Queue a status text. STATUSTEXT holds 50 characters per piece; ours are not split."""
         self.texts.append((severity, text))
 
     # ── orders ─────────────────────────────────────────────────────────────────────────────────────────────────────
 
     def knows_mode(self, mode):
-        """Whether there is a mode of that name."""
+        """Whether a mode of this name exists."""
         return mode in MODES
 
     def set_mode(self, mode):
-        """Change the mode: returns whether it did; why not is said."""
+        """Change the mode; return whether that succeeded. A status text says why not."""
         reason = self._mode_problem(mode)
         if reason:
             self.say(f"Mode change to {mode} failed: {reason}", WARNING)
@@ -118,7 +118,7 @@ class Autopilot:
         return True
 
     def arm(self, value, force=False):
-        """Arm or disarm: a MAV_RESULT."""
+        """Arm or disarm; return a MAV_RESULT."""
         if value == self.armed:
             return ACCEPTED
         if not value:
@@ -141,7 +141,7 @@ class Autopilot:
         return ACCEPTED
 
     def take_off(self, altitude):
-        """Take off to a height above home, in GUIDED: a MAV_RESULT."""
+        """Take off to a height in m above home, in GUIDED; return a MAV_RESULT."""
         if self.mode != "GUIDED":
             problem = f"the mode is {self.mode}, not GUIDED"
         elif not self.armed:
@@ -158,7 +158,7 @@ class Autopilot:
         return ACCEPTED
 
     def command(self, number, parameters):
-        """A command of MAVLink with its seven numbers: a MAV_RESULT."""
+        """Execute a MAVLink command with its seven parameters; return a MAV_RESULT."""
         if number == plans.TAKEOFF:
             return self.take_off(parameters[6])
         if number == plans.ARM_DISARM:
@@ -177,7 +177,7 @@ class Autopilot:
         return UNSUPPORTED
 
     def push(self, items):
-        """Take a new mission: None, or why not in words."""
+        """Replace the mission; return None, or why it was refused."""
         for number, item in enumerate(items):
             if item.command in (plans.WAYPOINT, plans.TAKEOFF) and number and (why := self._height_problem(item.z)):
                 self.say(f"Mission: item {number}: {why}", WARNING)
@@ -188,21 +188,21 @@ class Autopilot:
         return None
 
     def move(self, velocity, turning):
-        """A setpoint: a velocity (3,) in m/s and a turning rate in rad/s. Whether it is followed."""
+        """Set a velocity (3,) in m/s and a yaw rate in rad/s; return whether it is followed."""
         if not self._is_guided():
             return False
         self._velocity, self._turning, self._velocity_for_s = np.asarray(velocity, dtype=float), turning, SETPOINT_S
         return True
 
     def go(self, place, heading):
-        """A setpoint: a place (3,) in m, and a heading in rad. Whether it is followed."""
+        """Set a position (3,) in m and a heading in rad; return whether it is followed."""
         if not self._is_guided() or self._height_problem(place[2]):
             return False
         self._hold, self._heading, self._velocity_for_s = np.asarray(place, dtype=float), heading, 0.0
         return True
 
     def fly_by_hand(self, velocity, turning):
-        """The quadcopter's own input, which asks for no arming: it takes off where it is told to climb."""
+        """Follow the quadcopter's own velocity input, which needs no arming: it takes off on a climbing velocity."""
         if not self.armed and velocity[2] > 0.05:
             self.mode = "GUIDED"
             self.arm(True, force=True)
@@ -223,14 +223,14 @@ class Autopilot:
             self._follow_mission(dt)
 
     def _wanted(self, dt):
-        """The acceleration (3,) that is asked of the motors now."""
+        """Return the wanted acceleration (3,) in m/s² now."""
         frame, control = self.frame, self._control
         if not self.armed:
             return np.zeros(3)
         if frame.is_on_ground and not self._is_leaving_ground():
             control.reset()
             return np.array([0.0, 0.0, -2.0])
-        if self.mode == "STABILIZE":  # nobody is at the sticks: the throttle is at its lowest
+        if self.mode == "STABILIZE":  # no pilot: the throttle is at its lowest
             return control.to_velocity(frame, np.array([0.0, 0.0, -3.0]), dt)
         if self._velocity_for_s > 0:
             self._velocity_for_s -= dt
@@ -250,7 +250,7 @@ class Autopilot:
         return control.to_place(frame, self._hold, dt)
 
     def _is_braked(self):
-        """Whether it has stood in this BRAKE already, so that it holds its place against the wind."""
+        """Whether the drone has come to rest in this BRAKE; from then on it holds its position against the wind."""
         if float(np.linalg.norm(self.frame.velocity)) <= 0.3:
             self._has_braked = True
         return self._has_braked
@@ -264,7 +264,7 @@ class Autopilot:
         return bool(self._taking_off_to) or (self._velocity_for_s > 0 and self._velocity[2] > 0)
 
     def _begin_holding(self):
-        """Stay where it will come to rest from here."""
+        """Hold the position at which the drone will come to rest."""
         frame = self.frame
         speed = math.hypot(frame.velocity[0], frame.velocity[1])
         ahead = frame.velocity * (speed / (2 * 2.5)) if speed > 0.2 else np.zeros(3)
@@ -278,7 +278,7 @@ class Autopilot:
         return self._control.to_place(self.frame, place, dt, descent=speed)
 
     def _return(self, dt):
-        """Up, back above home, and down."""
+        """Climb, fly home, and land."""
         distance = math.hypot(*self.frame.position[:2])
         if not self._is_started:
             self._is_started = True
@@ -332,7 +332,7 @@ class Autopilot:
             self._begin_item(1)
 
     def _begin_item(self, number):
-        """Go on to an item; after the last one it stays where it is, or on the ground."""
+        """Begin a mission item; after the last one hold the position, or stay on the ground."""
         if number >= len(self.items):
             self._is_started = False
             self._begin_holding()
@@ -373,7 +373,7 @@ class Autopilot:
             self.reached = self.current
         elif item.command == plans.LOITER_UNLIMITED:
             self.reached = self.current
-        elif self._at_item_s >= item.parameters[0]:  # seconds to stay, of a waypoint and of LOITER_TIME
+        elif self._at_item_s >= item.parameters[0]:  # the time to stay in s, of a waypoint and of LOITER_TIME
             self._reach()
 
     def _reach(self):

@@ -1,4 +1,4 @@
-"""/quadcopter: the drone as a body: its own velocity input, odometry, transforms, description, and its weather."""
+"""/quadcopter: the drone's own velocity input, odometry, transforms and description; its parameters set the weather."""
 
 # pyright: basic
 from __future__ import annotations
@@ -19,11 +19,11 @@ from .description import LEGS, MOUNTS, description
 
 ODOMETRY_HZ = 20.0
 TELEOP_TOPIC = "X3/cmd_vel"
-"""As the quadcopter of Gazebo's teleop world has it: forward, left, up in m/s, turning in rad/s, of its own frame."""
+"""As in Gazebo's teleop world of the quadcopter: m/s forward, left and up, and rad/s of yaw, in the body's frame."""
 
 
 class Quadcopter(RobotPart):
-    """Flies by velocity commands of its own, and tells where it is."""
+    """Flies by velocity commands of its own, and publishes its pose."""
 
     def __init__(self, robot, namespace):
         super().__init__("quadcopter", robot, namespace)
@@ -101,7 +101,7 @@ class Quadcopter(RobotPart):
 
 
 def _in_body(body):
-    """The velocity as the body feels it: forward, left, up in m/s, of a frame that turns but does not tilt."""
+    """Return the velocity forward, left and up in m/s, in a frame that turns but does not tilt with the body."""
     along, across = np.cos(body.yaw), np.sin(body.yaw)
     east, north, up = map(float, body.velocity)
     return float(east * along + north * across), float(north * along - east * across), up

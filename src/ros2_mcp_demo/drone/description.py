@@ -1,16 +1,16 @@
-"""The drone's body as URDF, of our own. No ROS."""
+"""The drone's URDF, made by this project. No ROS."""
 
 # pyright: basic
 from __future__ import annotations
 
 ARM_LENGTH = 0.22
-"""From the middle to each rotor, in m."""
+"""Distance from the centre to each rotor along x and along y, in m."""
 ROTOR_RADIUS = 0.127
 LEGS = 0.12
-"""base_link is so far above the ground on which it stands, in m."""
+"""Height of base_link above the ground when the drone stands, in m."""
 MASS = 1.5
 MOUNTS = {"imu_link": (0.0, 0.0, 0.0), "gps_link": (0.0, 0.0, 0.08), "camera_link": (0.12, 0.0, -0.03)}
-"""What is fixed to base_link, and where, in m."""
+"""Frames fixed to base_link, with their positions in m."""
 ROTORS = {
     "front_left": (ARM_LENGTH, ARM_LENGTH),
     "front_right": (ARM_LENGTH, -ARM_LENGTH),
@@ -42,7 +42,7 @@ _MOUNT = """  <link name="{prefix}{name}"/>
 
 
 def description(prefix=""):
-    """The drone as URDF; `prefix` stands before the name of every link and joint."""
+    """Return the drone's URDF; `prefix` is prepended to the name of every link and joint."""
     side = 2 * ARM_LENGTH
     body = f'<geometry><box size="{side:g} {side:g} 0.1"/></geometry>'
     base = _BASE.format(prefix=prefix, mass=MASS, body=body)

@@ -1,6 +1,6 @@
-"""/mavros/mavros: the autopilot in the messages and services of MAVROS, as far as a flight needs them.
+"""/mavros/mavros: the autopilot's MAVROS topics and services, as far as a flight needs them.
 
-Names, types and QoS are those of MAVROS 2; there they belong to many nodes, here to one.
+Names, types and QoS are those of MAVROS 2; there many nodes share them, here one node has all.
 """
 
 # pyright: basic, reportMissingImports=false
@@ -25,11 +25,11 @@ HEARTBEAT_HZ, POSITION_HZ, BATTERY_HZ = 1.0, 10.0, 1.0
 STANDING_BY, ACTIVE = 3, 4
 """MAV_STATE of MAVLink."""
 _LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-"""As MAVROS publishes its states."""
+"""The QoS with which MAVROS publishes its states."""
 
 
 class Mavros(RobotPart):
-    """MAVROS and the autopilot behind it."""
+    """MAVROS with the simulated autopilot."""
 
     def __init__(self, robot, namespace):
         super().__init__("mavros", robot, f"{namespace}/mavros")
@@ -127,7 +127,7 @@ class Mavros(RobotPart):
     def _set_mode(self, request, response):
         response.mode_sent = self._pilot.knows_mode(request.custom_mode)
         if response.mode_sent:
-            self._pilot.set_mode(request.custom_mode)  # MAVROS does not wait for what becomes of it
+            self._pilot.set_mode(request.custom_mode)  # MAVROS does not wait for the outcome
         else:
             self.get_logger().error(f"MODE: Unknown mode: {request.custom_mode}")
         return response
@@ -185,7 +185,7 @@ def _answered(response, result):
 
 
 def _item(number, waypoint):
-    """An item of the mission; raises `ValueError` in words."""
+    """Convert a waypoint to a mission item; raises `ValueError` with the reason."""
     parameters = (waypoint.param1, waypoint.param2, waypoint.param3, waypoint.param4)
     place = (waypoint.x_lat, waypoint.y_long, waypoint.z_alt)
     try:

@@ -1,4 +1,4 @@
-"""Missions of the simulated autopilot: their items, and which of them it takes. Pure Python, no ROS.
+"""Missions of the simulated autopilot: their items, and which of them are supported. Pure Python, no ROS.
 
 Numbers of commands, frames and results are those of MAVLink (https://mavlink.io/en/messages/common.html).
 """
@@ -13,17 +13,18 @@ WAYPOINT, LOITER_UNLIMITED, LOITER_TIME, RETURN, LAND, TAKEOFF, CHANGE_SPEED = 1
 START_MISSION, ARM_DISARM, SET_MODE = 300, 400, 176
 TAKEN = (WAYPOINT, LOITER_UNLIMITED, LOITER_TIME, RETURN, LAND, TAKEOFF, CHANGE_SPEED)
 ABOVE_SEA, ABOVE_HOME = (0, 5), (3, 6)
-"""Frames in which a height is above the sea, and those in which it is above home."""
+"""MAVLink frames whose heights are above sea level, and those whose heights are above home."""
 MOST_ITEMS = 700
 
 HOME_LATITUDE, HOME_LONGITUDE, HOME_ALTITUDE = 47.397742, 8.545594, 488.0
-"""In degrees and in m above the sea; a meadow near Zurich."""
+"""Home in degrees, and m above sea level: a meadow near Zurich."""
 _METRES_PER_DEGREE = math.radians(1.0) * 6378137.0
 
 
 @dataclass(frozen=True)
 class Item:
-    """One item: `parameters` are its four first numbers, `x`, `y` metres east and north of home, `z` above it."""
+    """One item: `parameters` are its first four, `x` and `y` are m east and north of home (NaN without a position), `z`
+    m above home."""
 
     command: int
     parameters: tuple[float, float, float, float]
@@ -33,26 +34,26 @@ class Item:
 
 
 def metres(latitude, longitude):
-    """Metres east and north of home."""
+    """Return the m east and north of home of a point in degrees."""
     x = (longitude - HOME_LONGITUDE) * _METRES_PER_DEGREE * math.cos(math.radians(HOME_LATITUDE))
     return x, (latitude - HOME_LATITUDE) * _METRES_PER_DEGREE
 
 
 def degrees(x, y):
-    """Latitude and longitude of a point x m east and y m north of home."""
+    """Return latitude and longitude in degrees of a point x m east and y m north of home."""
     longitude = HOME_LONGITUDE + x / (_METRES_PER_DEGREE * math.cos(math.radians(HOME_LATITUDE)))
     return HOME_LATITUDE + y / _METRES_PER_DEGREE, longitude
 
 
 def item_of(command, frame, parameters, latitude, longitude, altitude):
-    """An item from the numbers of a waypoint; raises `ValueError` in words for one that is not taken."""
+    """Return the item for a waypoint's numbers; raises `ValueError` with the reason for one that is not supported."""
     if command not in TAKEN:
         raise ValueError(f"command {command} is not supported")
     if frame not in (*ABOVE_SEA, *ABOVE_HOME):
         raise ValueError(f"frame {frame} is not supported")
     if not all(math.isfinite(number) for number in (latitude, longitude, altitude)):
         raise ValueError("its place is not finite")
-    # A take-off, or a landing, without a place is one where it is.
+    # A take-off or landing without a position happens at the present position.
     has_place = bool(latitude or longitude)
     x, y = metres(latitude, longitude) if has_place else (math.nan, math.nan)
     z = altitude - HOME_ALTITUDE if frame in ABOVE_SEA else altitude

@@ -1,4 +1,4 @@
-"""The drone and its air without ROS. Same seed, same wind."""
+"""The drone and its wind without ROS. The same seed gives the same wind."""
 
 # pyright: basic
 from __future__ import annotations
@@ -9,11 +9,12 @@ from .airframe import Airframe
 from .autopilot import Autopilot
 
 GPS_ERROR_M = 0.02
-"""Of what it believes its place to be: that of a receiver with corrections, so that flights can be judged."""
+"""Standard deviation of the measured position: that of a receiver with corrections, so that flights can be judged."""
 
 
 class DroneSimulation:
-    """`now` is the simulated time in s; `speedup` is how many of its seconds pass in one (SIM_SPEEDUP of ArduPilot)."""
+    """`now` is the simulated time in s; `speedup` is the simulated seconds per real second (SIM_SPEEDUP of
+    ArduPilot)."""
 
     def __init__(self, seed=7):
         air, self._sensors = (np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(2))
@@ -24,14 +25,14 @@ class DroneSimulation:
         self._steps = 0
 
     def step(self, dt):
-        """Let `dt` s pass, as many times as it is sped up."""
+        """Advance the simulation by `speedup` steps of `dt` s."""
         for _ in range(self.speedup):
             self._steps += 1
             self.now = self._steps * dt
             self.autopilot.step(dt)
 
     def heartbeat(self):
-        """How it is, in a line."""
+        """Return the drone's state in one line."""
         pilot, charge = self.autopilot, self.frame.battery.charge * 100
         armed = "armed" if pilot.armed else "disarmed"
         return (
@@ -39,5 +40,5 @@ class DroneSimulation:
         )
 
     def localize(self):
-        """Where it believes to be: x, y, z in m."""
+        """Return the measured position: x, y, z in m."""
         return self.frame.position + GPS_ERROR_M * self._sensors.standard_normal(3)

@@ -1,1 +1,1 @@
-"""The rover with all of Nav2: each server a node of its own, a chain of command, managers, and faults by name."""
+"""The rover with all of Nav2: one node per server, a chain of commands, lifecycle managers, and faults by name."""

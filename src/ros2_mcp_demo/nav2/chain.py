@@ -1,4 +1,4 @@
-"""The way of a command from the controller to the wheels: smoother, collision monitor, base; and the EKF beside it."""
+"""The chain of commands from the controller to the wheels: smoother, collision monitor, base; and the EKF."""
 
 # pyright: basic
 from __future__ import annotations
@@ -25,7 +25,7 @@ from .servers import Managed, declare
 
 
 class Smoother(Managed, LifecyclePart):
-    """Passes commands on."""
+    """Republishes commands unchanged."""
 
     def __init__(self, robot, namespace, **parameters):
         super().__init__("velocity_smoother", robot, namespace)
@@ -40,7 +40,7 @@ class Smoother(Managed, LifecyclePart):
 
 
 class CollisionMonitor(Managed, LifecyclePart):
-    """Passes commands on, or zeros while enough of the scan is in a polygon or a source is missing."""
+    """Republishes commands; sends zeros instead while enough scan points are in a polygon or a source is missing."""
 
     def __init__(self, robot, namespace, state_type, **parameters):
         super().__init__("collision_monitor", robot, namespace)
@@ -53,7 +53,7 @@ class CollisionMonitor(Managed, LifecyclePart):
         self.create_subscription(LaserScan, "scan", lambda _: None, qos_profile_sensor_data)
 
     def publish_on(self, topic):
-        """Its output goes elsewhere."""
+        """Publish the commands on another topic."""
         self.destroy_publisher(self._out)
         self._out = self.create_publisher(Twist, topic, 10)
 
@@ -67,7 +67,7 @@ class CollisionMonitor(Managed, LifecyclePart):
         self._out.publish(Twist() if held else command)
 
     def _why_held(self):
-        """The polygon that is not free; `invalid source` where one is missing."""
+        """Return the polygon that is not free, `invalid source` if a source is missing, or None."""
         if len(self.setting("observation_sources")) > 1:
             return "invalid source"
         ranges = self.robot.ranges
@@ -82,7 +82,7 @@ class CollisionMonitor(Managed, LifecyclePart):
 
 
 class Base(BaseController):
-    """The base of this robot follows /cmd_vel alone, and tells the odometry of its wheels to the EKF."""
+    """This robot's base subscribes only to /cmd_vel, and publishes its wheel odometry for the EKF."""
 
     stamp_offset_s = 0.0
     is_silent = False
@@ -100,7 +100,7 @@ class Base(BaseController):
         self.follow()
 
     def follow(self):
-        """Listen on /cmd_vel."""
+        """Subscribe to /cmd_vel."""
         if self._driver:
             self._driver.destroy_node()
             self._driver.context.try_shutdown()
@@ -108,7 +108,8 @@ class Base(BaseController):
         self._listening = self.create_subscription(Twist, "cmd_vel", self._take, 10)
 
     def follow_stamped(self):
-        """Leave /cmd_vel to a driver that listens for TwistStamped; a participant has one type for each topic."""
+        """Leave /cmd_vel to a driver that subscribes to TwistStamped, with a participant of its own: a participant has
+        one type per topic."""
         self.destroy_subscription(self._listening)
         context = Context()
         rclpy.init(context=context, args=[])
@@ -120,7 +121,7 @@ class Base(BaseController):
             super()._publish(stamp)
 
     def tick(self, stamp):
-        """As any base; its clock may be off."""
+        """Tick like any base, with stamps that may be offset."""
         if self.stamp_offset_s:
             stamp = copy.copy(stamp)
             stamp.sec += math.floor(self.stamp_offset_s)
@@ -130,7 +131,7 @@ class Base(BaseController):
 
 
 class Ekf(RobotPart):
-    """robot_localization's: tells /odom and the transform from odom to the base, when the wheels tell something."""
+    """Publishes /odom and the transform from odom to the base for each wheel odometry, as robot_localization does."""
 
     def __init__(self, robot, namespace):
         super().__init__("ekf_filter_node", robot, namespace)
@@ -149,7 +150,7 @@ class Ekf(RobotPart):
 
 
 class Teleop(RobotPart):
-    """Somebody who holds a remote control: zeros at 20 Hz."""
+    """A remote control that publishes zeros at 20 Hz."""
 
     def __init__(self, robot, namespace):
         super().__init__("teleop_node", robot, namespace)
@@ -157,7 +158,7 @@ class Teleop(RobotPart):
         self._sent_at = 0.0
 
     def tick(self, stamp):  # noqa: ARG002
-        """Send when it is time."""
+        """Publish when it is due."""
         if time.monotonic() - self._sent_at >= 0.05:
             self._sent_at = time.monotonic()
             self._commands.publish(Twist())

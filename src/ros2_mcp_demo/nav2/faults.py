@@ -1,7 +1,7 @@
-"""What can be planted in the rover with all of Nav2, by name: causes for which robots stand still, and decoys.
+"""Faults that can be planted by name in the rover with all of Nav2: causes that stop robots, and decoys.
 
-A fault is a function that plants it and one that heals it (None: only a new start does). Numbers are those of the
-causes in the list that `ros2_nav_check` was written by.
+A fault is a pair of functions: one plants it, the other heals it (None: only a restart does). The numbers are those of
+the list of causes from which `ros2_nav_check` was written.
 """
 
 # pyright: basic
@@ -16,7 +16,7 @@ from .chain import Teleop
 from .localisation import UNKNOWN_FROM_M
 
 PLANTED: list = []
-"""The names that were given at the start."""
+"""The names given at the start."""
 
 
 def _parameter(part, name, wrong, right):
@@ -24,7 +24,7 @@ def _parameter(part, name, wrong, right):
 
 
 def _parameters(part, values):
-    """Several of one part: name → (wrong, right)."""
+    """Return the fault that sets several parameters of a part: name → (wrong, right)."""
 
     def plant(stack, which):
         for name, pair in values.items():
@@ -40,7 +40,7 @@ def _attribute(part, name, wrong, right):
 
 
 def _joins(make):
-    """A node that comes, and goes again."""
+    """Return the fault that adds a node; healing removes it."""
     made = []
 
     def plant(stack):
@@ -51,7 +51,7 @@ def _joins(make):
 
 
 def _dies(part):
-    """A node that is gone: the process of a server has died."""
+    """Return the fault that removes a node, as if its process had died."""
 
     def plant(stack):
         stack.parts[part].is_gone = True
@@ -92,7 +92,7 @@ def _both(*pairs):
 
 
 def _blind_behind(stack):
-    """The map knows nothing behind a line, and the planner may not go where nothing is known."""
+    """Make the map unknown beyond a line, and forbid the planner to enter unknown space."""
     cells, (x, _) = stack.base.robot.map
     stack.hidden = cells[:, int((UNKNOWN_FROM_M - x) / 0.05) :].copy()
     cells[:, int((UNKNOWN_FROM_M - x) / 0.05) :] = -1
@@ -235,7 +235,7 @@ FAULTS = {
 
 
 def at_start(stack):
-    """Plant what was given at the start and must be there by now; the rest follows."""
+    """Plant the faults given at the start."""
     for name in PLANTED:
         FAULTS[name][0](stack)
 
@@ -246,6 +246,6 @@ def plant(stack, name):
 
 
 def heal(stack, name):
-    """Take it away, if that can be done without a new start."""
+    """Heal a fault by its name, if that is possible without a restart."""
     if undo := FAULTS[name][1]:
         undo(stack)

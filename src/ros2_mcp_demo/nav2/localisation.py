@@ -1,4 +1,4 @@
-"""What says where the robot is, as Nav2 has it: map_server, AMCL, and the costmaps that listen to them."""
+"""Localisation as in Nav2: map_server, AMCL, and the nodes of the costmaps."""
 
 # pyright: basic
 from __future__ import annotations
@@ -22,16 +22,16 @@ from .servers import Managed, declare
 
 RATE = 5.0
 TOLERANCE_S = 1.0
-"""AMCL stamps its transform so far ahead."""
+"""Time by which AMCL stamps its transform in the future."""
 DEVIATION_M = (0.30, 0.45)
-"""What a healthy AMCL tells of itself."""
+"""Standard deviations that a healthy AMCL reports."""
 UNKNOWN_FROM_M = 4.9
-"""Behind this x the map knows nothing, where that is planted."""
+"""The x in m from which the map is unknown, if that fault is planted."""
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class MapServer(Managed, LifecyclePart):
-    """Publishes the map when it is activated; it is latched, or, where that is planted, volatile."""
+    """Publishes the map when it is activated: latched or, with a planted fault, volatile."""
 
     def __init__(self, robot, namespace):
         super().__init__("map_server", robot, namespace)
@@ -39,7 +39,7 @@ class MapServer(Managed, LifecyclePart):
         self._publisher = self.create_publisher(OccupancyGrid, "map", LATCHED)
 
     def publish_as(self, durability):
-        """With another durability from now on."""
+        """Publish with another durability from now on."""
         self.destroy_publisher(self._publisher)
         self._publisher = self.create_publisher(OccupancyGrid, "map", QoSProfile(depth=1, durability=durability))
         self.publish()
@@ -63,7 +63,7 @@ class MapServer(Managed, LifecyclePart):
 
 
 class Amcl(Managed, LifecyclePart):
-    """Localises with each scan, and only then; its transform is stamped ahead. `off` is by how much it errs."""
+    """Localises with each scan only; its transform is stamped in the future. `off` is the planted error (m, m, rad)."""
 
     def __init__(self, robot, namespace, **parameters):
         super().__init__("amcl", robot, namespace)
@@ -102,7 +102,7 @@ class Amcl(Managed, LifecyclePart):
 
 
 class Costmap(RobotPart):
-    """The node of a costmap: listens to the scan, of the global one to the map too; has its parameters."""
+    """The node of a costmap with its parameters: subscribes to the scan, the global one also to the map."""
 
     def __init__(self, name, robot, namespace, **parameters):
         super().__init__(name, robot, f"{namespace}/{name}")
@@ -114,7 +114,7 @@ class Costmap(RobotPart):
             self.create_subscription(OccupancyGrid, f"{namespace}/map", lambda _: None, LATCHED)
 
     def listen(self, topic):
-        """Take the scan from there; `../` is outside of its own namespace."""
+        """Subscribe to the scan on a topic; `../` leaves the node's own namespace."""
         if self._scans:
             self.destroy_subscription(self._scans)
         outside = self.get_namespace().rpartition("/")[0]
@@ -126,7 +126,7 @@ class LocalCostmap(Costmap):
     """The costmap around the robot."""
 
     def tick(self, stamp):
-        """Publish what the scan sees, once a second."""
+        """Publish the cells that the scan hits, once a second."""
         if not self.is_due(1.0) or self.robot.ranges is None:
             return
         message = OccupancyGrid()

@@ -1,4 +1,4 @@
-"""The rover with all of Nav2, put together; it joins when nav2_msgs is there."""
+"""The complete rover with all of Nav2, which joins when nav2_msgs is installed."""
 
 # pyright: basic
 from __future__ import annotations
@@ -75,11 +75,12 @@ PARAMETERS = {
     "local_costmap": {"global_frame": "odom", "rolling_window": True, "width": 3, "height": 3, **_COSTMAP, **_SCAN},
     "global_costmap": {"global_frame": "map", "width": 8, "height": 6, **_COSTMAP, **_SCAN},
 }
-"""By part; what Nav2's nodes have of it in a robot that works."""
+"""Parameters of Nav2's nodes on a working robot, by part; "__" stands for a dot."""
 
 
 class Stack:
-    """All parts of the robot by their names in `PARAMETERS`, for what is planted in them; `part` is any of them."""
+    """All parts of the robot by name (also as attributes), for planting faults. Parts in `joined` join the robot, parts
+    in `left` leave it."""
 
     def __init__(self):
         self.hidden = None
@@ -101,11 +102,11 @@ class Stack:
 
 
 STACK = Stack()
-"""Of this process; there is one robot in it."""
+"""The stack of this process, which has one robot."""
 
 
 def build(seed, namespace):
-    """The simulation, and the nodes that do not need nav2_msgs."""
+    """Return the simulation, and the nodes that do not need nav2_msgs."""
     simulation = Simulation(seed)
     classes = {"base": Base, "lidar": Lidar, "imu": ImuDriver, "battery": BatteryMonitor, "ekf": Ekf}
     classes["state_publisher"] = RobotStatePublisher
@@ -118,7 +119,7 @@ def build(seed, namespace):
 
 
 def late(simulation, namespace, parts):
-    """Nav2's nodes, when nav2_msgs has been built; they are brought up by their managers."""
+    """Return Nav2's nodes once nav2_msgs has been built; their lifecycle managers bring them up."""
     interfaces = optional.arrived("nav2_msgs", "action", "srv", "msg")
     if not interfaces or not optional.lifecycle:
         return []

@@ -1,6 +1,6 @@
-"""Nav2's servers that drive: a navigator that calls the controller by its action, and behaviours.
+"""Nav2's driving servers: a controller, a navigator that sends goals to it, and behaviours.
 
-The controller goes on following a path when the navigator is gone, as Nav2's does.
+As in Nav2, the controller continues to follow a path when the navigator is gone.
 """
 
 # pyright: basic
@@ -26,18 +26,18 @@ SPIN_RAD_S = 0.8
 
 
 class Managed:
-    """A lifecycle part that its manager brings up, and that may fail to be configured."""
+    """A lifecycle node that a lifecycle manager brings up, and whose configuration may fail."""
 
     fails = ""
-    """Why it cannot be configured; empty where it can."""
+    """Why the configuration fails; "" if it succeeds."""
     starved = False
-    """Whether it misses its heartbeats."""
+    """Whether the node misses its heartbeats."""
 
     def start(self):
-        """Its manager does it."""
+        """Do nothing: the lifecycle manager brings the node up."""
 
     def on_configure(self, state):
-        """Configure, or say why not."""
+        """Configure the node, or log why that fails."""
         if self.fails:
             self.get_logger().error(self.fails)  # pyright: ignore[reportAttributeAccessIssue]
             from rclpy.lifecycle import TransitionCallbackReturn
@@ -47,7 +47,7 @@ class Managed:
 
 
 class Server(Managed, LifecyclePart):
-    """A server of which nothing else matters than that it is there."""
+    """A server without a function of its own."""
 
     def __init__(self, name, robot, namespace, **parameters):
         super().__init__(name, robot, namespace)
@@ -55,7 +55,7 @@ class Server(Managed, LifecyclePart):
 
 
 class Planner(Managed, PlannerServer):
-    """The planner; its costmap is published by the node of that costmap, and knows nothing from `unknown_from_m` on."""
+    """The planner. Its costmap is published by the costmap's own node, and is unknown from x = `unknown_from_m` on."""
 
     unknown_from_m = math.inf
 
@@ -132,7 +132,7 @@ class Controller(Managed, ControllerServer):
 
 
 class TreeNavigator(Managed, LifecyclePart):
-    """Serves /navigate_to_pose by planning, and by a goal for /follow_path."""
+    """Serves /navigate_to_pose: plans, and sends a goal to /follow_path."""
 
     def __init__(self, robot, namespace, navigation, planner, actions, **parameters):
         super().__init__("bt_navigator", robot, namespace)
@@ -147,7 +147,7 @@ class TreeNavigator(Managed, LifecyclePart):
         self._is_cancelling = False
 
     def tick(self, stamp):
-        """Look how the controller is doing."""
+        """Check the state of the controller's goal."""
         if self._handle is None:
             return
         if self._sent.done() and self._result is None:
@@ -218,7 +218,7 @@ class TreeNavigator(Managed, LifecyclePart):
 
 
 class Behaviors(Managed, LifecyclePart):
-    """Serves /spin and /backup; publishes commands beside the controller, by design."""
+    """Serves /spin and /backup; publishes commands on the controller's topic, by design."""
 
     def __init__(self, robot, namespace, actions, **parameters):
         super().__init__("behavior_server", robot, namespace)
@@ -276,6 +276,6 @@ class Behaviors(Managed, LifecyclePart):
 
 
 def declare(node, parameters):
-    """Parameters by name and value; `__` in a name stands for a dot."""
+    """Declare parameters by name and value; `__` in a name stands for a dot."""
     for name, value in parameters.items():
         node.declare_parameter(name.replace("__", "."), value)

@@ -1,4 +1,4 @@
-"""Nav2's lifecycle manager: brings its nodes up in their order, and takes all of them down when one is lost."""
+"""Nav2's lifecycle manager: brings up its nodes in order, and takes all of them down when one is lost."""
 
 # pyright: basic
 from __future__ import annotations
@@ -16,7 +16,7 @@ STARTUP, PAUSE, RESUME, RESET, SHUTDOWN = range(5)
 
 
 class Supervisor(RobotPart):
-    """`servers` are its nodes, in the order in which they are brought up."""
+    """A lifecycle manager; `servers` are its nodes, in the order of the bring-up."""
 
     def __init__(self, name, robot, namespace, servers, service):
         super().__init__(name, robot, namespace)
@@ -30,7 +30,7 @@ class Supervisor(RobotPart):
         self.create_service(service, f"{name}/manage_nodes", self._manage)
 
     def tick(self, stamp):
-        """Look whether all are there, and tell it once a second."""
+        """Check the heartbeats of all nodes, and publish diagnostics once a second."""
         lost = [one for one in self.servers if getattr(one, "is_gone", False) or one.starved]
         if self.is_up and lost:
             self._missed_at = self._missed_at or self.robot.now
@@ -46,7 +46,7 @@ class Supervisor(RobotPart):
             self._diagnostics.publish(message)
 
     def bring_up(self):
-        """Configure all, then activate all; end with the first that fails."""
+        """Configure all nodes, then activate all; stop at the first failure. Return whether all are active."""
         missing = [name for name in self.setting("node_names") if name not in self._names.values()]
         if missing:
             self.get_logger().info(f"Waiting for service {missing[0]}/get_state...")
@@ -55,7 +55,7 @@ class Supervisor(RobotPart):
             for server in self.servers:
                 if getattr(server, "is_gone", False):
                     return False
-                with suppress(RuntimeError):  # it is configured, or active, already
+                with suppress(RuntimeError):  # already configured or active
                     getattr(server, step)()
                 if server.fails:
                     self.get_logger().error(f"Failed to change state for node: {self._names[server]}")
@@ -66,12 +66,12 @@ class Supervisor(RobotPart):
         return True
 
     def pause(self):
-        """Deactivate all."""
+        """Deactivate all nodes."""
         self._all_down("trigger_deactivate")
         self.get_logger().info("Managed nodes have been paused")
 
     def reset(self):
-        """Deactivate and clean up all."""
+        """Deactivate and clean up all nodes."""
         self._all_down("trigger_deactivate")
         self._all_down("trigger_cleanup")
 
@@ -84,7 +84,7 @@ class Supervisor(RobotPart):
         self.is_up = False
         for server in reversed(self.servers):
             if not getattr(server, "is_gone", False):
-                with suppress(RuntimeError):  # it is down already
+                with suppress(RuntimeError):  # already down
                     getattr(server, step)()
 
     def _is_active(self, _, response):

@@ -1,4 +1,4 @@
-"""/base_controller: follows velocity commands, tells odometry, wheel angles and the robot's mode."""
+"""/base_controller: follows velocity commands; publishes odometry, wheel angles and the robot's mode."""
 
 # pyright: basic
 from __future__ import annotations
@@ -51,7 +51,7 @@ class BaseController(RobotPart):
             self.create_service(optional.demo_services.SetMode, "set_mode", self._set_mode)
 
     def tick(self, stamp):
-        """Stop when commands stay away; publish what is due."""
+        """Stop without recent commands; publish what is due."""
         fastest, turning = self.setting("max_linear_speed"), self.setting("max_angular_speed")
         is_fresh = time.monotonic() - self._commanded_at <= self.setting("cmd_vel_timeout")
         linear, angular = self._commanded if is_fresh else (0.0, 0.0)
@@ -63,7 +63,7 @@ class BaseController(RobotPart):
             self._mode.publish(String(data=self._published_mode))
 
     def diagnosis(self):
-        """How the base is doing."""
+        """Return the state of the base."""
         base = self.robot.base
         values = {
             "mode": self.robot.mode,
@@ -79,7 +79,7 @@ class BaseController(RobotPart):
         return OK, "driving" if self.robot.is_moving() else "standing", values
 
     def _on_command(self, command):
-        """A command by hand takes over from navigation."""
+        """Follow a manual command, which takes over from navigation."""
         if self.robot.mode == AUTONOMOUS:
             self.robot.mode = MANUAL
             self.get_logger().warning("/cmd_vel takes over: mode manual")

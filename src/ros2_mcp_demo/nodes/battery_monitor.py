@@ -12,7 +12,7 @@ from .part import ERROR, OK, WARN, RobotPart
 
 
 class BatteryMonitor(RobotPart):
-    """Tells once a second how much charge is left."""
+    """Publishes the charge once a second."""
 
     def __init__(self, robot, namespace):
         super().__init__("battery_monitor", robot, namespace)
@@ -21,13 +21,13 @@ class BatteryMonitor(RobotPart):
         self._publisher = self.create_publisher(BatteryState, "battery_state", 10)
 
     def tick(self, stamp):
-        """Measure when it is time."""
+        """Publish when it is due."""
         self.robot.battery.drain_rate = self.setting("drain_rate")
         if self.is_due(1.0):
             self._publisher.publish(self._message(stamp))
 
     def diagnosis(self):
-        """Whether the battery lasts."""
+        """Return whether the battery is low."""
         battery = self.robot.battery
         values = {"charge [%]": f"{battery.charge * 100:.1f}", "voltage [V]": f"{battery.voltage:.2f}"}
         if battery.charge <= 0.05:

@@ -1,4 +1,4 @@
-"""/camera: colour and depth pictures, made only while somebody looks."""
+"""/camera: colour and depth pictures, rendered only while there are subscribers."""
 
 # pyright: basic
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Camera(RobotPart):
             self._jpeg = self.create_publisher(CompressedImage, "camera/image_raw/compressed", 5)
 
     def tick(self, stamp):
-        """Take the pictures that are due and wanted."""
+        """Publish the pictures that are due and have subscribers."""
         if not self.setting("enabled"):
             return
         if (sign := self.setting("sign")) and self.is_due(0.5, "sign"):
@@ -46,7 +46,7 @@ class Camera(RobotPart):
             self._depth.publish(self._image(stamp, depth, "32FC1", 4))
 
     def diagnosis(self):
-        """Whether the camera works."""
+        """Return whether the camera works."""
         values = {"frame rate [Hz]": f"{self.setting('frame_rate'):g}"}
         return (OK, "ready", values) if self.setting("enabled") else (ERROR, "no data from the camera", values)
 

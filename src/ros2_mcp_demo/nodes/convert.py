@@ -1,4 +1,4 @@
-"""From the simulation's numbers to ROS messages' fields."""
+"""Conversions from the simulation's numbers to fields of ROS messages."""
 
 # pyright: basic
 from __future__ import annotations
@@ -10,7 +10,7 @@ from geometry_msgs.msg import Quaternion, TransformStamped
 
 
 def quaternion(yaw):
-    """The rotation by `yaw` rad about the z axis."""
+    """Return the rotation by `yaw` rad about the z axis."""
     return Quaternion(z=math.sin(yaw / 2), w=math.cos(yaw / 2))
 
 
@@ -21,7 +21,7 @@ def place(pose_message, pose):
 
 
 def transform(stamp, parent, child, x=0.0, y=0.0, z=0.0, yaw=0.0):
-    """A geometry_msgs/TransformStamped."""
+    """Return a geometry_msgs/TransformStamped."""
     message = TransformStamped()
     message.header.stamp, message.header.frame_id, message.child_frame_id = stamp, parent, child
     translation = message.transform.translation
@@ -31,12 +31,12 @@ def transform(stamp, parent, child, x=0.0, y=0.0, z=0.0, yaw=0.0):
 
 
 def octets(values):
-    """Bytes of a numpy array as ROS wants uint8[]; `array` spares rclpy a check of every element."""
+    """Return a numpy array's bytes for a uint8[] field; an `array` spares rclpy the check of every element."""
     return array.array("B", values.tobytes())
 
 
 def diagonal(size, values):
-    """A covariance matrix, row by row, with {index: variance} on its diagonal."""
+    """Return a covariance matrix, row by row, with {index: variance} on its diagonal."""
     matrix = [0.0] * (size * size)
     for index, variance in values.items():
         matrix[index * (size + 1)] = variance

@@ -1,4 +1,4 @@
-"""/echo_server: the service /slow_echo, which takes its time without holding anything up."""
+"""/echo_server: the service /slow_echo, which answers after a delay without blocking anything."""
 
 # pyright: basic
 from __future__ import annotations
@@ -16,9 +16,9 @@ MOST_WAITING = 100
 
 
 class EchoServer(RobotPart):
-    """Not on an executor: it takes requests in `tick` and answers each when its time has come.
+    """Not on an executor: `tick` takes requests, and answers each when its delay is over.
 
-    A node without an executor answers nothing else, so it offers nothing else.
+    Without an executor a node serves nothing else, so it has no other services.
     """
 
     needs_executor = False
@@ -31,7 +31,7 @@ class EchoServer(RobotPart):
         self._waiting = []
 
     def tick(self, stamp):  # noqa: ARG002
-        """Take what has come, answer what is due."""
+        """Take new requests, and answer those that are due."""
         while self._take():
             pass
         now = time.monotonic()

@@ -1,4 +1,4 @@
-"""An action server that a node's own loop serves."""
+"""An action server whose goals run in the loop of its node."""
 
 # pyright: basic
 from __future__ import annotations
@@ -9,9 +9,9 @@ from .part import never_called
 
 
 class GoalServer(ActionServer):
-    """Calls `begin(goal_handle)` for every accepted goal; the owner later calls `finish`.
+    """Calls `begin(goal_handle)` for every accepted goal; the node calls `finish` later.
 
-    rclpy would run a callback for as long as a goal takes, and an executor that waits for it would be busy.
+    rclpy would run a callback during the whole goal, which would block the executor.
     """
 
     def __init__(self, node, action_type, name, judge, begin):
@@ -20,9 +20,9 @@ class GoalServer(ActionServer):
         self._begin = begin
 
     def notify_execute(self, goal_handle, execute_callback):  # noqa: ARG002
-        """The goal is now executing."""
+        """Start a goal: call `begin` instead of rclpy's callback."""
         self._begin(goal_handle)
 
     def finish(self, goal_handle, result):
-        """Give clients the result of a goal that has succeeded, was aborted or canceled."""
+        """Send clients the result of a goal that succeeded, was aborted or was canceled."""
         super().notify_execute(goal_handle, lambda _: result)

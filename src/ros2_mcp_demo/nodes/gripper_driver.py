@@ -1,4 +1,4 @@
-"""/gripper_driver: a lifecycle node; its gripper answers and tells its state only while active."""
+"""/gripper_driver: a lifecycle node; its gripper moves and publishes its state only while active."""
 
 # pyright: basic
 from __future__ import annotations
@@ -19,7 +19,7 @@ RATE = 10.0
 
 
 class GripperDriver(LifecyclePart):
-    """While it is active, as it is from the start on, /gripper/close and /gripper/joint_states work."""
+    """Offers /gripper/close and /gripper/joint_states while it is active, as it is from the start."""
 
     def __init__(self, robot, namespace):
         super().__init__("gripper_driver", robot, namespace)
@@ -28,13 +28,13 @@ class GripperDriver(LifecyclePart):
         self._service: Any = None
 
     def on_configure(self, state):
-        """Offer the topic and the service."""
+        """Create the topic and the service."""
         self._publisher = self.create_lifecycle_publisher(JointState, "gripper/joint_states", 10)
         self._service = self.create_service(SetBool, "gripper/close", self._close)
         return super().on_configure(state)
 
     def on_cleanup(self, state):  # noqa: ARG002
-        """Take back the topic and the service, from any state."""
+        """Remove the topic and the service, from any state."""
         self.is_active = False
         if self._publisher is not None:
             self.destroy_lifecycle_publisher(self._publisher)
@@ -45,7 +45,7 @@ class GripperDriver(LifecyclePart):
     on_shutdown = on_cleanup
 
     def tick(self, stamp):
-        """Move the fingers and tell where they are."""
+        """Move the fingers and publish their position."""
         if not (self.is_active and self.is_due(RATE)):
             return
         before = self._opening
@@ -56,7 +56,7 @@ class GripperDriver(LifecyclePart):
         self._publisher.publish(message)
 
     def diagnosis(self):
-        """How far it is open."""
+        """Return the opening."""
         message = "active" if self.is_active else "not active"
         return OK, message, {"opening [m]": f"{self._opening:.3f}"}
 

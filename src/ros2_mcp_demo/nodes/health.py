@@ -1,4 +1,4 @@
-"""/health: collects what the parts say about themselves; a heartbeat; a self test that always fails."""
+"""/health: publishes the diagnoses of all nodes and a heartbeat; its self test always fails."""
 
 # pyright: basic
 from __future__ import annotations
@@ -22,11 +22,11 @@ class Health(RobotPart):
         self.create_service(Trigger, "self_test", self._self_test)
 
     def watch(self, parts):
-        """Collect from these, too."""
+        """Include these nodes, too."""
         self._parts += parts
 
     def tick(self, stamp):
-        """Collect and publish when it is time."""
+        """Publish when it is due."""
         if not self.is_due(1.0):
             return
         message = DiagnosticArray(status=[*filter(None, map(self._status, self._parts))])
@@ -35,7 +35,7 @@ class Health(RobotPart):
         self._heartbeat.publish(String(data=self.robot.heartbeat()))
 
     def _status(self, part):
-        """What a part says of itself, or None; a change of its level is logged."""
+        """Return a node's diagnosis as a status, or None; changes of its level are logged."""
         diagnosis = part.diagnosis()
         if diagnosis is None:
             return None

@@ -25,7 +25,7 @@ class ImuDriver(RobotPart):
         self._message.linear_acceleration_covariance = diagonal(3, {0: 9e-4, 1: 9e-4, 2: 9e-4})
 
     def tick(self, stamp):
-        """Measure when it is time."""
+        """Publish when it is due."""
         if not (self.setting("enabled") and self.is_due(self.setting("rate"))):
             return
         self.robot.gyro_bias = self.setting("gyro_bias")
@@ -38,7 +38,7 @@ class ImuDriver(RobotPart):
         self._publisher.publish(message)
 
     def diagnosis(self):
-        """Whether the unit works, and fast enough."""
+        """Return whether the IMU works at its nominal rate."""
         rate = self.setting("rate")
         values = {"rate [Hz]": f"{rate:g}", "nominal rate [Hz]": "50"}
         if not self.setting("enabled"):

@@ -1,4 +1,4 @@
-"""/lidar: a laser scanner that looks all around."""
+"""/lidar: a laser scanner with a field of view of 360°."""
 
 # pyright: basic
 from __future__ import annotations
@@ -13,11 +13,11 @@ from ..simulation import BEAMS, RANGE_MAX, RANGE_MIN
 from .part import ERROR, OK, WARN, RobotPart
 
 OWN_BEAMS, OWN_RANGE = slice(0, 13), 0.13
-"""Where a part of the robot is that the scanner sees, and how far away, in m."""
+"""Beams that hit a part of the robot if that fault is planted, and their range in m."""
 
 
 class Lidar(RobotPart):
-    """The driver of the laser scanner. `sees_itself`: a part of the robot is in its way, behind it."""
+    """The driver of the laser scanner. `sees_itself`: a part of the robot behind the scanner blocks some beams."""
 
     sees_itself = False
 
@@ -30,7 +30,7 @@ class Lidar(RobotPart):
         self._publisher = self.create_publisher(LaserScan, "scan", qos_profile_sensor_data)
 
     def tick(self, stamp):
-        """Scan when it is time."""
+        """Publish a scan when it is due."""
         rate = self.setting("rate")
         if not self.setting("enabled"):
             self.robot.ranges = None
@@ -41,7 +41,7 @@ class Lidar(RobotPart):
             self._publisher.publish(self._message(stamp, rate))
 
     def diagnosis(self):
-        """Whether the scanner turns."""
+        """Return whether the scanner works."""
         values = {"rate [Hz]": f"{self.setting('rate'):g}", "noise [m]": f"{self.setting('noise_stddev'):g}"}
         if self.robot.ranges is None:
             return ERROR, "no data from the scanner", values

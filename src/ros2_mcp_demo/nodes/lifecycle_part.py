@@ -1,4 +1,4 @@
-"""A part of the robot that is a lifecycle node."""
+"""A node of the robot that is a lifecycle node."""
 
 # pyright: basic
 from __future__ import annotations
@@ -9,7 +9,8 @@ from .part import RobotPart
 
 
 class LifecyclePart(RobotPart, LifecycleNode):
-    """`is_active` between activating and deactivating. A transition that is impossible is refused, and logged."""
+    """A lifecycle node; `is_active` between activation and deactivation. Impossible transitions are refused and
+    logged."""
 
     def __init__(self, name, robot, namespace):
         super().__init__(name, robot, namespace)
@@ -17,22 +18,22 @@ class LifecyclePart(RobotPart, LifecycleNode):
         self._refuse_impossible_transitions()
 
     def start(self):
-        """Configure and activate it, as Nav2's lifecycle manager does at the start."""
+        """Configure and activate the node, as Nav2's lifecycle manager does at the start."""
         self.trigger_configure()
         self.trigger_activate()
 
     def on_activate(self, state):
-        """It works from now on."""
+        """Start working."""
         self.is_active = True
         return super().on_activate(state)
 
     def on_deactivate(self, state):
-        """It stops working."""
+        """Stop working."""
         self.is_active = False
         return super().on_deactivate(state)
 
     def _refuse_impossible_transitions(self):
-        """rclpy raises, and never answers, where a transition does not start in the present state."""
+        """Refuse transitions that do not start in the present state; rclpy would raise and never answer the request."""
         service = next(s for s in self.services if s.service_name.endswith("/change_state"))
         change = service.callback
 

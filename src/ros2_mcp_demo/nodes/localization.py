@@ -1,4 +1,4 @@
-"""/localization: where the robot is in the map."""
+"""/localization: publishes the robot's pose in the map."""
 
 # pyright: basic
 from __future__ import annotations
@@ -16,7 +16,7 @@ RATE = 10.0
 
 
 class Localization(RobotPart):
-    """Corrects the drift of dead reckoning: /pose in the map, and the transform from map to odom."""
+    """Corrects the drift of dead reckoning: publishes /pose in the map, and the transform from map to odom."""
 
     def __init__(self, robot, namespace):
         super().__init__("localization", robot, namespace)
@@ -27,7 +27,7 @@ class Localization(RobotPart):
         self._message = PoseWithCovarianceStamped()
 
     def tick(self, stamp):
-        """Publish when it is time."""
+        """Publish when it is due."""
         if not (self.setting("enabled") and self.is_due(RATE)):
             return
         stddev = self.setting("stddev")

@@ -1,4 +1,4 @@
-"""/map_server: the map the robot was given."""
+"""/map_server: publishes the robot's map."""
 
 # pyright: basic
 from __future__ import annotations
@@ -12,7 +12,7 @@ from .part import RobotPart
 
 
 class MapServer(RobotPart):
-    """Publishes the map once; it is latched."""
+    """Publishes the map once, latched."""
 
     def __init__(self, robot, namespace):
         super().__init__("map_server", robot, namespace)
@@ -20,7 +20,7 @@ class MapServer(RobotPart):
         self._published = False
 
     def tick(self, stamp):
-        """Publish the map, the first time."""
+        """Publish the map on the first call."""
         if self._published:
             return
         self._published = True

@@ -1,7 +1,7 @@
-"""Navigation as Nav2 offers it: /bt_navigator, /planner_server and /controller_server, three lifecycle nodes.
+"""Navigation with Nav2's interfaces: /bt_navigator, /planner_server and /controller_server, three lifecycle nodes.
 
-They share one `Navigation`, which holds what Nav2's servers tell each other. What fails is told as Nav2 tells it: by an
-error code of the server that failed, and in its log. Needs nav2_msgs, which is there later than the rest of the robot.
+They share one `Navigation`, the state that Nav2's servers exchange. Failures are reported as by Nav2: with an error
+code of the server that failed, and in its log. Needs nav2_msgs, which may be installed later than the rest.
 """
 
 # pyright: basic
@@ -29,9 +29,9 @@ from .part import OK, WARN
 
 COMMAND_RATE, FEEDBACK_RATE, COSTMAP_RATE = 10.0, 5.0, 1.0
 POSE_AGE_S = 1.0
-"""Older than this the place of the robot is not known any more."""
+"""Age from which the robot's pose counts as unknown."""
 SENSOR_AGE_S = 1.5
-"""Older than this, what was seen is no ground to drive on."""
+"""Age of the last scan from which the robot must not drive."""
 TOLERANCE = 0.15
 SPACING = 0.1
 
@@ -42,7 +42,7 @@ LOST, NO_PROGRESS, CONTROLLER_TIMED_OUT = 102, 105, 107
 
 
 class Impossible(Exception):
-    """A way, or a place, that there is not; with the code of Nav2."""
+    """A path or pose that does not exist; `code` is Nav2's error code."""
 
     def __init__(self, code, reason):
         super().__init__(reason)
@@ -50,7 +50,7 @@ class Impossible(Exception):
 
 
 def parts(robot, namespace):
-    """The three nodes; empty while nav2_msgs is not there."""
+    """Return the three nodes; an empty list while nav2_msgs is missing."""
     interfaces = optional.arrived("nav2_msgs", "action", "srv")
     if not interfaces:
         return []
@@ -62,7 +62,7 @@ def parts(robot, namespace):
 
 
 class Navigation:
-    """Where the robot believes to be, what it knows of its surroundings, and ways through them."""
+    """The robot's estimated pose, its surroundings, and paths through them."""
 
     def __init__(self, robot):
         self.robot = robot
@@ -71,23 +71,23 @@ class Navigation:
         self.seen_at = -math.inf
 
     def look(self):
-        """Take in the latest scan."""
+        """Process the latest scan."""
         if self.robot.ranges is not None:
             self.surroundings.see(self.robot.scan_points(self.robot.ranges), self.robot.now)
             self.seen_at = self.robot.now
 
     def forget(self):
-        """Forget what was seen."""
+        """Forget the obstacles that were seen."""
         self.surroundings = Surroundings(self._cells, self._origin, MAP_RESOLUTION)
 
     def pose(self):
-        """Where the robot believes to be in the map; raises `Impossible` where it does not know."""
+        """Return the robot's estimated pose in the map; raises `Impossible` if it is not localised."""
         if self.robot.now - self.robot.localized_at > POSE_AGE_S:
             raise Impossible(NO_TRANSFORM, "no transform from map to base_link that is newer than 1 s")
         return self.robot.believed()
 
     def in_map(self, stamped, part):
-        """A PoseStamped as a pose in the map; raises `Impossible`."""
+        """Convert a PoseStamped to a pose in the map; raises `Impossible`."""
         at, turn, frame = stamped.pose.position, stamped.pose.orientation, stamped.header.frame_id
         if not all(map(math.isfinite, (at.x, at.y, turn.x, turn.y, turn.z, turn.w))):
             raise Impossible(GOAL_OUTSIDE, "the pose has numbers that are not finite")
@@ -107,7 +107,7 @@ class Navigation:
         return Pose(pose.x - cos * odometry.x + sin * odometry.y, pose.y - sin * odometry.x - cos * odometry.y, yaw)
 
     def way(self, start, goal):
-        """A path [(x, y), …] in m; raises `Impossible` with the planner's code."""
+        """Return a path [(x, y), …] in m; raises `Impossible` with the planner's code."""
         costmap: Any = self.surroundings.costmap()
         for pose, name, outside, occupied in (
             (start, "start", START_OUTSIDE, START_OCCUPIED),
@@ -130,7 +130,7 @@ class PlannerServer(LifecyclePart):
     """Serves /compute_path_to_pose, and publishes the global costmap."""
 
     def __init__(self, robot, namespace, navigation, action, clearing, costmap=None):
-        """`costmap` is the publisher of the global costmap, where that has a node of its own."""
+        """Create the server; `costmap` is the publisher of the global costmap if that has its own node."""
         super().__init__("planner_server", robot, namespace)
         self.declare_number("max_planning_time", 5.0, 0.0, 60.0, "A search that takes longer fails [s]")
         self._navigation, self._action = navigation, action
@@ -141,17 +141,17 @@ class PlannerServer(LifecyclePart):
         self.start()
 
     def tick(self, stamp):
-        """Look around, and tell the costmap when it is due."""
+        """Process the latest scan, and publish the costmap when it is due."""
         if self.is_active and self.is_due(COSTMAP_RATE):
             self._navigation.look()
             self._costmap.publish(self._grid(stamp))
 
     def diagnosis(self):
-        """Whether it works."""
+        """Return whether the server is active."""
         return OK if self.is_active else WARN, "active" if self.is_active else "not active", {}
 
     def search(self, start, goal):
-        """A path, published too; raises `Impossible`, which it logs."""
+        """Plan a path and publish it; raises `Impossible`, which is logged."""
         try:
             if not self.is_active:
                 raise Impossible(NO_PLANNER, "the planner server is not active")
@@ -166,12 +166,13 @@ class PlannerServer(LifecyclePart):
         return message
 
     def tell(self, error, start, goal):
-        """Log why there is no way."""
+        """Log why there is no path."""
         ends = f"from ({start.x:.2f}, {start.y:.2f}) to ({goal.x:.2f}, {goal.y:.2f})"
         self.get_logger().warning(f"GridBased planner failed to plan {ends}: {error}")
 
     def path_of(self, points, yaw):
-        """A path as a message, with a pose each 0.1 m that looks along it, the last one as the goal does."""
+        """Return a path as a message: a pose every 0.1 m that faces along the path, the last one with the goal's
+        heading."""
         path: Any = self.headed(Path(), self.get_clock().now().to_msg(), "map")
         for i in range(len(points) - 1):
             (x, y), (to_x, to_y) = points[i], points[i + 1]
@@ -227,7 +228,7 @@ class PlannerServer(LifecyclePart):
 
 
 class ControllerServer(LifecyclePart):
-    """Follows the way: publishes the velocities."""
+    """Follows a path by publishing velocities."""
 
     def __init__(self, robot, namespace, navigation):
         super().__init__("controller_server", robot, namespace)
@@ -238,7 +239,7 @@ class ControllerServer(LifecyclePart):
         self.start()
 
     def follow(self, drive):
-        """The next command of a drive; raises `Impossible`."""
+        """Publish the next command of a drive; raises `Impossible`."""
         robot = self.robot
         if not self.is_active:
             raise Impossible(NO_PROGRESS, "the controller server is not active")
@@ -259,7 +260,7 @@ class ControllerServer(LifecyclePart):
         self._commands.publish(command)
 
     def diagnosis(self):
-        """Whether it works."""
+        """Return whether the server is active."""
         return OK if self.is_active else WARN, "active" if self.is_active else "not active", {}
 
 
@@ -278,7 +279,7 @@ class BtNavigator(LifecyclePart):
         self.start()
 
     def tick(self, stamp):
-        """Drive on, tell how it goes, or come to a stop."""
+        """Continue the drive and send feedback, or stop."""
         if self._handle is None:
             return
         if self._handle.is_cancel_requested:
@@ -297,7 +298,7 @@ class BtNavigator(LifecyclePart):
             self._handle.publish_feedback(self._feedback(stamp))
 
     def diagnosis(self):
-        """What it does."""
+        """Return the state of the navigator."""
         if not self.is_active:
             return WARN, "not active", {}
         return OK, self._drive.state if self._drive else "no goal", {}
@@ -367,11 +368,11 @@ class BtNavigator(LifecyclePart):
             self._planner.search(self._navigation.pose(), self._goal)
         except Impossible as error:
             self._end("abort", error.code, str(error))
-        else:  # there is one: the robot stood still where it needs none, or does so again
+        else:  # there is a path, so the robot stands still for another reason
             self._fail_without_progress()
 
     def _end(self, how, code=0, reason=""):
-        """Bring the goal to its end: `how` is the goal handle's succeed, abort or canceled."""
+        """End the goal; `how` is the name of the goal handle's method: succeed, abort or canceled."""
         if self.robot.mode == AUTONOMOUS and self.robot.driver is self:
             self._controller.command(0.0, 0.0)
         handle = self._handle

@@ -1,4 +1,4 @@
-"""/navigator: the action /navigate_to, which drives to a place in the map around walls and obstacles."""
+"""/navigator: the action /navigate_to, which drives to a position in the map around walls and obstacles."""
 
 # pyright: basic
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Navigator(RobotPart):
         self._started, self._travelled_before = 0.0, 0.0
 
     def tick(self, stamp):
-        """Drive on, tell how it goes, or come to a stop."""
+        """Continue the drive and send feedback, or stop."""
         if self._handle is None:
             return
         if self._handle.is_cancel_requested:
@@ -59,7 +59,7 @@ class Navigator(RobotPart):
             self._handle.publish_feedback(self._feedback())
 
     def diagnosis(self):
-        """What the navigator does."""
+        """Return the state of the navigator."""
         return OK, self._drive.state if self._drive else "no goal", {}
 
     def _judge(self, goal):
@@ -119,7 +119,7 @@ class Navigator(RobotPart):
             self._end("succeed" if drive.outcome[0] else "abort", drive.outcome[1])
 
     def _end(self, how, reason):
-        """Bring the goal to its end: `how` is the goal handle's succeed, abort or canceled."""
+        """End the goal; `how` is the name of the goal handle's method: succeed, abort or canceled."""
         if self.robot.mode == AUTONOMOUS and self.robot.driver is self:
             self._command(0.0, 0.0)
         pose = self.robot.base.pose

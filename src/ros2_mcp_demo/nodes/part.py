@@ -1,4 +1,4 @@
-"""What all nodes of the robot have in common."""
+"""The base class of the robot's nodes."""
 
 # pyright: basic
 from __future__ import annotations
@@ -15,7 +15,7 @@ OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.E
 
 
 class RobotPart(Node):
-    """A node of the robot: looks at the simulation and publishes what is due whenever `tick` is called."""
+    """A node of the robot: on each `tick` it reads the simulation and publishes what is due."""
 
     needs_executor = True
 
@@ -26,22 +26,22 @@ class RobotPart(Node):
         self._last_due = {}
 
     def tick(self, stamp):
-        """One step of the simulation has passed; `stamp` is the time now as a message."""
+        """Called after each step of the simulation; `stamp` is the current time as a message."""
 
     def diagnosis(self):
-        """None, or (level, message, {key: value}) for /diagnostics."""
+        """Return (level, message, {key: value}) for /diagnostics, or None."""
 
     def frame(self, name):
-        """The name of a coordinate frame, under the robot's namespace if it has one."""
+        """Return the name of a coordinate frame, prefixed with the robot's namespace if it has one."""
         return f"{self._frame_prefix}/{name}" if self._frame_prefix else name
 
     def headed(self, message, stamp, frame):
-        """The message, with a header of that time and coordinate frame."""
+        """Set the stamp and the frame in a message's header; return the message."""
         message.header.stamp, message.header.frame_id = stamp, self.frame(frame)
         return message
 
     def is_due(self, rate, what=""):
-        """Whether it is time again for `what`, at `rate` Hz of the simulation's clock; a missed time is not made up."""
+        """Whether `what` is due again, at `rate` Hz of simulated time; missed times are skipped."""
         now, period = self.robot.now, 1.0 / rate
         on_time = self._last_due.get(what, -math.inf) + period
         if now < on_time - 1e-6:
@@ -50,33 +50,33 @@ class RobotPart(Node):
         return True
 
     def create_latched_publisher(self, message_type, topic):
-        """A publisher whose last message is sent to those who subscribe later, too."""
+        """Create a publisher whose last message is also sent to later subscribers."""
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         return self.create_publisher(message_type, topic, latched)
 
     def setting(self, name) -> Any:
-        """The present value of a parameter."""
+        """Return the present value of a parameter."""
         return self.get_parameter(name).value
 
     def declare_number(self, name, default, lowest, highest, description):
-        """A floating-point parameter with a range, which rclpy enforces and tells others."""
+        """Declare a floating-point parameter with a range, which rclpy enforces and reports."""
         limits = FloatingPointRange(from_value=lowest, to_value=highest)
         described = ParameterDescriptor(description=description, floating_point_range=[limits])
         self.declare_parameter(name, default, described)
 
     def declare_switch(self, name, default, description):
-        """A boolean parameter."""
+        """Declare a boolean parameter."""
         self.declare_parameter(name, default, ParameterDescriptor(description=description))
 
     def declare_text(self, name, default, description):
-        """A parameter that is a text."""
+        """Declare a string parameter."""
         self.declare_parameter(name, default, ParameterDescriptor(description=description))
 
     def declare_fact(self, name, value, description):
-        """A read-only parameter."""
+        """Declare a read-only parameter."""
         self.declare_parameter(name, value, ParameterDescriptor(description=description, read_only=True))
 
 
 def never_called(*_):
-    """A callback for rclpy to hold where the robot's own loop does the work."""
+    """Raise: a callback that rclpy requires, although the robot's own loop does the work."""
     raise NotImplementedError("the robot's loop takes requests and goals itself")

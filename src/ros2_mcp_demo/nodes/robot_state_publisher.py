@@ -1,4 +1,4 @@
-"""/robot_state_publisher: the robot's description and where its parts sit; both are latched."""
+"""/robot_state_publisher: publishes the robot's description and its static transforms, both latched."""
 
 # pyright: basic
 from __future__ import annotations
@@ -35,7 +35,7 @@ class RobotStatePublisher(RobotPart):
         self._published = False
 
     def tick(self, stamp):
-        """Publish both, the first time."""
+        """Publish both on the first call."""
         if self._published:
             return
         self._published = True
@@ -56,7 +56,7 @@ class RobotStatePublisher(RobotPart):
 
 
 def description(prefix=""):
-    """The robot as URDF; `prefix` stands before the name of every link and joint."""
+    """Return the robot's URDF; `prefix` is prepended to the name of every link and joint."""
     half = WHEEL_SEPARATION / 2
     visuals = {"base_link": _BODY, "left_wheel": _WHEEL, "right_wheel": _WHEEL}
     names = (*visuals, "laser", "imu_link", "camera_link", "camera_optical")

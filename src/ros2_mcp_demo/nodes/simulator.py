@@ -1,4 +1,4 @@
-"""/simulator: what only a simulation can do, put obstacles into the world."""
+"""/simulator: places obstacles in the world, which only a simulation can do."""
 
 # pyright: basic
 from __future__ import annotations

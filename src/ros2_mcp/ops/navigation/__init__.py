@@ -1,1 +1,1 @@
-"""Navigation: goals for Nav2, ways that it plans, places by name, and why a goal failed."""
+"""Navigation with Nav2: goals, planned paths, named places, and the causes of failed goals."""

@@ -1,4 +1,4 @@
-"""What stands in Nav2's way where none of its servers says so: who else commands the base, and limits that are 0."""
+"""Causes of a blocked base that no Nav2 server reports: other nodes that command the base, and speed limits of 0."""
 
 from __future__ import annotations
 
@@ -21,24 +21,27 @@ from ros2_mcp.robot import Robot
 _VELOCITIES = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
 _LIST, _GET = "rcl_interfaces/srv/ListParameters", "rcl_interfaces/srv/GetParameters"
 _ANSWER_S = 1.0
-"""A node that spins answers within milliseconds; one that hangs is not to hold up an explanation."""
+"""A node that spins answers within milliseconds; a node that hangs must not delay an explanation."""
 _MOST_NODES, _MOST_TOPICS, _MOST_NAMES = 6, 12, 40
 _MOST_HEARD, _HEARD_S = 3, 0.6
-"""Who drives by hand or by a program sends ten velocities a second; of more inputs an explanation is not longer."""
+"""A teleoperation node or a program publishes about ten velocities a second, so 0.6 s is enough. The number of topics
+is bounded so that an explanation does not take longer with many inputs."""
 _STAGES = 3
-"""From Nav2 to the wheels: a smoother or collision monitor, a multiplexer, the driver."""
+"""Stages from Nav2 to the wheels: smoother or collision monitor, multiplexer, driver."""
 _FASTEST = re.compile(
     r"max\w*[._](lin|ang|vel|speed|v_|rot)|(vel|speed|velocity)\w*[._]max|desired_linear_vel|vx_max|wz_max"
 )
-"""As DWB, MPPI, Regulated Pure Pursuit, Nav2's velocity smoother, ros2_control's base and many drivers call them."""
+"""Parameter names of maximum speeds in DWB, MPPI, Regulated Pure Pursuit, Nav2's velocity smoother, ros2_control's base
+controllers and many drivers."""
 _NO_LIMIT = re.compile(r"accel|decel|jerk|_y\b|\.y\b|\.y\.|vy_|lateral|(^|[._])min")
-"""Names of parameters that are 0 on robots that drive: other kinds of limits, and sideways, which most bases cannot."""
+"""Parameter names that `_FASTEST` also matches but that are 0 on robots that can drive: other kinds of limits, and
+limits of sideways motion, which most bases cannot perform."""
 
 
 @dataclass(frozen=True, slots=True)
 class Base:
-    """Sentences: `sends` on who else does send velocities to what Nav2 drives by, `others` on who may, and `limits` on
-    what holds it at 0."""
+    """Sentences about the base: `sends` on other nodes that publish velocities to the nodes Nav2 commands, `others` on
+    nodes that might, `limits` on speed limits of 0."""
 
     sends: Sequence[str] = ()
     others: Sequence[str] = ()
@@ -47,8 +50,8 @@ class Base:
 
 @dataclass(frozen=True, slots=True)
 class Other:
-    """Nodes that publish velocities for a node of the chain, and are none of it; `is_own` where nobody else does so on
-    that topic, so that what comes there is theirs."""
+    """Nodes outside Nav2's chain that publish velocities on `topic`, to which `heard_by`, a node of the chain,
+    subscribes. `is_own`: the chain itself does not publish on `topic`, so every message on it comes from `nodes`."""
 
     nodes: Sequence[str]
     topic: str
@@ -56,14 +59,16 @@ class Other:
     is_own: bool
 
     def sentence(self, *, sends: bool) -> str:
-        """In words; that it sends was heard, else it only may."""
+        """Return the finding as a sentence. `sends`: messages were received on the topic; otherwise the sentence says
+        "may send"."""
         beside = f"to which {named(self.heard_by)} listens beside Nav2" if self.is_own else "as Nav2 does"
         verb = ("sends" if len(self.nodes) == 1 else "send") if sends else "may send"
         return f"{listed(self.nodes, 3)} {verb} velocities on {named(self.topic)}, {beside}."
 
 
 async def base_of(robot: Robot) -> Base:
-    """What is known of it now; what cannot be had is left out. Raises no `RobotError`."""
+    """Read which other nodes command the base, and which speed limits are 0. Parts that cannot be read are empty;
+    raises no `RobotError`."""
     try:
         rows = [row.name for row in await robot.graph.topics() if not set(_VELOCITIES).isdisjoint(row.types)]
         present = await asyncio.gather(*map(robot.graph.endpoints, rows[:_MOST_TOPICS]))
@@ -88,7 +93,8 @@ async def base_of(robot: Robot) -> Base:
 
 
 def chain_of(present: Sequence[TopicEndpoints]) -> tuple[set[str], set[str]]:
-    """The velocity topics from Nav2 to the base, and the nodes that pass them on or follow them, Nav2's among them."""
+    """Return the velocity topics from Nav2 to the base, and the nodes that publish or subscribe to them, Nav2's
+    included."""
     chain = {one.node for topic in present for one in topic.publishers if _is_of_nav2(one.node)}
     if not chain:
         return set(), set()
@@ -102,7 +108,7 @@ def chain_of(present: Sequence[TopicEndpoints]) -> tuple[set[str], set[str]]:
 
 
 def others_of(present: Sequence[TopicEndpoints], topics: set[str], chain: set[str]) -> list[Other]:
-    """Who publishes velocities for a node of the chain and is none of it."""
+    """Find nodes outside the chain that publish velocities to a node of the chain."""
     found: list[Other] = []
     for topic in present:
         heard_by = sorted({one.node for one in topic.subscribers if one.node in chain})
@@ -124,7 +130,8 @@ async def _hears(robot: Robot, topic: str) -> bool:
 
 
 async def zero_limits(robot: Robot, node: str) -> list[str]:
-    """The greatest speeds among a node's parameters that are 0."""
+    """Return a sentence for each maximum speed among a node's parameters that is 0; none if the node does not
+    answer."""
     with suppress(RobotError, asyncio.TimeoutError):
         return await asyncio.wait_for(_asked_limits(robot, node), _ANSWER_S)
     return []
@@ -150,12 +157,12 @@ async def _asked_limits(robot: Robot, node: str) -> list[str]:
 
 
 def is_greatest_speed(name: str) -> bool:
-    """Whether a parameter of that name is how fast something may go ahead or turn."""
+    """Whether a parameter of this name limits the speed ahead or of turning."""
     return bool(_FASTEST.search(name)) and not _NO_LIMIT.search(name)
 
 
 def is_zero(value: object) -> bool:
-    """Whether a greatest speed, or of several axes the first, which is ahead, is 0."""
+    """Whether a maximum speed is 0; of a list with one value per axis, the first counts (ahead)."""
     if isinstance(value, (list, tuple)):
         several = cast("Sequence[object]", value)
         return bool(several) and is_zero(several[0])

@@ -1,7 +1,7 @@
-"""What goes on below a navigator that is dead, frozen or does not cancel: its servers' goals, and whether the robot
+"""Ends the goals of Nav2's servers after the navigator died, hung or failed to cancel, and checks that the robot
 stands.
 
-A controller follows the path that it was given to its end, whoever gave it.
+A controller follows its path to the end, even after the navigator that sent the path is gone.
 """
 
 from __future__ import annotations
@@ -26,23 +26,25 @@ from ros2_mcp.robot.goals import TERMINATED_GOAL, UNKNOWN_GOAL
 from ros2_mcp.robot.session import Session
 
 _ANSWER_S = 0.8
-"""A node that spins answers within milliseconds, a busy one within some tenths of a second; it is asked twice."""
+"""A node that spins answers within milliseconds, a busy one within some tenths of a second. Each node is asked
+twice."""
 _CANCELLED_S = 1.0
-"""A controller takes a request to cancel between two of its steps, which are 0.05 s apart."""
+"""A controller handles a request to cancel between two of its steps, which are 0.05 s apart."""
 _AFTER_S = 0.3
-"""Between a request to cancel and the next look at what runs: a controller ends its goal with its next step."""
+"""Wait between a request to cancel and the next check of the running goals: a controller ends its goal with its next
+step."""
 _UNSEEN_ROUNDS = 2
-"""So often it is looked whether a robot stands that does not report its motion."""
+"""Number of checks for a robot that does not report its motion."""
 _STANDS_S = 30.0
-"""So long a robot is watched that stands although a goal goes on: a recovery waits for 5 s and more."""
+"""Longest wait for a robot that stands while a goal is still running: a recovery waits for 5 s or more."""
 MOST_S = 600.0
-"""The longest that a robot is watched that goes on: a path of 200 m at 0.4 m/s."""
+"""Longest wait while the robot moves or a goal is running: a path of 200 m at 0.4 m/s takes 500 s."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Below:
-    """`ended` are actions whose goals were cancelled, `left` sentences on those that go on; `seen` is what the robot's
-    own reports show of its motion."""
+    """`ended`: actions whose goals were cancelled. `left`: a sentence for each goal that is still running. `seen`: the
+    robot's motion according to its odometry and joint states."""
 
     ended: Sequence[str]
     left: Sequence[str]
@@ -50,12 +52,12 @@ class Below:
 
     @property
     def stands(self) -> bool:
-        """Whether nothing goes on and the robot was seen to stand, or reports nothing of its motion."""
+        """Whether no goal is running, and the robot stands or does not report its motion."""
         return not self.left and not self.seen.is_moving
 
     @property
     def sentence(self) -> str:
-        """What was cancelled, what goes on, and whether the robot stands."""
+        """A summary: which goals were cancelled, whether the robot stands, and which goals are still running."""
         ended = [f"Cancelled below it: {listed(self.ended, 4)}."] if self.ended else []
         if self.seen.is_moving:
             state = f"THE ROBOT STILL MOVES: {self.seen.sentence.removeprefix('NOT observed still: ')}"
@@ -65,7 +67,7 @@ class Below:
 
 
 async def why_lost(robot: Robot, action: str) -> str:
-    """In words that the server of an action is gone or does not answer; "" where it lives, or nobody can know."""
+    """Say that the server of an action is gone or does not answer; "" if it answers, or if the graph cannot be read."""
     if not robot.graph.is_connected:
         return ""
     try:
@@ -81,8 +83,9 @@ async def why_lost(robot: Robot, action: str) -> str:
 
 
 async def idle_server(robot: Robot, action: str) -> str:
-    """In words that the server of an action is a lifecycle node that is not active, with what activates it; "" where it
-    is active, has no lifecycle, or does not say.
+    """Say that the server of an action is a lifecycle node that is not active, and how to activate it.
+
+    Return "" if the server is active, has no lifecycle, does not answer, or if several nodes serve the action.
     """
     kind = "lifecycle_msgs/srv/GetState"
     try:
@@ -103,8 +106,8 @@ async def idle_server(robot: Robot, action: str) -> str:
 
 
 async def _answers(robot: Robot, node: str) -> bool:
-    """Whether a node answers the question that every node answers; true where it cannot be asked."""
-    for _ in range(2):  # a first answer may be lost where the node has not discovered who asks
+    """Whether a node answers a request for no parameters, which every node serves; true if it cannot be asked."""
+    for _ in range(2):  # the first answer may be lost if the node has not discovered our client yet
         try:
             kind = "rcl_interfaces/srv/GetParameters"
             await ask_node(robot, node, kind, {"names": []}, timeout_s=_ANSWER_S, wait_s=_ANSWER_S)
@@ -117,7 +120,8 @@ async def _answers(robot: Robot, node: str) -> bool:
 
 
 class _Ending:
-    """Cancels the goals of Nav2's servers below the navigator of `action`; the policy is asked once for each goal."""
+    """Cancels the goals of Nav2's servers below the navigator of `action`. A goal that the policy refuses to cancel is
+    not asked for again."""
 
     def __init__(self, robot: Robot, session: Session, action: str) -> None:
         self._robot, self._session, self._action = robot, session, action
@@ -126,7 +130,8 @@ class _Ending:
         self.left: list[str] = []
 
     async def again(self) -> bool:
-        """Cancels what runs now; whether anything is ending because of it. `left` says what goes on, and why."""
+        """Cancel the goals that are running now; return whether any of them is ending because of that. `left` gets a
+        sentence for each goal that keeps running."""
         namespace = self._action.rpartition("/")[0]
         try:
             known = await self._robot.types.actions()
@@ -148,7 +153,7 @@ class _Ending:
         return bool(ending)
 
     async def _end(self, goal: RunningGoal) -> str:
-        """Cancels one goal; why that could not be, or ""."""
+        """Cancel one goal; return why that failed, or ""."""
         if goal.status == "CANCELING":
             return ""
         if why := self._refused.get(goal.goal_id):
@@ -169,8 +174,10 @@ class _Ending:
 async def settle(
     robot: Robot, session: Session, action: str, tell: Callable[[str], None], most_s: float = MOST_S
 ) -> Below:
-    """Cancels what runs below a navigator, and waits until the robot stands and nothing goes on, at most `most_s`, or
-    30 s after it came to stand; tells meanwhile how it is. Raises no `RobotError`.
+    """Cancel the goals below a navigator, and wait until the robot stands and no goal is running.
+
+    The wait ends after `most_s`, or 30 s after the robot came to a stop. `tell` gets a sentence on the state in each
+    round. Raises no `RobotError`.
     """
     end, unseen = monotonic() + most_s, 0
     ending, stands_since = _Ending(robot, session, action), math.inf

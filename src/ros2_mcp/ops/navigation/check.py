@@ -1,4 +1,4 @@
-"""`ros2_nav_check`: why the robot does not navigate, before a goal is sent. It only reads."""
+"""`ros2_nav_check`: find out why the robot does not navigate, without sending a goal. It only reads."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _VERDICTS: dict[str, Verdict] = {
     "makes it worse": "IMPAIRED",
 }
 _MOST = 8
-"""Findings in full: who has more than that begins with the first."""
+"""Number of findings that are reported in full; a user with more begins with the first ones."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,7 +43,7 @@ class NavChecked:
     not_read: Sequence[str] = field(metadata={**IF_ANY, **SAID})
 
     def summary(self) -> list[str]:
-        """The verdict, a line for each finding, and what was seen."""
+        """Return the verdict, one line per finding, and the measured figures."""
         what = "nothing found that keeps the robot from navigating" if not self.findings else "why, the worst first"
         lines = [f"{self.verdict}: {what}."]
         for number, one in enumerate(self.findings, 1):
@@ -55,11 +55,11 @@ class NavChecked:
 
 
 async def check_navigation(robot: Robot, to: object = None, action: str = "") -> NavChecked:
-    """Reads what the checks need, all at the same time, and judges; sends no goal.
+    """Read the evidence for all checks, in parallel, and run the checks; no goal is sent.
 
     Raises:
-        BadInput: for a place that is written wrongly, or several.
-        NotFound: for a place that is not known, or where there is no Nav2.
+        BadInput: for a malformed place, or several places.
+        NotFound: for an unknown place, or without Nav2.
         LinkError: if there is no bridge.
     """
     target = None
@@ -86,7 +86,7 @@ async def check_navigation(robot: Robot, to: object = None, action: str = "") ->
 
 
 def servers_in_words(evidence: NavEvidence) -> str:
-    """How many of Nav2's servers are active."""
+    """Say how many of Nav2's servers are active."""
     managed = [node for supervisor in evidence.supervisors for node in evidence.managed(supervisor)]
     servers = list(dict.fromkeys(managed)) or [
         node for node in evidence.robots_nodes if node in (evidence.states or {})
@@ -98,7 +98,7 @@ def servers_in_words(evidence: NavEvidence) -> str:
 
 
 def _seen(evidence: NavEvidence) -> list[str]:
-    """The figures on which it stands that nothing is wrong."""
+    """Return the figures that support the verdict: rates, ages of transforms, command chain, deviation."""
     lines: list[str] = []
     flows = [f"{named(one.topic)} {one.rate_hz:.3g} Hz" for one in evidence.of(SCAN, ODOMETRY)[:4] if one.count]
     if flows:

@@ -1,6 +1,6 @@
-"""Costmaps as Nav2 tells them: whole ones as occupancy grids or raw, and what has changed in them since.
+"""Reads costmaps with their updates: occupancy grids or raw costmaps, live or from a recording.
 
-Nav2 sends a costmap that does not roll whole only once, and from then on the parts that change, to those who listen.
+Nav2 publishes a costmap that does not roll in full only once, and afterwards only the parts that changed.
 """
 
 from __future__ import annotations
@@ -24,16 +24,17 @@ if TYPE_CHECKING:
     from ros2_mcp.world.costmap import CostGrid
 
 FIRST_S = 1.2
-"""For the first part that changes: Nav2 looks once a second what has changed."""
+"""Wait for the first update: Nav2 checks once a second which parts have changed."""
 _RAW = "_raw"
 
 
 @dataclass(frozen=True, slots=True)
 class Costmap:
-    """A grid with what has changed in it, the sample in which it was sent whole, and in words how old both are.
+    """A costmap with its updates applied, and the message in which it was published in full.
 
-    `newest_ns` is when the newest of it was sent; None where there are no updates. `is_complete`: nothing that changed
-    is known to be missing. `age` says that all of it was sent before anybody listened here.
+    `newest_ns` is the time of the newest message that it contains; None if the updates are unknown. `is_complete`: no
+    update is known to be missing. `note` says how old the costmap and its updates are, `age` that it was published
+    before this server subscribed, `skipped` why a message was not used.
     """
 
     grid: CostGrid
@@ -46,18 +47,18 @@ class Costmap:
 
 
 def chosen_costmaps(grids: Sequence[str], raw: Sequence[str]) -> list[str]:
-    """The topics of grids, and those of raw costmaps that are not told as grids, too."""
+    """Return the topics of the grids, followed by the raw costmaps that have no grid topic."""
     return [*grids, *(name for name in raw if name.removesuffix(_RAW) not in grids)]
 
 
 def updates_of(topic: str, updates: Sequence[str]) -> str:
-    """The topic with what changes in a costmap; empty where there is none."""
+    """Return the topic of a costmap's updates; "" if it is not among `updates`."""
     name = f"{topic}_updates"
     return name if name in updates else ""
 
 
 async def costmap_of(robot: Robot, source: Source, topic: str, type_name: str, wait_s: float) -> Costmap:
-    """The costmap with what has changed in it since it was sent whole: live as it is now, else at the recording's end.
+    """Return a costmap with all updates since it was published in full: live, or at the end of a recording.
 
     Raises:
         RobotError: as `next_message`, and `BadData` if it does not fit its size.
@@ -71,7 +72,8 @@ async def costmap_of(robot: Robot, source: Source, topic: str, type_name: str, w
 async def costmap_now(
     robot: Robot, source: Source, topic: str, type_name: str, updates_topic: str, wait_s: float, *, newer_s: float = 0.0
 ) -> Costmap:
-    """The costmap as it is now, as far as its changes are heard; `newer_s`: waits so long for what is newer than this.
+    """Return the live costmap with the updates received so far. With `newer_s`, wait that long for a message newer than
+    this call.
 
     Raises:
         RobotError: as `next_message`, and `BadData` if it does not fit its size.
@@ -80,7 +82,7 @@ async def costmap_now(
     if updates_topic:
         try:
             kept = await costmaps_of(robot).last(topic, updates_topic, wait_s, first_s=FIRST_S, newer_s=newer_s)
-        except RobotError as error:  # such as: their type is not known where the bridge runs
+        except RobotError as error:  # e.g. the type of the updates is not installed where the bridge runs
             unheard = f"Updates of {named(topic)} are unknown: {error.message}"
         else:
             if kept.grid is None or kept.whole is None:
@@ -96,7 +98,7 @@ async def costmap_now(
 
 
 async def costmap_recorded(source: Source, topic: str, type_name: str, updates_topic: str) -> Costmap:
-    """The costmap at the end of a recording's part: the last whole one, with all that was changed in it since.
+    """Return the costmap at the end of the selected span of a recording: the last full one with all later updates.
 
     Raises:
         RobotError: as `next_message`, and `BadData` if it does not fit its size.

@@ -1,6 +1,7 @@
-"""What is seen of a robot that navigates: commanded and not moving, held, in a recovery, on a way that became longer.
+"""Observes a robot that navigates: commanded but not moving, stopped by the collision monitor, recovering, or on a path
+that became longer.
 
-Pure: no clock and no ROS. Times are of a steady clock, in s.
+Pure: no clock and no ROS. Times are from a steady clock, in s.
 """
 
 from __future__ import annotations
@@ -13,26 +14,28 @@ from dataclasses import dataclass, field
 from ros2_mcp.model.text import named
 
 STANDS_MPS, STANDS_RADPS = 0.02, 0.05
-"""Below these a base stands: wheel encoders that flicker stay below, and no controller drives as slowly for long."""
+"""A base that is slower than this stands: flickering wheel encoders stay below, and no controller drives that slowly
+for long."""
 _COMMANDED = 0.01
-"""A velocity above this (m/s, rad/s) is meant to move something."""
+"""A velocity above this (m/s or rad/s) is meant to move the robot."""
 _NEW_S = 1.0
-"""A velocity that is older commands nothing: bases give up after 0.5 s."""
+"""An older velocity has no effect: bases stop after about 0.5 s without a command."""
 _SAID_AFTER_S = 2.0
-"""A base needs some tenths of a second to begin to move; from now on it is told."""
+"""Time until a robot that does not move is reported: a base needs some tenths of a second to begin to move."""
 _IDLE_S = 4.0
-"""A planner takes tenths of a second, a controller begins at once."""
+"""Time without a command until that is reported: a planner needs tenths of a second, and a controller begins at
+once."""
 _LONGER_M, _LONGER_SHARE, _LONGER_S = 0.8, 0.15, 15.0
-"""A way that becomes this much longer at once leads round something; it is told for so long."""
+"""A path that becomes this much longer at once leads around an obstacle; this is reported for `_LONGER_S`."""
 _PROGRESS_M, _NEARER_M = 0.5, 0.1
-"""Nav2's own progress checker asks for 0.5 m; what is left of the way tells of less."""
+"""Nav2's own progress checker asks for 0.5 m; the remaining length of the path shows smaller progress."""
 MONITOR_ACTIONS = {1: "stops", 2: "slows", 3: "slows (approach)", 4: "limits"}
-"""nav2_msgs/msg/CollisionMonitorState: what it does to the robot; 0 is nothing."""
+"""Actions of nav2_msgs/msg/CollisionMonitorState, as verbs; 0 means no action."""
 
 
 @dataclass(slots=True)
 class _Link:
-    """What was last sent on one topic of velocities, and since when that is not 0."""
+    """The last velocity on one topic, and since when it is not 0."""
 
     speed: float = 0.0
     turn: float = 0.0
@@ -42,11 +45,11 @@ class _Link:
 
 @dataclass(slots=True, kw_only=True)
 class DriveWatch:
-    """Is told what comes, and says what it shows. `began_at` is when the goal was accepted."""
+    """Collects what the robot's topics report, and summarises it. `began_at` is the time when the goal was accepted."""
 
     began_at: float
     recovered: Counter[str] = field(default_factory=Counter[str])
-    """Recoveries by name, and how often each was begun."""
+    """Number of starts of each recovery, by name."""
     _links: dict[str, _Link] = field(default_factory=dict[str, _Link])
     _odometry: str = ""
     _speed: tuple[float, float] | None = None
@@ -60,34 +63,34 @@ class DriveWatch:
     _longer: tuple[float, float] = (0.0, -math.inf)
 
     def commanded(self, topic: str, linear: float, angular: float, now: float) -> None:
-        """A velocity was sent on a topic between Nav2 and the base; topics are told in the order of the chain."""
+        """Take a velocity (m/s, rad/s) from a topic between Nav2 and the base."""
         link = self._links.setdefault(topic, _Link())
         link.speed, link.turn, link.heard_at = linear, angular, now
         is_moving = abs(linear) > _COMMANDED or abs(angular) > _COMMANDED
         link.since = min(link.since, now) if is_moving else math.inf
 
     def chain(self, topics: Sequence[str]) -> None:
-        """The topics between Nav2 and the base, in their order."""
+        """Set the topics between Nav2 and the base, in order."""
         for topic in topics:
             self._links.setdefault(topic, _Link())
 
     def moved(self, topic: str, linear: float, angular: float, at: tuple[float, float] | None, now: float) -> None:
-        """Odometry came: speeds in m/s and rad/s, and the place."""
+        """Take an odometry message: speeds in m/s and rad/s, and the position in m."""
         self._odometry, self._speed = topic, (linear, angular)
         stands = abs(linear) < STANDS_MPS and abs(angular) < STANDS_RADPS
         self._stands_since = min(self._stands_since, now) if stands else math.inf
         if at is not None and (self._anchor is None or math.dist(self._anchor, at) > _PROGRESS_M):
             self._anchor, self._progress_at = at, now
         if abs(angular) > 2 * STANDS_RADPS and not self._running:
-            self._progress_at = now  # it turns to where it is to go
+            self._progress_at = now  # turning towards the path is progress, too
 
     def monitor(self, action: int, polygon: str, now: float) -> None:
-        """The collision monitor tells what it does, and by which polygon."""
+        """Take the collision monitor's action and the polygon that caused it."""
         if (action, polygon) != self._monitor[:2]:
             self._monitor = (action, polygon, now)
 
     def behaviour(self, name: str, *, is_running: bool, now: float) -> None:
-        """One of Nav2's recoveries runs, or does not."""
+        """Take whether one of Nav2's recoveries is running."""
         if not is_running:
             self._running.pop(name, None)
         elif name not in self._running:
@@ -95,7 +98,7 @@ class DriveWatch:
             self.recovered[name] += 1
 
     def remaining(self, left_m: float, now: float) -> None:
-        """Nav2 tells how long its way still is; 0 before it has one."""
+        """Take the remaining length of the path in m, as Nav2 reports it; 0 before there is a path."""
         if left_m <= 0.0:
             return
         longer = left_m - self._remaining
@@ -106,11 +109,11 @@ class DriveWatch:
             self._nearest, self._progress_at = left_m, now
 
     def stuck_s(self, now: float) -> float:
-        """How long it has not come on: neither half a metre from where it was, nor nearer to the goal."""
+        """Time in s without progress: the robot neither moved half a metre nor came nearer to the goal."""
         return now - max(self._progress_at, self.began_at)
 
     def sees(self, now: float) -> str:
-        """The most telling thing that it sees now, in sentences; "" where all is as it should be."""
+        """Describe the most important problem in sentences; "" if there is none."""
         told = [self._held(now), self._recovering(now)]
         if not any(told):
             told.append(self._unmoved(now))
@@ -121,7 +124,7 @@ class DriveWatch:
 
     @property
     def recoveries(self) -> str:
-        """The recoveries by name."""
+        """The recoveries so far, by name and number."""
         return ", ".join(f"{name} ×{count}" if count > 1 else name for name, count in self.recovered.items())
 
     def _held(self, now: float) -> str:
@@ -136,7 +139,7 @@ class DriveWatch:
         return " ".join(f"Nav2 recovers: {name}, for {now - since:.0f} s." for name, since in self._running.items())
 
     def _unmoved(self, now: float) -> str:
-        """That it stands although it is commanded, or that nobody commands it."""
+        """Describe a robot that stands although it is commanded, or that is not commanded; "" if it moves."""
         if self._speed is None or now - self._stands_since < _SAID_AFTER_S:
             return ""
         live = {topic: link for topic, link in self._links.items() if now - link.heard_at < _NEW_S}

@@ -1,4 +1,5 @@
-"""What was read of a robot with Nav2, for the checks that say why it does not navigate. Nothing here asks the robot."""
+"""The evidence for the checks that find out why a robot with Nav2 does not navigate. This module reads nothing
+itself."""
 
 from __future__ import annotations
 
@@ -32,15 +33,15 @@ ROLES = (
     *("velocity_smoother", "collision_monitor", "waypoint_follower", "docking_server", "map_server", "amcl"),
     *("local_costmap", "global_costmap", "slam_toolbox"),
 )
-"""What Nav2's nodes are called, as launch files do; a prefix or a namespace may stand before it."""
+"""Names of Nav2's nodes as launch files set them; a prefix or a namespace may precede them."""
 STALE_NS = 1_500_000_000
-"""What moves is told ten times a second; once a second at the slowest, and a busy machine makes pauses."""
+"""Moving transforms are published about ten times a second, at the slowest once; on a busy machine there are pauses."""
 _SUPERVISOR = re.compile(r"lifecycle_manager(_\w+)?$")
 _TOOLS = re.compile(r"rosbag|record|foxglove|rviz|rqt|plotjuggler|^_ros2|ros2cli|ros2_mcp|teleop")
-"""Nodes that listen to commands and carry none of them out."""
+"""Nodes that subscribe to commands without carrying them out."""
 
 _LINE = 240
-"""Characters of a line of the log: the reason often stands at its end."""
+"""Characters of a line of the log: its reason is often at the end."""
 
 Rank = Literal["stops everything", "stops some goals", "makes it worse"]
 RANKS: Sequence[Rank] = ("stops everything", "stops some goals", "makes it worse")
@@ -60,7 +61,7 @@ class NavFinding:
     remedy: str
     covers: Sequence[str] = field(default=(), metadata=HIDDEN)
     place: int = field(default=0, metadata=HIDDEN)
-    """Of its check, in the chain of causes."""
+    """Place of its check in the chain of causes."""
 
     def __str__(self) -> str:
         return f"{self.cause} {self.proof}".strip()
@@ -68,9 +69,12 @@ class NavFinding:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Heard:
-    """What came on one topic while it was listened to, for `duration_s`: `messages` with their times of receipt, each
-    with the number of its publisher (0: not known). `count` is how many there were; `kept` what was sent before, to
-    late subscribers. `ages_s` are receipts minus stamps of those that have a header."""
+    """The messages received on one topic during `duration_s`.
+
+    `messages` are (time of receipt in ns, message, number of the publisher; 0 if unknown); of scans and poses only the
+    first and last ones may be decoded. `count` is the number received. `kept` are messages that were sent before the
+    subscription, to late subscribers. `ages_s` are receipt minus stamp for messages with a header.
+    """
 
     topic: str
     type: str
@@ -84,44 +88,44 @@ class Heard:
 
     @property
     def newest(self) -> Any:
-        """The last message, whenever it was sent; None of none."""
+        """The last message, even if it was sent before the subscription; None without messages."""
         return self.messages[-1][1] if self.messages else self.kept[-1] if self.kept else None
 
     @property
     def is_silent(self) -> bool:
-        """Whether nothing came, though somebody publishes."""
+        """Whether the topic has publishers but no message was received."""
         return bool(self.nodes) and not self.count
 
     @property
     def rate_hz(self) -> float:
-        """How often it came."""
+        """Average rate of the messages in Hz."""
         return self.count / self.duration_s if self.duration_s else 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Frames:
-    """The tree of frames at `at_ns`, listened to for `listened_s`, and who tells its edges."""
+    """The tree of frames at `at_ns`, after `listened_s` of listening, and the publishers of its edges."""
 
     tree: FrameTree
     tellers: Tellers
     at_ns: int
     listened_s: float
     owners: Mapping[str, Sequence[str]] = field(default_factory=dict[str, Sequence[str]])
-    """The nodes that publish on /tf and on /tf_static, by topic."""
+    """The publishers on /tf and on /tf_static, by topic."""
 
     def silent_ns(self, edge: Edge) -> int:
-        """For how long nothing was told of an edge, by receipt: a stamp may lie ahead, as AMCL's does."""
+        """Time since the last message about an edge, by receipt: a stamp may lie in the future, as AMCL's does."""
         return self.at_ns - edge.last_received_ns
 
     def is_stale(self, edge: Edge) -> bool:
-        """Whether it is told no longer."""
+        """Whether a moving edge is no longer published."""
         period_ns = 1e9 / edge.received_hz if edge.received_hz else 0.0
         return bool(edge.moving) and self.silent_ns(edge) > max(STALE_NS, 5 * period_ns)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Goal:
-    """Where it is to go: metres in the frame of the costmap, or why that is not known."""
+    """The goal in the frame of the costmap, in m; `why_not` says why it could not be transformed."""
 
     x_m: float
     y_m: float
@@ -130,7 +134,7 @@ class Goal:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Grids:
-    """The map, as it was published (None: nothing came), and the global costmap with its topic."""
+    """The map as it was published (None: no message), and the global costmap with its topic."""
 
     map: CostGrid | None = None
     map_topic: str = ""
@@ -139,7 +143,7 @@ class Grids:
 
 
 class States(dict[str, str]):
-    """Lifecycle states by node ("": it did not answer); `answered_s` is how long each took to answer, at best."""
+    """Lifecycle states by node ("": no answer); `answered_s` is the shortest time that each node took to answer."""
 
     def __init__(self, states: Mapping[str, str], answered_s: Mapping[str, float]) -> None:
         super().__init__(states)
@@ -148,10 +152,10 @@ class States(dict[str, str]):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NavEvidence:
-    """All that was read; what was not is None, and a check that needs it is not run.
+    """All evidence that was read. A part that was not read is None, and checks that need it are not run.
 
-    `parameters` are by node, `states` the lifecycle states by node ("": it did not answer), `heard` what came on topics
-    of velocities, sensors, odometry and poses, `log` the warnings and errors of the last minutes, the oldest first.
+    `parameters` are by node, `states` lifecycle states by node ("": no answer), `heard` the messages on topics of
+    velocities, sensors, odometry and poses, `log` the warnings and errors of the last minutes, the oldest first.
     """
 
     graph: GraphSnapshot
@@ -169,20 +173,20 @@ class NavEvidence:
 
     @property
     def nodes(self) -> Sequence[str]:
-        """The nodes that are there."""
+        """The nodes in the graph."""
         return self.graph.nodes or ()
 
     def of_role(self, *roles: str) -> list[str]:
-        """The nodes with one of these roles, in this order."""
+        """Return the nodes with one of these roles, in the order of the roles."""
         return [node for role in roles for node in self.nodes if is_of_role(node, role)]
 
     @property
     def supervisors(self) -> list[str]:
-        """The nodes that Nav2 calls lifecycle managers; without the node of its own that each has for its services."""
+        """Nav2's lifecycle managers, without the second node that each creates for its service clients."""
         return [node for node in self.nodes if _SUPERVISOR.search(node) and not node.endswith("_service_client")]
 
     def managed(self, supervisor: str) -> list[str]:
-        """The nodes that a manager brings up, in its order, with their full names."""
+        """Return the full names of the nodes that a lifecycle manager brings up, in its order."""
         listed = self.value(supervisor, "node_names")
         namespace = supervisor.rpartition("/")[0]
         names = cast("Sequence[object]", listed) if isinstance(listed, (list, tuple)) else ()
@@ -190,40 +194,41 @@ class NavEvidence:
 
     @property
     def is_nav2(self) -> bool:
-        """Whether anything of Nav2 is there, or was earlier in this session."""
+        """Whether a node of Nav2 is in the graph, or was earlier in this session."""
         known = (*self.nodes, *self.graph.left.nodes)
         return any(_SUPERVISOR.search(node) or is_of_role(node, *ROLES[:3]) for node in known)
 
     @property
     def robots_nodes(self) -> list[str]:
-        """Nodes of Nav2 itself."""
+        """All nodes of Nav2."""
         return [*self.supervisors, *self.of_role(*ROLES)]
 
     # ── asking ───────────────────────────────────────────────────────────────────────────────────────────────────
 
     def value(self, node: str, name: str) -> Any:
-        """A parameter; None where it is not known."""
+        """Return a parameter of a node; None if it is not known."""
         return (self.parameters or {}).get(node, {}).get(name)
 
     def values(self, name: str, *roles: str) -> dict[str, Any]:
-        """A parameter of all nodes with these roles, where it is set."""
+        """Return a parameter of all nodes with these roles, by node, where it is known."""
         found = {node: self.value(node, name) for node in self.of_role(*roles)}
         return {node: value for node, value in found.items() if value is not None}
 
     def topics(self, *types: str) -> list[TopicEndpoints]:
-        """The topics of these types, by name."""
+        """Return the topics of these types, sorted by name."""
         return [topic for _, topic in sorted(self.graph.topics.items()) if not set(types).isdisjoint(topic.types)]
 
     def topic(self, name: str) -> TopicEndpoints:
-        """A topic; without endpoints where it is not there."""
+        """Return a topic by name; one without endpoints if it does not exist."""
         return self.graph.topics.get(name) or TopicEndpoints(name, (), ())
 
     def of(self, *types: str) -> list[Heard]:
-        """What was heard of topics of these types."""
+        """Return what was received on topics of these types."""
         return [one for one in (self.heard or {}).values() if one.type in types]
 
     def lines(self, pattern: str, *roles: str) -> list[LogLine]:
-        """The lines of the log with that text (a regular expression), of nodes with these roles; of none: of all."""
+        """Return the log lines that match a regular expression, from nodes with these roles (without roles: from all
+        nodes)."""
         found = re.compile(pattern, re.IGNORECASE)
         return [
             line
@@ -232,12 +237,12 @@ class NavEvidence:
         ]
 
     def is_active(self, node: str) -> bool:
-        """Whether it does its work; a node without a lifecycle always does."""
+        """Whether a node is active; a node without a lifecycle always is."""
         return (self.states or {}).get(node, "active") == "active"
 
     @property
     def goal_runs(self) -> bool:
-        """Whether the navigator drives now: Nav2's own velocities come."""
+        """Whether a goal is running now: Nav2's controller or behaviour server publishes velocities."""
         return any(
             any(is_of_role(node, "controller_server", "behavior_server") for node in one.nodes) and one.count
             for one in self.of(*VELOCITIES)
@@ -245,41 +250,41 @@ class NavEvidence:
 
 
 def is_of_role(node: str, *roles: str) -> bool:
-    """Whether a node is called so, a prefix before it or not."""
+    """Whether a node has the name of a role, possibly with a prefix."""
     last = node.rpartition("/")[2]
     return any(last == role or last.endswith(f"_{role}") for role in roles)
 
 
 def is_tool(node: str) -> bool:
-    """Whether it is a recorder, a display or the like: it listens, and carries nothing out."""
+    """Whether a node is a recorder, a display or the like: it subscribes, but carries out no commands."""
     return bool(_TOOLS.search(node.rpartition("/")[2]))
 
 
 def nodes_of(endpoints: Sequence[Endpoint]) -> list[str]:
-    """The names of their nodes, each once."""
+    """Return the nodes of these endpoints, sorted and without duplicates."""
     return sorted({endpoint.node for endpoint in endpoints})
 
 
 def resolved(node: str, topic: str) -> str:
-    """A topic as a node means it, by the namespace of the node."""
+    """Return the full name of a topic in a node's namespace."""
     if not topic or topic.startswith("/"):
         return topic
     return f"{node if topic.startswith('~') else node.rpartition('/')[0]}/{topic.lstrip('~/')}"
 
 
 def speed_of(message: Any) -> tuple[float, float, float]:
-    """Of a Twist or TwistStamped: m/s ahead and to the left, rad/s."""
+    """Return the speeds of a Twist or TwistStamped: m/s ahead, m/s to the left, rad/s."""
     twist = getattr(message, "twist", message)
     return float(twist.linear.x), float(twist.linear.y), float(twist.angular.z)
 
 
 def is_zero(message: Any) -> bool:
-    """Whether a command is that to stand."""
+    """Whether a command is the zero."""
     return not any(math.isfinite(part) and abs(part) > 1e-3 for part in speed_of(message))
 
 
 def line_age_s(evidence: NavEvidence, line: LogLine) -> float | None:
-    """How long ago a line of the log was said; None where its time cannot be read."""
+    """Return the age of a log line in s; None if its time cannot be read."""
     try:
         said = datetime.fromisoformat(line.time.replace("Z", "+00:00"))
     except ValueError:
@@ -288,7 +293,7 @@ def line_age_s(evidence: NavEvidence, line: LogLine) -> float | None:
 
 
 def said(line: LogLine) -> str:
-    """What a node said, within a sentence: long enough for its reason to be in it."""
+    """Return what a node logged as part of a sentence, long enough to contain the reason."""
     return f"{named(line.node)} said {quoted(line.text, _LINE)}"
 
 
@@ -297,4 +302,4 @@ def _parts(node: str) -> list[str]:
 
 
 Need = Literal["parameters", "states", "heard", "frames", "grids", "log", "diagnostics", "goal"]
-"""Parts of the evidence that are read beside the graph."""
+"""The parts of the evidence that are read in addition to the graph."""

@@ -1,4 +1,4 @@
-"""Why a goal failed: one cause in a sentence, what it is known by, and what would help."""
+"""Finds out why a goal failed: one cause in a sentence, the evidence for it, and remedies."""
 
 from __future__ import annotations
 
@@ -27,22 +27,23 @@ if TYPE_CHECKING:
     from ros2_mcp.world.costmap import CostGrid
 
 _MOST_LINES = 6
-"""Of the log in an answer: the last words of those that failed."""
+"""Number of log lines in an answer: the last ones of the nodes that failed."""
 _TF_CODES = {102, 202, 302, 401, 702, 712, 722, 732, 9002, 9102}
 _PLANNING = {203, 204, 205, 206, 208, 303, 304, 305, 306, 308}
-"""The planner has judged the start, the goal or the way: what the costmap says of them goes before the wheels."""
+"""Codes of planning: the planner judged the start, the goal or the path, so causes on the costmap precede causes at the
+base."""
 _UNSAID = {0, 1, 2, 9000, 9003}
-"""The navigator gave up, and no server says why."""
+"""Codes of a navigator that gave up without a reason from a server."""
 _NO_PROGRESS = {104, 105, 106, 108}
 _NO_VALID_CONTROL = 106
 _COSTMAP_LATE = {107}
 _WOULD_TOUCH = {703, 714, 723}
-"""Recoveries that ended before they touched something."""
+"""Codes of recoveries that ended before a collision."""
 
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """What is known of the end of a goal: whether it was rejected, and its result's code and text."""
+    """The end of a goal: whether it was rejected, and the code and text of its result."""
 
     is_rejected: bool
     code: int = 0
@@ -76,14 +77,14 @@ class Explanation:
 
 @dataclass(slots=True)
 class _Findings:
-    """What is being found out; the first cause that is found is the one that is told. `beside`: what else is wrong."""
+    """The causes found so far, of which the first is reported as the cause; `beside` are other problems."""
 
     causes: list[str] = field(default_factory=list[str])
     beside: list[str] = field(default_factory=list[str])
     helps: list[str] = field(default_factory=list[str])
 
     def add(self, cause: str, helps: str = "") -> None:
-        if any(cause in known for known in self.causes):  # a check has told it, with its proof
+        if any(cause in known for known in self.causes):  # a check has already reported it, with its proof
             return
         self.causes.append(cause)
         if helps and helps not in self.helps:
@@ -91,7 +92,7 @@ class _Findings:
 
 
 async def explain(robot: Robot, action: str, target: Target, failure: Failure, since_s: float) -> Explanation:
-    """Looks for the cause of a failure that has just happened; takes up to some seconds. Raises no `RobotError`."""
+    """Find the cause of a failure that has just happened; takes up to some seconds. Raises no `RobotError`."""
     frame = "map" if target.frame != "odom" else target.frame
     situation, findings = await asyncio.gather(
         look_around(robot, frame, since_s, action), _findings(robot, target, action)
@@ -126,9 +127,8 @@ def judged(
     reach: Reach | None,
     why_not: str = "",
 ) -> Explanation:
-    """The explanation, out of what was found; `goal` is the target in the frame of the costmap, or `why_not` says why
-    that is not known.
-    """
+    """Build the explanation from the findings. `goal` is the target in the frame of the costmap, or None, and then
+    `why_not` gives the reason."""
     grid, where = situation.grid, situation.where
     start_cost = goal_cost = None
     if grid and goal:
@@ -181,12 +181,13 @@ def judged(
 
 
 def error_in_words(code: int, text: str) -> str:
-    """What Nav2's result says: the code in words, and its own text."""
+    """Return Nav2's error code in words, followed by the text of its result."""
     return ": ".join(filter(None, (in_words(code), quoted(text) if text else "")))
 
 
 def _checked(found: _Findings, situation: Situation, *, before: int) -> None:
-    """What the checks found: the causes that stop every goal, by their place in the chain; the others beside."""
+    """Add the findings of the checks: those that stop everything are causes if their place is before `before`; findings
+    of a lower rank, except those on the goal, are added to `beside`."""
     for finding in situation.findings:
         if finding.rank != RANKS[0]:
             if finding.place != GOAL and str(finding) not in found.beside:
@@ -274,7 +275,7 @@ def _sensors(found: _Findings, situation: Situation, failure: Failure) -> None:
 
 
 def _motion(found: _Findings, situation: Situation, failure: Failure) -> None:
-    """What components say: the cause where the robot did not get on, else only beside it."""
+    """Add reports of components: as causes if the robot made no progress, else as other problems."""
     said = [f"{quoted(row.name)} reports {row.level}: {quoted(row.message)}." for row in situation.diagnostics]
     base, local = situation.base, situation.local
     if failure.code in _WOULD_TOUCH and local:
@@ -303,7 +304,7 @@ def _motion(found: _Findings, situation: Situation, failure: Failure) -> None:
 
 
 def _told(lines: Sequence[LogLine], failure: Failure) -> str:
-    """The last line of the server that failed, or of any of Nav2's."""
+    """Return the last log line of the server that failed, else of any Nav2 node; "" if there is none."""
     server = "bt_navigator" if failure.is_rejected else server_of(failure.code)
     of_server = [line for line in lines if server and server in line.node.split("/")]
     last = (of_server or [line for line in lines if is_of_navigation(line)])[-1:]

@@ -1,4 +1,4 @@
-"""Listens to what shows how a navigation goes: velocities, odometry, collision monitor, recoveries."""
+"""Subscribes to the topics that show how a navigation is going: velocities, odometry, collision monitor, recoveries."""
 
 from __future__ import annotations
 
@@ -29,21 +29,21 @@ BEHAVIOURS: Mapping[str, str] = {
     "nav2_msgs/action/Wait": "wait",
     "nav2_msgs/action/AssistedTeleop": "assisted teleop",
 }
-"""Recoveries that are actions, and what they are called here."""
+"""Recoveries that are actions, with their names in our texts."""
 _CLEARS = "clear"
-"""Nodes of behaviour trees that clear costmaps have it in their name: ClearLocalCostmap-Context and the like."""
+"""Part of the names of behaviour tree nodes that clear costmaps, such as ClearLocalCostmap-Context."""
 _EVERY_S = 0.2
-"""Between two looks at one topic: a person sees no faster, and a robot of 40 topics must not pay for it."""
+"""Period of reading one topic: enough for a person, and cheap on a robot with 40 topics."""
 _AGAIN_S = 2.0
-"""Between attempts to listen to a topic that could not be subscribed to, or whose bridge was lost."""
+"""Wait before subscribing again after a failure, such as a lost bridge."""
 _MOST_LINKS = 5
-"""From Nav2 to the wheels: controller, smoother, monitor, multiplexer, base."""
+"""Topics from Nav2 to the wheels: controller, smoother, monitor, multiplexer, base."""
 
 Take = Callable[[Mapping[str, Any]], None]
 
 
 async def follow_drive(robot: Robot, action: str, watch: DriveWatch) -> None:
-    """Tells `watch` what comes, until this is cancelled. Raises no `RobotError`."""
+    """Pass received messages to `watch` until cancelled. Raises no `RobotError`."""
     namespace = action.rpartition("/")[0]
     while True:
         try:
@@ -75,7 +75,7 @@ async def follow_drive(robot: Robot, action: str, watch: DriveWatch) -> None:
 
 
 def in_order(present: Sequence[TopicEndpoints]) -> list[str]:
-    """The velocity topics from Nav2 to the base, each behind those that its publishers listen to."""
+    """Return the velocity topics from Nav2 to the base, each after the topics that its publishers subscribe to."""
     topics, chain = chain_of(present)
     links = {one.topic: one for one in present if one.topic in topics and one.subscribers}
     behind = {
@@ -90,7 +90,7 @@ def in_order(present: Sequence[TopicEndpoints]) -> list[str]:
     found: list[str] = []
     while len(found) < len(links):
         free = sorted(name for name in links if name not in found and behind[name] <= set(found))
-        found += free or sorted(set(links) - set(found))  # a circle has no order
+        found += free or sorted(set(links) - set(found))  # topics that form a cycle have no order
     return found
 
 
@@ -101,7 +101,7 @@ async def _hear(robot: Robot, topic: str, kind: str, take: Take) -> None:
             async with robot.listen(topic, kind, keep=keep) as listening:
                 while True:
                     for sample in await listening.take(_AGAIN_S):
-                        with suppress(LookupError, TypeError, ValueError):  # of another release, with other fields
+                        with suppress(LookupError, TypeError, ValueError):  # another release may have other fields
                             take(await robot.values.in_full(listening.type, sample.data))
                     await asyncio.sleep(_EVERY_S)
         except RobotError:
@@ -126,7 +126,8 @@ def _take_monitor(watch: DriveWatch, message: Mapping[str, Any]) -> None:
 
 
 def _take_tree(watch: DriveWatch, message: Mapping[str, Any]) -> None:
-    """Clearings, which are services: nothing else tells of them. Other recoveries are actions."""
+    """Take costmap clearings from the log of the behaviour tree. They are services, which appear nowhere else; other
+    recoveries are actions."""
     for change in message["event_log"]:
         name = str(change["node_name"])
         if _CLEARS in name.lower() and change["current_status"] == "RUNNING":

@@ -1,4 +1,4 @@
-"""How a navigation that is under way is doing, and what may yet hold it up: in sentences, in about three seconds."""
+"""The state of a running navigation, and problems that may stop it: sentences, within about five seconds."""
 
 from __future__ import annotations
 
@@ -17,17 +17,18 @@ from ros2_mcp.ops.navigation.whereabouts import whereabouts
 from ros2_mcp.robot import Robot
 
 _PART_S = 2.0
-"""For each part, all at the same time: sensors are listened to for 1.5 s, and who waits for a robot waits no longer."""
+"""Limit for each part; all run in parallel. Sensors are listened to for 1.5 s, and a caller should not wait longer."""
 _FINDINGS_S = 4.5
-"""For the checks of `ros2_nav_check`, which listen for 2 s."""
+"""Limit for the checks of `ros2_nav_check`, which listen for 2 s."""
 _OLD_COSTMAP_S = 5.0
-"""Nav2 publishes it once a second, some robots every other second."""
+"""Nav2 publishes the costmap once a second, some robots once in two seconds."""
 _LONGEST_AGE_S = 1e6
-"""Between a stamp and now: more means that one of both is simulated time."""
+"""A larger difference between a stamp and now means that one of the two is simulated time."""
 
 
 async def health_of(robot: Robot, action: str) -> list[str]:
-    """Localisation and transforms with their age, costmaps with theirs, and what is wrong. Raises no `RobotError`."""
+    """Return sentences on problems, localisation and transforms with their age, costmaps with theirs, sensors, servers
+    and base. Raises no `RobotError`."""
     try:
         topics = list(await robot.graph.topics())
     except RobotError as error:

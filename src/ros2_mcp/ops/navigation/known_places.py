@@ -1,4 +1,4 @@
-"""Places of a robot that are known by name, kept beyond the life of one server in the robot's state folder."""
+"""Named places of a robot, stored in the robot's state folder so that they outlive the server."""
 
 from __future__ import annotations
 
@@ -22,16 +22,17 @@ FILE = "places.json"
 MOST_PLACES = 1000
 """More than a building has rooms; the file stays below 200 kB."""
 MOST_CHARACTERS = 80
-"""Of a name: as many as a quotation shows."""
+"""Longest name: as long as a quotation in our texts."""
 _MOST_NAMED = 15
-"""In an error; ros2_place_list has them all."""
+"""Number of names in an error; ros2_place_list shows all."""
 _MOST_BYTES = 1_000_000
-"""Of the file: several times what all places take. What is longer is none of ours."""
+"""Largest file, several times the size of all places together. A larger file was not written by this server."""
 
 
 @dataclass(frozen=True, slots=True)
 class NamedPlace:
-    """A pose on the ground under a name: metres in `frame`, radians from its x axis towards y; no yaw: any heading."""
+    """A pose on the ground with a name: x and y in m in `frame`, yaw in radians counter-clockwise from the x axis; None
+    allows any heading."""
 
     name: str
     frame: str
@@ -41,9 +42,9 @@ class NamedPlace:
 
 
 class Places(Kept):
-    """The places of one robot. Without a folder they are kept in memory, as long as this server runs.
+    """The places of one robot. Without a folder they are kept in memory only.
 
-    The file is read anew each time: other servers of the same user may have written it.
+    The file is read on each access, since other servers of the same user may have changed it.
     """
 
     def __init__(self, folder: StateFolder | None = None) -> None:
@@ -56,7 +57,7 @@ class Places(Kept):
         return self._folder.path / FILE if self._folder else None
 
     def all(self) -> Sequence[NamedPlace]:
-        """Every place, by name.
+        """Return every place, sorted by name.
 
         Raises:
             BadData: if the file cannot be read.
@@ -64,7 +65,7 @@ class Places(Kept):
         return [place for _, place in sorted(self._read().items())]
 
     def find(self, name: str) -> NamedPlace:
-        """One by its name; capitals make no difference where only one place is meant.
+        """Return a place by its name. Case is ignored if that leaves only one place.
 
         Raises:
             NotFound: with the nearest name.
@@ -80,10 +81,10 @@ class Places(Kept):
         raise NotFound(f"There is no place {quoted(name)}. {kept}", hint)
 
     def set(self, place: NamedPlace) -> NamedPlace | None:
-        """Keeps a place; returns the one of that name that was there before.
+        """Store a place; return the former place of that name, or None.
 
         Raises:
-            BadInput: for a name that cannot be, numbers that are not finite, or too many places.
+            BadInput: for an invalid name, numbers that are not finite, or too many places.
             BadData: as `all`.
             RobotError: if it cannot be written.
         """
@@ -104,7 +105,7 @@ class Places(Kept):
         return former
 
     def remove(self, name: str) -> NamedPlace:
-        """Forgets a place; raises as `find` and `set`."""
+        """Delete a place and return it; raises as `find` and `set`."""
         place, known = self.find(name), self._read()
         known.pop(place.name, None)
         self._write(known)
@@ -144,7 +145,7 @@ class Places(Kept):
 
 
 def places_of(robot: Robot) -> Places:
-    """The places of a robot; in memory alone where it was built without a folder for them."""
+    """Return the places of a robot; in memory only if it was built without a folder for them."""
     return robot.kept.get(Places, Places)
 
 

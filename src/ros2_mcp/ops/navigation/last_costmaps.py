@@ -1,4 +1,5 @@
-"""Costmaps that are sent whole once, and then only in parts: these are heard from the first question on."""
+"""Keeps costmaps current that are published in full once and then in parts: the server subscribes on the first
+request."""
 
 from __future__ import annotations
 
@@ -24,13 +25,14 @@ if TYPE_CHECKING:
     from ros2_mcp.world.costmap import CostGrid
 
 _IDLE_S = 120.0
-"""After the last question. A costmap that rolls is sent whole several times a second, so hearing it costs something."""
+"""Time after the last request until the subscription ends. A rolling costmap is published several times a second, so
+that receiving it has a cost."""
 _TURN_S = 5.0
-"""Between two looks at whether it is still needed, where nothing comes."""
+"""Period of checking whether the subscription is still needed if no message arrives."""
 _MOST = 4
-"""Costmaps: a robot has a global and a local one."""
+"""Number of costmaps that are kept: a robot has a global and a local one."""
 _MOST_RECENT = 4
-"""Updates that may have overtaken the whole costmap which they belong to."""
+"""Number of updates kept in case they arrive before the full costmap that they belong to."""
 _logger = logging.getLogger(__name__)
 
 Take = Callable[[str, Sample], Awaitable[None]]
@@ -38,9 +40,11 @@ Take = Callable[[str, Sample], Awaitable[None]]
 
 @dataclass(eq=False)
 class LastCostmap:
-    """One costmap. `grid` is the whole one with all parts since that were heard, `whole` the sample that it was sent
-    in, `update` that of the last of `updates` parts; `since_ns` is since when parts are heard, on the robot's clock.
-    `refused` says why a part was left out.
+    """One costmap that is kept current.
+
+    `grid` is the full costmap with all received updates applied, `whole` the sample of the full costmap, `update` that
+    of the last of `updates` updates. `since_ns` is when the subscription to updates began, on the robot's clock.
+    `refused` says why an update was not applied.
     """
 
     topic: str
@@ -60,24 +64,24 @@ class LastCostmap:
 
     @property
     def is_heard(self) -> bool:
-        """Whether it is listened to."""
+        """Whether the subscriptions are running."""
         return all(not task.done() for task in self.work)
 
     @property
     def newest_ns(self) -> int:
-        """When the newest of it was sent; 0 where nothing came."""
+        """When the newest message was sent; 0 without messages."""
         return max((sent_ns(one) for one in (self.whole, self.update) if one), default=0)
 
     @property
     def is_complete(self) -> bool:
-        """Whether all parts since the whole one were heard."""
+        """Whether all updates since the full costmap were received and applied."""
         return self.whole is not None and sent_ns(self.whole) > self.since_ns and not self.refused
 
     async def take_whole(self, type_name: str, sample: Sample) -> None:
-        """A whole costmap; what was changed since it was sent is changed in it."""
+        """Take a full costmap, and apply the recent updates that are newer."""
         from ros2_mcp.world.cost_updates import as_grid
 
-        async with self._taking:  # a large part takes longer to decode than a later small one
+        async with self._taking:  # a large update takes longer to decode than a small one after it; keep their order
             message: Any = (await self.values.decode_all(type_name, [sample]))[0]
             self.grid = await aside(len(sample.data), as_grid, type_name, message)
             self.whole, self.update, self.updates, self.refused = sample, None, 0, ""
@@ -86,7 +90,7 @@ class LastCostmap:
         self._tell()
 
     async def take_part(self, type_name: str, sample: Sample) -> None:
-        """A part that has changed."""
+        """Take an update."""
         async with self._taking:
             self._recent.append((type_name, sample))
             await self._apply(type_name, sample)
@@ -110,20 +114,20 @@ class LastCostmap:
         self.came = asyncio.Event()
 
     async def wait(self, condition: Callable[[], bool], timeout_s: float) -> None:
-        """Until the condition holds, or the time is over."""
+        """Wait until the condition holds, the subscription ends, or the time is over."""
         with anyio.move_on_after(timeout_s):
             while not condition() and self.is_heard:
                 await self.came.wait()
 
     def end(self) -> None:
-        """Nothing more of it is wanted."""
+        """End the subscriptions."""
         for task in self.work:
             task.cancel()
         self._tell()
 
 
 class LastCostmaps(Kept):
-    """Some costmaps, from the first question on until nobody has asked for a while."""
+    """The costmaps of a robot, each kept from the first request until there was none for a while."""
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
@@ -132,11 +136,13 @@ class LastCostmaps(Kept):
     async def last(
         self, topic: str, updates_topic: str, wait_s: float, *, first_s: float, newer_s: float = 0.0
     ) -> LastCostmap:
-        """A costmap with its updates. Waits so long for a whole one, and then for something that is newer than the
-        question: `newer_s`, or `first_s` if that is the first question.
+        """Return a costmap with its updates.
+
+        Wait up to `wait_s` for a full one, and then for a message newer than this call: up to `newer_s`, on the first
+        request at least `first_s`.
 
         Raises:
-            RobotError: if one of both topics cannot be listened to.
+            RobotError: if one of the two topics cannot be subscribed to.
         """
         await load("ros2_mcp.world.cost_updates")  # with numpy: not before it is needed
         kept, asked_ns = self._kept.get(topic), self._robot.now_ns()
@@ -162,7 +168,7 @@ class LastCostmaps(Kept):
         return kept
 
     async def close(self) -> None:
-        """Ends listening."""
+        """End all subscriptions."""
         for kept in self._kept.values():
             kept.end()
 
@@ -172,7 +178,7 @@ class LastCostmaps(Kept):
                 while monotonic() - kept.asked_at < _IDLE_S:
                     for sample in await listening.take(_TURN_S):
                         await take(listening.type, sample)
-        except RobotError as error:  # the next question begins anew
+        except RobotError as error:  # the next request subscribes again
             _logger.info("the costmap on %s is not kept: %s", topic, error)
             kept.error = error
         finally:
@@ -180,10 +186,10 @@ class LastCostmaps(Kept):
 
 
 def costmaps_of(robot: Robot) -> LastCostmaps:
-    """The costmaps of a robot that are listened to."""
+    """Return the costmaps of a robot that are kept current."""
     return robot.kept.get(LastCostmaps, lambda: LastCostmaps(robot))
 
 
 def sent_ns(sample: Sample) -> int:
-    """When a message was sent, which is earlier than it came where it is latched."""
+    """Return when a message was sent; for a latched topic that is earlier than its receipt."""
     return sample.source_ns or sample.received_ns

@@ -1,4 +1,5 @@
-"""`ros2_nav_localize`: tells localisation where the robot is, and measures whether it took it and whether it fits."""
+"""`ros2_nav_localize`: publish an initial pose, and measure whether localisation accepted it and the scan fits the
+map."""
 
 from __future__ import annotations
 
@@ -21,14 +22,14 @@ from ros2_mcp.robot.session import Session
 POSE_ESTIMATE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 TOPIC = "/initialpose"
 _TAKEN_S = 5.0
-"""AMCL takes an initial pose with its next scan, and sends its transform with it."""
+"""AMCL applies an initial pose with its next scan, and then publishes its transform."""
 _LOOK_S = 0.3
 _NEAR_M, _NEAR_RAD = 0.3, math.radians(15)
-"""A localiser corrects what it was told by its next scans: by about its deviation."""
+"""A localiser corrects the initial pose with its next scans, by about its standard deviation."""
 _SPREAD_M, _SPREAD_RAD = 0.25, math.radians(15)
-"""As the initial pose of RViz: a standard deviation of 0.5 m and 15°; half of that for who knows the place."""
+"""RViz uses a standard deviation of 0.5 m and 15°; half of the distance is enough for a known place."""
 _LOST = 0.4
-"""Share of beams: of a robot that is localised 0.7 and more fit, with people and boxes about it, too."""
+"""Share of the beams that fit. A well localised robot has 0.7 or more, even with people and boxes around it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,11 +55,11 @@ class NavLocalized:
 
     @property
     def has_failed(self) -> bool:
-        """Whether localisation did not take it."""
+        """Whether localisation did not accept the pose."""
         return self.is_taken is False
 
     def summary(self) -> list[str]:
-        """Whether it was taken, and the fit."""
+        """Return whether the pose was accepted, and how well the scan fits."""
         verdict = {True: "Localised", False: "NOT localised there", None: "Told; not known whether it was taken"}
         told = f"({self.x_m:.2f}, {self.y_m:.2f}) facing {self.yaw_deg:.0f}° in {named(self.frame)}"
         return [f"{verdict[self.is_taken]}: {told}. Before: {self.before} Now: {self.after}", self.fit, *self._more()]
@@ -68,11 +69,11 @@ class NavLocalized:
 
 
 async def localize(robot: Robot, session: Session, at: object, topic: str = "") -> NavLocalized:
-    """Publishes an initial pose, and waits until the transforms have the robot there.
+    """Publish an initial pose, and wait until the transforms place the robot there.
 
     Raises:
-        BadInput: for a place that is written wrongly, or has no heading where the present one is not known.
-        NotFound: for a place that is not known, or where nobody listens.
+        BadInput: for a malformed place, or one without a heading if the present heading is unknown.
+        NotFound: for an unknown place, or if the topic has no subscriber.
         RobotError: what publishing raises.
     """
     (target, *more) = targets_of(at, places_of(robot))
@@ -125,7 +126,8 @@ def _request(target: Target, topic: str) -> PublishRequest:
 
 
 async def _taken(robot: Robot, target: Target) -> tuple[Whereabouts, bool | None]:
-    """Where the robot is once its transforms have it near the target, or after some seconds; and whether they have."""
+    """Wait until the transforms place the robot near the target, or for some seconds; return the robot's pose, and
+    whether it is near (None: unknown)."""
     end = monotonic() + _TAKEN_S
     while True:
         where = await whereabouts(robot, MAP_FRAME)

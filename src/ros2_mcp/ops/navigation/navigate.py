@@ -1,4 +1,4 @@
-"""`ros2_navigate`: goals for Nav2, one after the other, as one job; a goal that fails is explained."""
+"""`ros2_navigate`: send goals to Nav2, one after the other, as one job; a failed goal is explained."""
 
 from __future__ import annotations
 
@@ -39,16 +39,16 @@ from ros2_mcp.robot.session import Session
 from ros2_mcp_common.wire.limits import MAX_DURATION_S
 
 _ANSWERED_S = 1.0
-"""A server that is alive answers a request to cancel within milliseconds."""
+"""A running server answers a request to cancel within milliseconds."""
 _CANCELLED_S = 3.0
-"""From its answer until the robot stands and the goal has ended."""
+"""Time from the answer until the robot stands and the goal has ended."""
 _ENDINGS = frozenset(STATUS[code] for code in TERMINAL)
 _LOOK_S = 0.5
 _SILENT_S = 1.5
-"""Nav2's navigator tells where it is with every step of its tree, ten to a hundred times a second. Who is silent for so
-long is asked whether it lives."""
+"""Nav2's navigator sends feedback with each step of its tree, ten to a hundred times a second. After this silence the
+server checks whether the navigator still runs."""
 _FAR_M = 0.5
-"""Nav2's own tolerance is 0.25 m; who is this far from the goal has not reached it, whatever is said."""
+"""Nav2's own tolerance is 0.25 m; a robot this far from the goal has not reached it, whatever Nav2 reports."""
 
 LegState = Literal["under way", "reached", "failed", "rejected", "canceled", "not begun"]
 
@@ -98,11 +98,11 @@ class Navigated:
 
     @property
     def has_failed(self) -> bool:
-        """Whether it did not get there; one that goes on, or that somebody has cancelled, is no failure."""
+        """Whether the goal was not reached. A navigation that is still running or was cancelled has not failed."""
         return self.outcome in ("failed", "rejected", "not begun")
 
     def summary(self) -> list[str]:
-        """What became of it, and of a failure its cause."""
+        """Return the outcome, one line per leg, and the cause of a failure."""
         lines = [f"{self.outcome} after {self.duration_s:.1f} s. {self.note}".strip(), *map(_line, self.legs)]
         lines += self.health
         if self.explanation:
@@ -130,11 +130,11 @@ def _line(leg: Leg) -> str:
 
 
 class Navigation(Job):
-    """Goals for one action, one after the other; it ends with the first that is not reached."""
+    """Drives to goals of one action, one after the other; ends with the first goal that is not reached."""
 
     kind = "navigation"
     most_running = 8
-    """A robot has one Nav2; more goals than that replace each other."""
+    """A robot has one Nav2, whose goals replace each other: more navigations than this make no sense."""
 
     def __init__(
         self, robot: Robot, session: Session, action: str, targets: Sequence[Target], stuck_s: float | None = None
@@ -149,16 +149,16 @@ class Navigation(Job):
         self._goal: Goal | None = None
         self._leg_at = self._heard_at = monotonic()
         self.ending = ""
-        """What is to be said of the end where the navigator did not see to it."""
+        """Text on the end of the goal if the navigator did not end it."""
         self._lost = self._doing = ""
         self._stuck_s = math.inf if stuck_s is None else stuck_s
         self._is_stuck = False
         self.watch = DriveWatch(began_at=monotonic())
 
     async def run(self) -> None:
-        """Sends each goal when the one before has been reached."""
+        """Send each goal after the one before has been reached."""
         robot = self._robot
-        robot.log.start()  # what its servers say from now on explains a failure
+        robot.log.start()  # the log from now on helps to explain a failure
         where, _ = await asyncio.gather(whereabouts(robot, MAP_FRAME), hear_plans(robot))
         x_m, y_m = where.x_m, where.y_m
         for number, target in enumerate(self._targets):
@@ -207,7 +207,7 @@ class Navigation(Job):
             await self._settle(target, self._lost or (ended.note if ended else ""))
 
     async def _ended(self, goal: Goal) -> GoalOutcome | None:
-        """How a goal has ended; None where its navigator is lost."""
+        """Return how a goal ended; None if its navigator was lost or the robot is stuck."""
         ended: GoalOutcome | None = None
         self._heard_at = monotonic()
         self.watch = DriveWatch(began_at=self._heard_at)
@@ -223,7 +223,8 @@ class Navigation(Job):
         return ended
 
     async def _watch_navigator(self, following: anyio.CancelScope) -> None:
-        """Ends the following of a goal whose navigator has fallen silent and does not answer, or that is stuck."""
+        """Stop following a goal whose navigator sends no feedback and does not answer, or on which the robot is
+        stuck."""
         graph = self._robot.graph
         while True:
             await asyncio.sleep(_LOOK_S)
@@ -235,14 +236,14 @@ class Navigation(Job):
                 continue
             before = self._heard_at
             why = await why_lost(self._robot, self.action)
-            if why and self._heard_at == before:  # else it was only slow
+            if why and self._heard_at == before:  # otherwise the navigator was only slow
                 self._lost = why
                 following.cancel()
                 return
-            self._heard_at = monotonic()  # it lives, and has nothing to tell
+            self._heard_at = monotonic()  # the navigator is alive, but has no feedback
 
     async def _settle(self, target: Target, why: str) -> None:
-        """Sees to it that nothing goes on of a goal whose navigator is lost, and that the robot stands."""
+        """After the navigator was lost: cancel the goals of the other servers and wait until the robot stands."""
         took_s = monotonic() - self._leg_at
         said = f"{why[0].upper()}{why[1:].rstrip('.')}." if why else "The end of the goal was not seen."
         self._note(remaining_m=None)
@@ -269,7 +270,7 @@ class Navigation(Job):
         self.doubt = "" if below.stands else self.ending
 
     async def _end_stuck(self, target: Target) -> None:
-        """Cancels a goal on which the robot does not come on, and explains why."""
+        """Cancel a goal on which the robot makes no progress, and explain why."""
         took_s, now = monotonic() - self._leg_at, monotonic()
         seen = self.watch.sees(now) or "Nothing was seen that keeps it from it."
         told = f"Ended by stop_when_stuck_s: it has not come on for {self.watch.stuck_s(now):.0f} s. {seen}"
@@ -280,13 +281,13 @@ class Navigation(Job):
         self._note(remaining_m=None)
         failure = Failure(False, NO_PROGRESS)
         explanation = await explain(self._robot, self.action, target, failure, took_s)
-        self.explanation = replace(explanation, server="", error_code=0, error="")  # Nav2 has not said so
+        self.explanation = replace(explanation, server="", error_code=0, error="")  # the code is ours, not Nav2's
         await self._measure(target)
         self._note(outcome="failed", duration_s=round(took_s, 2))
         self.ending = told
 
     async def _ask_to_cancel(self) -> str:
-        """Has the goal cancelled; why that was not seen, or ""."""
+        """Cancel the goal; return why that could not be confirmed, or ""."""
         goal = self._goal
         if goal is None or not goal.is_running:
             return ""
@@ -306,7 +307,7 @@ class Navigation(Job):
         return "" if ended.status in _ENDINGS else f"the goal has not ended within {_CANCELLED_S:g} s"
 
     async def _judge(self, target: Target, ended: GoalOutcome) -> None:
-        """Notes the outcome, and where the robot is by its transforms; explains a failure."""
+        """Record the outcome and the robot's pose by its transforms; explain a failure."""
         took_s = monotonic() - self._leg_at
         self._note(duration_s=round(took_s, 2))
         await self._measure(target)
@@ -331,25 +332,25 @@ class Navigation(Job):
             self.explanation = await explain(self._robot, self.action, target, failure, took_s)
 
     async def _measure(self, target: Target) -> None:
-        """How far the robot is from the goal now."""
+        """Record the robot's distance and heading error to the goal."""
         where = await whereabouts(self._robot, MAP_FRAME)
         goal = await in_frame(self._robot, target.frame, target.x_m, target.y_m, MAP_FRAME)
         if target.frame == where.base or not goal or where.x_m is None or where.y_m is None or where.trouble:
-            return  # a goal in the frame of the robot moved with it
+            return  # a goal in the robot's own frame moves with the robot
         off = None
         if self._targets[self.now].yaw_rad is not None and target.frame == MAP_FRAME and where.yaw_rad is not None:
             off = round(math.degrees(math.remainder(where.yaw_rad - (target.yaw_rad or 0.0), 2 * math.pi)), 1)
         self._note(away_m=round(math.hypot(goal[0] - where.x_m, goal[1] - where.y_m), 3), heading_off_deg=off)
 
     async def _replaced_by(self, goal_id: str) -> str:
-        """That another goal of the action runs now, and how to end it; "" where none does."""
+        """Say that another goal of the action is running, and how to end it; "" if there is none."""
         others = []
         with suppress(RobotError):
             others = await running_goals(self._robot, {self.action: [NAVIGATE]}, beside={goal_id})
         return " ".join(f"The robot drives on: {other.sentence}" for other in others)
 
     async def _give_up(self) -> None:
-        """Cancels the goal that is under way, and what goes on below a navigator that does not take that."""
+        """Cancel the running goal; if the navigator does not accept that, cancel the goals of the servers below it."""
         goal = self._goal
         if goal is None or not goal.is_running:
             self._note(outcome="canceled")
@@ -363,7 +364,7 @@ class Navigation(Job):
         self.doubt = self.ending
 
     def _hear(self, feedback: Mapping[str, Any]) -> None:
-        """Takes in what Nav2 tells on the way."""
+        """Take the feedback of Nav2."""
         self._heard_at = monotonic()
         remaining, recoveries = feedback.get("distance_remaining"), feedback.get("number_of_recoveries")
         if isinstance(remaining, float) and math.isfinite(remaining):
@@ -376,7 +377,7 @@ class Navigation(Job):
         self.legs[self.now] = replace(self.legs[self.now], **changed)
 
     def line(self) -> str:
-        """How it is going, for progress."""
+        """Return one line on the progress."""
         leg = self.legs[self.now]
         to = quoted(leg.place) if leg.place else f"({leg.x_m:.2f}, {leg.y_m:.2f})"
         which = f" ({self.now + 1} of {len(self.legs)})" if len(self.legs) > 1 else ""
@@ -389,7 +390,7 @@ class Navigation(Job):
         return f"to {to}{which}: {monotonic() - self._leg_at:.0f} s{left}{freed}{f'. {seen}' if seen else ''}"
 
     def so_far(self) -> Navigated:
-        """What is known of it now."""
+        """Return the result as it is known now."""
         last = self.legs[self.now]
         outcome: LegState = "under way" if self.is_running else last.outcome
         if not self.is_running and outcome == "under way":
@@ -433,13 +434,15 @@ async def navigate(
     stuck_s: float | None = None,
     report: Report = silent,
 ) -> Navigated:
-    """Drives to places, or waits on for a navigation that is under way; at most `timeout_s`, after which it goes on.
+    """Drive to places, or wait for a running navigation; wait at most `timeout_s`, after which the navigation
+    continues.
 
-    A waiting that is cancelled cancels the goal. With `stuck_s` it is ended where it does not come on for so long.
+    Cancelling this call cancels the goal. With `stuck_s`, the navigation ends if the robot makes no progress for that
+    long.
 
     Raises:
-        BadInput: for a place that is written wrongly, or neither a place nor a job.
-        NotFound: for a place or a job that is not known, or where there is no Nav2.
+        BadInput: for a malformed place, or neither a place nor a job.
+        NotFound: for an unknown place or job, or without Nav2.
         RobotError: what sending the first goal raises; nothing was sent then, unless the error says so.
     """
     bounded("timeout_s", timeout_s, 0.0, MAX_DURATION_S, "s")
@@ -464,7 +467,7 @@ async def navigate(
         return job.so_far()
     try:
         health = await health_of(robot, job.action)
-    except asyncio.CancelledError:  # as while it is waited for: who cancels the call wants the robot to stand
+    except asyncio.CancelledError:  # as while waiting: a caller who cancels wants the robot to stand
         await abandon(job)
         raise
     if not job.is_running:
@@ -474,7 +477,7 @@ async def navigate(
 
 
 async def action_of(robot: Robot, kind: str, given: str = "") -> str:
-    """The action of that type: the given one, or the only one.
+    """Return the name of an action of this type: the given one, or the only one.
 
     Raises:
         NotFound: if there is none; names the others, or says that there is no robot.

@@ -1,4 +1,4 @@
-"""`ros2_place_list` and `ros2_place_set`: places of the robot that are known by name."""
+"""`ros2_place_list` and `ros2_place_set`: named places of the robot."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ros2_mcp.robot import Robot
 from ros2_mcp.robot.session import Session
 
 _FARTHEST_M = 1e6
-"""No robot goes farther."""
+"""No robot drives farther."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +31,7 @@ class PlaceEntry:
     away_m: float | None = None
 
     def summary(self) -> str:
-        """One line."""
+        """Return one line."""
         heading = "" if self.yaw_deg is None else f", {self.yaw_deg:.0f}°"
         away = "" if self.away_m is None else f"; {self.away_m:.1f} m from the robot"
         return f"{quoted(self.name)}: ({self.x_m:.2f}, {self.y_m:.2f}){heading} in {named(self.frame)}{away}"
@@ -46,7 +46,7 @@ class PlaceList:
     note: str = ""
 
     def summary(self) -> list[str]:
-        """A line for each."""
+        """Return one line per place."""
         none = "No places are kept. ros2_place_set notes one."
         return (
             [*(place.summary() for place in self.places), self.note] if self.places else [f"{none} {self.note}".strip()]
@@ -63,14 +63,14 @@ class PlaceKept:
     kept_in: str
 
     def summary(self) -> str:
-        """One line."""
+        """Return one line."""
         before = f" Before: {self.before.summary()}." if self.before else ""
         return f"{self.done}: {self.place.summary()}.{before}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlaceRequest:
-    """A place to set or remove. Without x and y (m) it is where the robot is now, with its heading."""
+    """A place to set or remove. Without x and y (m) it is the robot's current pose."""
 
     name: str
     x_m: float | None = None
@@ -81,7 +81,7 @@ class PlaceRequest:
 
 
 async def list_places(robot: Robot, pattern: str = "") -> PlaceList:
-    """The places whose names match, with their distance from the robot.
+    """Return the places whose names match, with their distance from the robot.
 
     Raises:
         BadData: if the file of places cannot be read.
@@ -101,11 +101,11 @@ async def list_places(robot: Robot, pattern: str = "") -> PlaceList:
 
 
 async def set_place(robot: Robot, session: Session, request: PlaceRequest) -> PlaceKept:
-    """Keeps a place, or forgets one; written into the audit.
+    """Store or delete a place, and write that into the audit.
 
     Raises:
-        BadInput: for a name or numbers that cannot be.
-        NotFound: if there is nothing to remove, or nobody knows where the robot is.
+        BadInput: for an invalid name or invalid numbers.
+        NotFound: if there is nothing to remove, or the robot's pose is unknown.
         BadData, RobotError: if the places cannot be read or written.
         Refused: under a policy in the mode observe.
     """

@@ -1,4 +1,4 @@
-"""`ros2_nav_preview`: the way that Nav2's planner would take, as a picture and in numbers; nothing moves."""
+"""`ros2_nav_preview`: the path that Nav2's planner would take, as a picture and in numbers; nothing moves."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ if TYPE_CHECKING:
     from ros2_mcp.world.costmap import CostGrid
 
 PLAN_S = 30.0
-"""Planners answer within tenths of a second; a lattice planner over a large map takes some seconds."""
+"""Planners answer within tenths of a second; a lattice planner on a large map needs some seconds."""
 _MOST_POINTS = 24
-"""Of the way in an answer: it can be followed on a picture with fewer."""
+"""Number of points of the path in an answer: enough to follow it in a picture."""
 _TURN_RAD = math.radians(30)
 
 
@@ -73,7 +73,7 @@ class Preview(WithPictures):
     note: str = ""
 
     def summary(self) -> list[str]:
-        """One line, and of a failure the cause."""
+        """Return one line; without a path, also the cause."""
         if self.is_feasible:
             dearest = f"; its dearest place is {self.dearest}" if self.dearest else ""
             narrowest = f" {self.narrowest[0].upper()}{self.narrowest[1:]}." if self.narrowest else ""
@@ -99,11 +99,11 @@ async def preview(
     action: str = "",
     report: Report = silent,
 ) -> Preview:
-    """Asks the planner for a way from the robot, or from `start`, to a place.
+    """Ask the planner for a path to a place, from the robot or from `start`.
 
     Raises:
-        BadInput: for a place that is written wrongly, or several.
-        NotFound: for a place that is not known, or where there is no planner.
+        BadInput: for a malformed place, or several places.
+        NotFound: for an unknown place, or without a planner.
         TimedOut: if it does not answer.
         RobotError: what sending a goal raises.
     """
@@ -160,7 +160,7 @@ async def preview(
 
 
 def _not_asked(action: str, note: str) -> Preview:
-    """What is to be said where no planner looked for a way."""
+    """Return the result for a request that no planner computed."""
     return Preview(
         is_feasible=None,
         action_name=action,
@@ -180,7 +180,7 @@ def _not_asked(action: str, note: str) -> Preview:
 async def _picture(
     robot: Robot, frame: str, points: Sequence[tuple[float, float]], spot: Narrowest | None
 ) -> ScenePicture | None:
-    """The scene with the way in it, and its narrowest gap; None where nothing can be drawn."""
+    """Return the scene with the path and its narrowest gap; None if nothing can be drawn."""
     marks = [(f"gap {spot.gap_m:.2f} m", *spot.gap_at)] if spot and spot.gap_m is not None and spot.gap_at else []
     with suppress(RobotError):
         return await scene(robot, Live(robot), SceneRequest(way=Way("planned way", frame, points, marks)))
@@ -195,7 +195,7 @@ def _one(to: object, robot: Robot) -> Target:
 
 
 async def _result(robot: Robot, action: str, goal_id: str) -> Mapping[str, Any]:
-    """The result of the planner's goal, in full."""
+    """Return all fields of the planner's result."""
     try:
         answer = await robot.ask_service(
             f"{action}/_action/get_result",
@@ -203,7 +203,7 @@ async def _result(robot: Robot, action: str, goal_id: str) -> Mapping[str, Any]:
             {"goal_id": {"uuid": goal_id_bytes(goal_id)}},
             timeout_s=PLAN_S,
         )
-    except BaseException:  # cancelled, or too late: nobody waits for it any more
+    except BaseException:  # cancelled or timed out: the result is no longer needed
         await asyncio.shield(_give_up(robot, goal_id))
         raise
     fields = await robot.fields_of(answer)
@@ -219,7 +219,7 @@ async def _give_up(robot: Robot, goal_id: str) -> None:
 
 
 async def _grid(robot: Robot, action: str, frame: str) -> tuple[CostGrid | None, str]:
-    """The costmap in the frame of the way, and its topic."""
+    """Return the costmap and its topic if it has the frame of the path."""
     with suppress(RobotError):
         grid, topic, _ = await costmap_of(robot, list(await robot.graph.topics()), action)
         return (grid, topic) if grid and grid.frame_id == frame else (None, "")
@@ -227,7 +227,7 @@ async def _grid(robot: Robot, action: str, frame: str) -> tuple[CostGrid | None,
 
 
 def _points(path: Mapping[str, Any]) -> tuple[list[tuple[float, float]], str]:
-    """The places of a path that are finite, in m, and in words how many are not; empty where all are."""
+    """Return the finite points of a path in m, and a sentence on how many are not finite ("" if all are)."""
     told = [(pose["pose"]["position"]["x"], pose["pose"]["position"]["y"]) for pose in path.get("poses", ())]
     points = [point for point in told if all(isinstance(one, (int, float)) and math.isfinite(one) for one in point)]
     if len(points) == len(told):
@@ -247,14 +247,14 @@ def _length(points: Sequence[tuple[float, float]]) -> float:
 
 
 def _some(points: Sequence[tuple[float, float]]) -> Sequence[tuple[float, float]]:
-    """At most `_MOST_POINTS` of them, evenly, with both ends."""
+    """Return at most `_MOST_POINTS` points, evenly spread and including both ends."""
     if len(points) <= _MOST_POINTS:
         return points
     return [points[round(i * (len(points) - 1) / (_MOST_POINTS - 1))] for i in range(_MOST_POINTS)]
 
 
 def _turns(points: Sequence[tuple[float, float]]) -> int:
-    """How often the way turns by more than 30° within half a metre."""
+    """Count the turns of more than 30° within half a metre of the path."""
     headings: list[tuple[float, float]] = []
     way = 0.0
     for i in range(len(points) - 1):

@@ -1,6 +1,6 @@
-"""Reads what the checks of navigation need of a robot: each part once, all at the same time, and nothing acts.
+"""Reads the evidence for the checks of navigation: each part once, all in parallel, without acting on the robot.
 
-A part that cannot be read, or not in time, is None and is told; it takes nothing from the others.
+A part that cannot be read in time is None and is reported; the other parts are not affected.
 """
 
 from __future__ import annotations
@@ -49,34 +49,36 @@ from ros2_mcp.robot.transforms import LISTENS
 from ros2_mcp.values.writers import Writers
 
 LISTENED_S = 2.0
-"""A slow laser turns five times a second, AMCL sends its transform ten times; what stalls shows within."""
+"""A slow laser scans five times a second and AMCL publishes its transform ten times: a stalled one shows within this
+time."""
 _GIVEN_UP_S = 8.0
-"""For a part as a whole. On a quiet machine all are there within three seconds; on a busy one a late answer is better
-than none."""
+"""Limit for each part. On a quiet machine all are read within three seconds; on a busy one a late answer is better than
+none."""
 _ANSWER_S = 1.2
-"""For one node: one that spins answers within milliseconds."""
+"""Limit for one node: a node that spins answers within milliseconds."""
 _AT_A_TIME = 8
 _MOST_NODES = 60
-"""Nodes that are asked: the questions should not weigh on the robot."""
+"""Number of nodes that are asked, to limit the load on the robot."""
 _MOST_OF_TYPE: Mapping[str, int] = {SCAN: 4, ODOMETRY: 4, POSE: 3, "nav2_msgs/msg/CollisionMonitorState": 2}
 _MOST_VELOCITIES, _MOST_CLOUDS = 14, 4
 _MOST_MESSAGES = 12
-"""Scans and the like that are decoded, the first and the last ones; of velocities and odometry all are."""
+"""Number of scans and the like that are decoded, the first and the last ones; velocities and odometry are all
+decoded."""
 _FRAMES_S = 1.8
 _LOG_S, _LOG_LINES, _LOG_BYTES = 900.0, 300, 60_000
-"""What Nav2's servers said while they came up may explain it: as far as it is kept."""
+"""The log of the bring-up may explain a failure, as far back as it is kept."""
 _LIST, _GET = "rcl_interfaces/srv/ListParameters", "rcl_interfaces/srv/GetParameters"
 _GET_STATE = "lifecycle_msgs/srv/GetState"
 _CLOCK_PARAMETER = "use_sim_time"
 _TELLS_MORE = ("diff_drive", "base", "ekf", "ukf", "odom", "localization", "slam", "mux", "controller")
-"""Parts of names of nodes beside Nav2's whose parameters say how they take part in it."""
+"""Parts of the names of other nodes whose parameters matter to navigation."""
 _logger = logging.getLogger(__name__)
 
 
 async def read_evidence(
     robot: Robot, needs: Collection[Need], target: Target | None = None, action: str = ""
 ) -> tuple[NavEvidence, Sequence[str]]:
-    """The evidence, and the names of the parts that could not be read. Raises what reading the graph raises."""
+    """Return the evidence, and the names of the parts that could not be read. Raises what reading the graph raises."""
     await load("ros2_mcp.values.cdr", "ros2_mcp.world.costmap", "ros2_mcp.world.scans")  # with numpy
     source = Live(robot)
     graph = await source.graph()
@@ -103,7 +105,7 @@ async def read_evidence(
             missed.append(need)
 
     await asyncio.gather(*(made(need) for need in needs if need in makers))
-    if frames := found.get("frames"):  # the tree has grown meanwhile
+    if frames := found.get("frames"):  # the tree was updated while other parts were read
         found["frames"] = replace(frames, at_ns=robot.now_ns())
     goal = await _goal(robot, target, found.get("grids")) if target else None
     return NavEvidence(graph=graph, goal=goal, now_ns=robot.now_ns(), **found), sorted(missed)
@@ -114,7 +116,8 @@ async def read_evidence(
 
 @dataclass(slots=True)
 class _Kept:
-    """What came on a topic: times of all, and of messages as many as are needed."""
+    """The messages of one topic: `new` ones with the numbers of their publishers, and `old` ones from before the
+    subscription."""
 
     stream: Stream
     new: list[tuple[Sample, int]] = field(default_factory=list[tuple[Sample, int]])
@@ -122,7 +125,7 @@ class _Kept:
     writers: Writers = field(default_factory=Writers)
 
     def add(self, samples: Sequence[Sample]) -> None:
-        """Takes in messages, in the order of time."""
+        """Take messages in the order of their receipt."""
         for sample in samples:
             if self.stream.is_replayed(sample):
                 self.old.append(sample)
@@ -131,7 +134,7 @@ class _Kept:
 
 
 async def _heard(robot: Robot, graph: GraphSnapshot) -> Mapping[str, Heard]:
-    """What comes on topics of velocities, sensors, odometry and poses; only the stamps of clouds."""
+    """Receive topics of velocities, sensors, odometry and poses; of point clouds, ranges and IMUs only the stamps."""
     whole = _of_types(graph, *VELOCITIES)[:_MOST_VELOCITIES]
     for kind, most in _MOST_OF_TYPE.items():
         whole += [name for name in _of_types(graph, kind) if "initial" not in name][:most]
@@ -151,7 +154,7 @@ async def _heard(robot: Robot, graph: GraphSnapshot) -> Mapping[str, Heard]:
 
 
 def _of_types(graph: GraphSnapshot, *types: str) -> list[str]:
-    """Topics that somebody publishes with one type."""
+    """Return the visible topics whose publishers all have the same type, one of these."""
     return [
         name
         for name, topic in sorted(graph.topics.items())
@@ -207,7 +210,7 @@ def _decoded(capture: Capture[_Kept]) -> Heard:
 
 
 async def _parameters(robot: Robot, graph: GraphSnapshot) -> Mapping[str, Mapping[str, Any]]:
-    """All of Nav2's nodes and of those that take part in it; of the others which time they run on."""
+    """Read all parameters of Nav2's nodes and of those related to them; of other nodes only use_sim_time."""
     found: dict[str, Mapping[str, Any]] = {}
     limit = asyncio.Semaphore(_AT_A_TIME)
     evidence = NavEvidence(graph=graph)
@@ -221,7 +224,7 @@ async def _parameters(robot: Robot, graph: GraphSnapshot) -> Mapping[str, Mappin
                 with anyio.move_on_after(2 * _ANSWER_S):
                     wanted = await _declared(robot, node) if node in whole else [_CLOCK_PARAMETER]
                     found[node] = await _values(robot, node, wanted)
-            except RobotError:  # it has left, hangs, or has no such services
+            except RobotError:  # the node has left, hangs, or has no parameter services
                 pass
 
     nodes = [node for node in dict.fromkeys(evidence.nodes) if is_of_robot(node) and node != names.UNKNOWN_NODE]
@@ -244,7 +247,8 @@ async def _values(robot: Robot, node: str, wanted: Sequence[str]) -> Mapping[str
 
 
 async def _states(robot: Robot, graph: GraphSnapshot) -> States:
-    """The lifecycle states of all nodes that have one; "" of those that do not answer, asked twice."""
+    """Read the lifecycle states of all nodes that have one, "" for nodes that do not answer; each node is asked
+    twice."""
     nodes = [name.rpartition("/")[0] for name, types in (graph.services or {}).items() if _GET_STATE in types]
     limit = asyncio.Semaphore(_AT_A_TIME)
     states, answered_s = dict[str, str](), dict[str, float]()
@@ -323,7 +327,8 @@ async def _grids(robot: Robot, graph: GraphSnapshot, action: str) -> Grids:
 
 
 async def _log(robot: Robot) -> Sequence[LogLine]:
-    """Warnings and errors of all; of managers also that all were active: what was said before is over."""
+    """Read warnings and errors of all nodes, and the lines of lifecycle managers that all nodes are active: they make
+    earlier errors obsolete."""
     since = f"{_LOG_S:.0f}"
     warnings, ups = await asyncio.gather(
         read_log(robot, LogRequest(since=since, level="warn", limit=_LOG_LINES), _LOG_BYTES),
@@ -336,7 +341,7 @@ async def _log(robot: Robot) -> Sequence[LogLine]:
 async def _diagnostics(robot: Robot) -> Sequence[Diagnostic]:
     try:
         return (await read_diagnostics(robot)).rows
-    except NotFound:  # nobody publishes any
+    except NotFound:  # /diagnostics has no publisher
         return ()
 
 

@@ -1,4 +1,5 @@
-"""`ros2_nav_recover`: Nav2's own ways out, each measured: clearing, short moves, its servers up, down or paused."""
+"""`ros2_nav_recover`: run Nav2's own recoveries and measure their effect: clear costmaps, move a little, command the
+servers."""
 
 from __future__ import annotations
 
@@ -30,23 +31,23 @@ What = Literal["clear_local", "clear_global", "clear_both", "spin", "back_up", "
 StackCommand = Literal["up", "pause", "resume", "reset", "down"]
 MOVES: Mapping[str, str] = {"spin": SPIN, "back_up": BACK_UP, "drive_ahead": DRIVE}
 SPEED_MPS = 0.1
-"""As Nav2's own recoveries back up: 0.05 to 0.15 m/s."""
+"""Nav2's own recoveries back up at 0.05 to 0.15 m/s."""
 _DISTANCE_M, _ANGLE_DEG = 0.3, 90.0
-"""As far as Nav2's default tree backs up and turns."""
+"""The distance and angle of the recoveries in Nav2's default behaviour tree."""
 MOST_M, MOST_DEG = 3.0, 360.0
 _LOWEST_RADPS = 0.4
 """Nav2's spin turns at 0.4 to 1 rad/s."""
 _SPARE_S = 10.0
 _STACK_S = 40.0
-"""Nav2 brings its servers up within some seconds; a large map takes longer."""
+"""Nav2 brings its servers up within some seconds; with a large map it takes longer."""
 _GRID_S = 2.5
 """Nav2 publishes a costmap once a second."""
 _SETTLES_S = 1.2
-"""After a clearing, until the next costmap has come, with what the sensors see now."""
+"""Wait after clearing for the next costmap, which contains what the sensors see now."""
 _TRANSFORMS_S = 0.3
-"""Until the transforms of where a move ended have come: they are sent ten times a second and more."""
+"""Wait for the transforms at the end of a move: they are published ten times a second or more."""
 _OCCUPIED = 99
-"""Costs of an OccupancyGrid that are inscribed or lethal."""
+"""Cost from which a cell of an OccupancyGrid is inscribed or lethal."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,11 +62,11 @@ class NavRecovered:
 
     @property
     def has_failed(self) -> bool:
-        """Whether it did not succeed."""
+        """Whether the recovery failed."""
         return not self.successful
 
     def summary(self) -> str:
-        """One line."""
+        """Return one line."""
         return f"{self.done}: {'done' if self.successful else 'FAILED'}. {self.measured} {self.note}".rstrip()
 
 
@@ -79,7 +80,7 @@ async def recover(
     node: str = "",
     report: Report = silent,
 ) -> NavRecovered:
-    """Clears a costmap, makes a short move with Nav2's collision checks, or commands all of Nav2's servers.
+    """Clear a costmap, make a short move with Nav2's collision checks, or command all of Nav2's servers.
 
     Raises:
         BadInput: for neither or both of `what` and `stack`, or an amount that does not fit.
@@ -131,7 +132,7 @@ def _cells(count: int | None) -> str:
 
 
 async def _occupied(robot: Robot, which: str, after_s: float) -> int | None:
-    """How many cells of a costmap the robot would touch something in; None where it is not published."""
+    """Count the cells of a costmap in which the robot would touch something; None if it is not published."""
     await load("ros2_mcp.world.occupancy")  # with numpy: not before it is needed
     from ros2_mcp.world.occupancy import OccupancyGrid
 
@@ -185,7 +186,7 @@ async def _move(robot: Robot, session: Session, what: str, amount: float | None,
 
 
 def _moved(before: Whereabouts, after: Whereabouts) -> str:
-    """How far the robot moved and turned by its odometry, ahead or back."""
+    """Describe how far the robot moved and turned, by its odometry."""
     if None in (before.x_m, before.y_m, before.yaw_rad, after.x_m, after.y_m, after.yaw_rad):
         return "Not measured: there is no odometry transform."
     yaw = before.yaw_rad or 0.0
@@ -224,7 +225,7 @@ async def _command_stack(robot: Robot, session: Session, command: str, node: str
 
 
 def _chosen(stacks: Sequence[Stack], node: str) -> Stack:
-    """That of that host; without one that which drives, or the only one."""
+    """Return the stack of the lifecycle manager `node`; without a name the one with the controller, or the only one."""
     hosts = ", ".join(stack.host for stack in stacks)
     if node:
         wanted = node if node.startswith("/") else f"/{node}"

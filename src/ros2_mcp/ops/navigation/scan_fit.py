@@ -1,4 +1,4 @@
-"""How well what a laser sees fits the map where the robot believes to be."""
+"""Measures how well a laser scan fits the map at the robot's estimated pose."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from ros2_mcp.robot import Robot
 
 _SCAN = "sensor_msgs/msg/LaserScan"
 _MAP_S, _SCAN_S = 2.0, 1.5
-"""A map is latched; the slowest scanners turn five times a second."""
+"""A map is latched; the slowest scanners scan five times a second."""
 _NEAR_M = 0.15
-"""A cell, the scanner's noise and that of a settled localisation."""
+"""Tolerance: a cell, the noise of the scanner, and the error of a settled localisation."""
 _LEAST_HITS = 20
-"""With fewer beams that end at something, a share says nothing."""
+"""With fewer beams that hit something a share means nothing."""
 
 
 @dataclass(frozen=True, slots=True)
 class ScanFit:
-    """`share` of the beams that end within 0.15 m of what is occupied on the map, of `beams` that end at something."""
+    """`share` of the beams that end within 0.15 m of an occupied cell of the map, of `beams` that hit something."""
 
     share: float
     beams: int
@@ -39,7 +39,7 @@ class ScanFit:
 
 
 async def scan_fit(robot: Robot) -> ScanFit | str:
-    """The fit now, or why it is not known, in words. Raises no `RobotError`."""
+    """Return the fit now, or a sentence on why it is unknown. Raises no `RobotError`."""
     await load("ros2_mcp.world.scans")  # with numpy: not before it is needed
     from ros2_mcp.ops.space.frames import pose_in
     from ros2_mcp.world.occupancy import OccupancyGrid
@@ -64,7 +64,8 @@ async def scan_fit(robot: Robot) -> ScanFit | str:
 
 
 def share_near_occupied(grid: Any, points: list[list[float]]) -> float:
-    """The share of points within `_NEAR_M` of an occupied cell; those beside the grid are not near one."""
+    """Return the share of points (x, y in m in the map) within `_NEAR_M` of an occupied cell; points off the grid are
+    not near."""
     reach = max(1, round(_NEAR_M / grid.resolution_m))
     occupied = grid.cells >= OCCUPIED_FROM
     near = 0

@@ -1,6 +1,6 @@
-"""What is known around a goal that has failed: costmap, localisation, sensors, servers, diagnostics, the log.
+"""Collects what is known around a failed goal: costmap, localisation, sensors, servers, diagnostics, the log.
 
-Each is looked for by itself, and what cannot be had is said in words: nothing here fails.
+Each part is read independently. A part that cannot be read is described in words; nothing here fails.
 """
 
 from __future__ import annotations
@@ -34,22 +34,22 @@ if TYPE_CHECKING:
     from ros2_mcp.world.costmap import CostGrid
 
 COSTMAP_S = 3.0
-"""Nav2 publishes a costmap once a second, and its last one is latched; a publisher may be discovered late."""
+"""Nav2 publishes a costmap once a second, and the last one is latched; a publisher may be discovered late."""
 _SENSORS_S = 1.5
-"""The slowest scanners turn five times a second, and Nav2 publishes a costmap once; matching takes up to 0.2 s."""
+"""The slowest scanners scan five times a second, and Nav2 publishes a costmap once; matching takes up to 0.2 s."""
 _LOG_BEFORE_S = 1.0
-"""A line is stamped before the goal's answer comes."""
+"""Lines of the log are stamped before the goal's answer arrives."""
 _MOST_LINES = 60
 _MOST_SENSORS = 6
 _SENSOR_TYPES = ("sensor_msgs/msg/LaserScan", "sensor_msgs/msg/PointCloud2", "nav_msgs/msg/Odometry")
 _AHEAD_DEG = 20.0
-"""So far to either side is ahead: half of the sector that a laser's meaning calls front."""
+"""Angle to either side that counts as ahead: half of the sector that a laser's meaning calls front."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Local:
-    """What the local costmap has around the robot: the cost where its middle is (None: outside), how far from there the
-    nearest occupied cell is, in m, and in which direction, in degrees to the left of ahead (None: none is on it)."""
+    """The local costmap around the robot: the cost at its centre (None: off the grid), and the distance in m and
+    direction in degrees to the left of ahead of the nearest occupied cell (None: no cell is occupied)."""
 
     topic: str
     cost: int | None
@@ -68,12 +68,12 @@ class Local:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Situation:
-    """What was found. `grid_topic` is where the costmap is from, or the map in its place. Texts are sentences of ours.
+    """The state around a failed goal. `grid_topic` is the topic of the costmap, or of the map in its place.
 
-    `inactive` are Nav2's nodes that are not active, each with its state; `silent` topics of sensors or odometry that
-    have publishers and said nothing; `local` is what the local costmap has around the robot, `base` who else commands
-    the base and what holds it. `findings` are those of `ros2_nav_check`, which judges what both tell; `absent` are
-    sentences on what could not be looked at.
+    `inactive` are Nav2's nodes that are not active, with their states; `silent` are topics of sensors or odometry with
+    publishers but without messages; `local` is the local costmap around the robot; `base` says who else commands the
+    base and which limits are 0. `findings` are those of `ros2_nav_check`, `absent` sentences on parts that could not be
+    read.
     """
 
     where: Whereabouts
@@ -90,7 +90,7 @@ class Situation:
 
 
 async def look_around(robot: Robot, frame: str, since_s: float, action: str = "") -> Situation:
-    """What is known now of the robot and its surroundings, in `frame`; of the log the last `since_s` s."""
+    """Read the state of the robot and its surroundings in `frame`, with the log of the last `since_s` s."""
     absent: list[str] = []
     rows = await _or(robot.graph.topics(), (), absent, "The topics")
     topics = list(rows)
@@ -134,12 +134,12 @@ async def _or(work: Any, otherwise: Any, absent: list[str], what: str) -> Any:
 async def costmap_of(
     robot: Robot, topics: Sequence[TopicRow], action: str = "", *, within_s: float = 0.0
 ) -> tuple[CostGrid | None, str, str]:
-    """The global costmap, else the map, with its topic, and in words how old it and its changes are, if only these are
-    sent; None where neither can be read.
+    """Return the global costmap, else the map, with its topic, and a sentence on the age of the costmap and its
+    updates.
 
-    Of several robots that which stands below the same namespace as the `action`. The newest that comes `within_s`: the
-    first one is latched, and may be from before what it is asked for. Of one that cannot be used the words
-    say why.
+    The grid is None if neither can be read; then the sentence says why a grid could not be used. With several robots
+    the costmap is that in the namespace of `action`. Takes the newest message within `within_s`: the first one is
+    latched, and may be older than the goal.
     """
     grids = _grids(topics)
     namespace = action.rpartition("/")[0]
@@ -160,7 +160,7 @@ async def costmap_of(
 
 
 async def local_of(robot: Robot, topics: Sequence[TopicRow], action: str = "") -> Local | None:
-    """What the local costmap has around the robot; None where there is none, or the robot's place on it not known."""
+    """Return the surroundings on the local costmap; None without one, or if the robot's pose on it is unknown."""
     grids = [name for name in _grids(topics) if "local_costmap" in name]
     namespace = action.rpartition("/")[0]
     own = sorted([name for name in grids if name.startswith(f"{namespace}/")] or grids, key=len)
@@ -177,7 +177,7 @@ async def local_of(robot: Robot, topics: Sequence[TopicRow], action: str = "") -
 
 
 def around(grid: CostGrid, topic: str, where: Whereabouts) -> Local:
-    """What a costmap has around the robot, whose place is in the costmap's frame."""
+    """Return the surroundings of the robot on a costmap; `where` is in the costmap's frame."""
     x_m, y_m = where.x_m or 0.0, where.y_m or 0.0
     nearest = grid.nearest_occupied(x_m, y_m)
     if nearest is None:
@@ -198,7 +198,8 @@ def _grids(topics: Sequence[TopicRow]) -> list[str]:
 
 
 async def _newest_grid(robot: Robot, topics: Sequence[TopicRow], topic: str, within_s: float) -> tuple[CostGrid, str]:
-    """A grid, and in words how old it and its changes are, if only these are sent; raises as `costmap_now`."""
+    """Return a grid, and a sentence on its age and that of its updates ("" if it has no updates); raises as
+    `costmap_now`."""
     await load("ros2_mcp.world.costmap")  # with numpy: not before it is needed
     from ros2_mcp.world.costmap import CostGrid
 
@@ -219,7 +220,7 @@ async def _newest_grid(robot: Robot, topics: Sequence[TopicRow], topic: str, wit
 
 
 async def inactive_servers(robot: Robot) -> list[str]:
-    """Nav2's lifecycle nodes that are not active."""
+    """Return a sentence for each of Nav2's lifecycle nodes that is not active."""
     try:
         every = [
             row.name.rpartition("/")[0]
@@ -238,7 +239,8 @@ async def inactive_servers(robot: Robot) -> list[str]:
 
 
 async def sensors_of(robot: Robot, topics: Sequence[TopicRow]) -> list[str]:
-    """The topics of sensors and odometry that say nothing; what Nav2 draws of its own costmaps is none."""
+    """Return the topics of sensors and odometry that are silent, without those that Nav2 publishes to draw its
+    costmaps."""
     known = [row.name for row in topics if row.publishers and set(row.types) & set(_SENSOR_TYPES)]
     present = await asyncio.gather(*map(robot.graph.endpoints, known[:_MOST_SENSORS]))
     known = [one.topic for one in present if not is_drawn_by_nav2(one)]
@@ -254,7 +256,7 @@ async def _hears(robot: Robot, topic: str) -> bool:
                 if await listening.take(left_s):
                     return True
     except RobotError:
-        return True  # of what cannot be listened to nothing is known
+        return True  # a topic that cannot be subscribed to is not reported as silent
     return False
 
 
@@ -264,15 +266,15 @@ async def _log(robot: Robot, since_s: float) -> Log:
 
 
 def _different(lines: Sequence[LogLine]) -> list[LogLine]:
-    """The lines, each text of a node once, where it was said last."""
+    """Return the lines without repetitions; of equal lines of a node the last one stays."""
     return list({(line.node, line.text): line for line in reversed(lines)}.values())[::-1]
 
 
 def is_of_navigation(line: LogLine) -> bool:
-    """Whether one of Nav2's nodes has said it."""
+    """Whether a Nav2 node logged the line."""
     return not set(line.node.split("/")).isdisjoint(NAVIGATION_NODES)
 
 
 def line_in_words(line: LogLine) -> str:
-    """A line of the log within a sentence."""
+    """Return a log line as part of a sentence."""
     return f"{named(line.node)} {line.level}: {quoted(line.text, LOG_LINE)}"

@@ -1,4 +1,4 @@
-"""Where to go, as it may be written: the name of a place, a pose, or a list of both."""
+"""Targets to drive to: the name of a place, a pose, or a list of them."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from ros2_mcp.model.text import excerpt, quoted
 from ros2_mcp.ops.navigation.known_places import Places
 
 MOST_TARGETS = 100
-"""A tour longer than this is rather a mistake."""
+"""A longer tour is probably a mistake."""
 MAP_FRAME = "map"
-"""By REP 105 the frame of what stays where it is."""
+"""The world-fixed frame of REP 105."""
 _FARTHEST_M = 1e6
 _KEYS = ("x", "y", "yaw_deg", "frame")
-"""Of a pose; one that has a `place` has nothing else."""
+"""The fields of a pose. A target with `place` has no other field."""
 _HINT = 'Give {"place": "its name"} or {"x": 1.0, "y": 2.0, "yaw_deg": 90, "frame": "map"} (m, degrees).'
 
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """A pose to go to: metres in `frame`, radians; no yaw: any heading. `name` is that of a place, else empty."""
+    """A pose to drive to: m in `frame`, radians; yaw None: any heading. `name` is that of the place, or ""."""
 
     name: str
     frame: str
@@ -37,7 +37,7 @@ class Target:
         return f"{quoted(self.name)} {at}" if self.name else at
 
     def pose(self) -> dict[str, Any]:
-        """It as a geometry_msgs/msg/PoseStamped, with the stamp 0, which is the newest transform for tf2."""
+        """Return the pose as a geometry_msgs/msg/PoseStamped. The stamp 0 makes tf2 use the newest transform."""
         half = (self.yaw_rad or 0.0) / 2
         return {
             "header": {"frame_id": self.frame},
@@ -48,7 +48,7 @@ class Target:
         }
 
     def facing_from(self, x_m: float, y_m: float) -> Target:
-        """It with the heading in which one comes from there, where any heading will do."""
+        """Return this target with the heading of arrival from the given point (m), if any heading is allowed."""
         if self.yaw_rad is not None:
             return self
         dx, dy = self.x_m - x_m, self.y_m - y_m
@@ -56,11 +56,11 @@ class Target:
 
 
 def targets_of(to: object, places: Places) -> Sequence[Target]:
-    """The poses that are meant.
+    """Return the target poses that an argument describes.
 
     Raises:
         BadInput: for anything else, saying how it is written.
-        NotFound: for a place that is not known, with the nearest name.
+        NotFound: for an unknown place; suggests the nearest name.
     """
     if isinstance(to, list):
         several = cast("list[object]", to)

@@ -1,4 +1,4 @@
-"""Where the robot is, by its transforms, and how good that is."""
+"""The robot's pose by its transforms, and how old it is."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from ros2_mcp.ops.sources.live import Live
 from ros2_mcp.robot import Robot
 
 STALE_S = 1.0
-"""Nav2 takes transforms that are up to some tenths of a second old; localisation sends them ten times a second."""
+"""Nav2 accepts transforms that are some tenths of a second old; localisation publishes them ten times a second."""
 _OTHER_CLOCK_S = 1e6
-"""A stamp that is eleven days off is not of this clock: simulated time begins at zero."""
+"""A stamp more than eleven days off belongs to another clock: simulated time begins at zero."""
 
 
 @dataclass(frozen=True, slots=True)
 class Whereabouts:
-    """The robot's pose in `frame`: metres, radians, and how old it is in s; None where it is not known.
+    """The robot's pose in `frame`: m, radians, and its age in s; None if unknown.
 
-    `base` is the frame of its body. `trouble` says in words what is wrong: no transform, or an old one.
+    `base` is the frame of the robot's body. `trouble` describes the problem: no transform, or an old one.
     """
 
     frame: str
@@ -38,7 +38,7 @@ class Whereabouts:
 
 
 async def whereabouts(robot: Robot, frame: str) -> Whereabouts:
-    """Where the robot is in a frame. Never raises a `RobotError`: what is wrong stands in `trouble`."""
+    """Return the robot's pose in a frame. Raises no `RobotError`: problems are described in `trouble`."""
     await load("ros2_mcp.values.cdr")  # with numpy: not before it is needed
     from ros2_mcp.ops.space.frames import frames_of
     from ros2_mcp.world.no_transform import why_none
@@ -55,7 +55,7 @@ async def whereabouts(robot: Robot, frame: str) -> Whereabouts:
         return Whereabouts(frame, trouble=str(error))
     x_m, y_m, _ = found.pose.translation
     moving = [edge for edge in found.edges if edge.moving]
-    # By receipt: AMCL stamps a second ahead, on purpose, and what is stamped by another clock says nothing.
+    # By receipt: AMCL stamps its transform a second ahead on purpose, and stamps of another clock cannot be compared.
     late_s = [edge.lag_ns / 1e9 for edge in moving]
     ages = [
         (robot.now_ns() - edge.last_received_ns) / 1e9 + (lag_s if 0 < lag_s < _OTHER_CLOCK_S else 0.0)
@@ -73,7 +73,7 @@ async def whereabouts(robot: Robot, frame: str) -> Whereabouts:
 
 
 async def in_frame(robot: Robot, frame: str, x_m: float, y_m: float, within: str) -> tuple[float, float] | None:
-    """A point of one frame in another, now; None where that is not known."""
+    """Transform a point (m) from `frame` to `within`, as of now; None if there is no transform."""
     if frame == within:
         return x_m, y_m
     from ros2_mcp.ops.space.frames import pose_in
@@ -87,7 +87,7 @@ async def in_frame(robot: Robot, frame: str, x_m: float, y_m: float, within: str
 
 
 async def why_not_in_frame(robot: Robot, frame: str, within: str) -> str:
-    """Why nothing of one frame is known in another, in words; "" where it is known now."""
+    """Say why there is no transform between two frames; "" if there is one."""
     from ros2_mcp.ops.space.frames import pose_in
 
     try:

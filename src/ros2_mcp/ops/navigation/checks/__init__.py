@@ -1,8 +1,8 @@
-"""Why a robot with Nav2 does not navigate: one small file for each kind of cause.
+"""Checks why a robot with Nav2 does not navigate: one module for each kind of cause.
 
-A module here is found by itself. It has `CHECK = NavCheck(needs, find, place)`: `needs` are the parts of the evidence
-that it judges, `find` yields a `NavFinding` for each cause, and none where all is well. A cause needs evidence that it
-is one: what may be so on a robot that drives is no finding.
+Modules of this package are discovered automatically. Each defines `CHECK = NavCheck(needs, find, place)`: `needs` are
+the parts of the evidence that it reads, and `find` yields a `NavFinding` for each cause. A finding needs evidence that
+it is a cause: conditions that also occur on robots that drive are not findings.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ CHECKS: dict[str, NavCheck] = {
     for found in pkgutil.iter_modules(__path__)
     if hasattr(module := import_module(f"{__name__}.{found.name}"), "CHECK")
 }
-"""Every check, by the name of its file."""
+"""All checks by module name."""
 NEEDS: frozenset[Need] = frozenset(need for check in CHECKS.values() for need in check.needs)
-"""What has to be read for all of them."""
+"""The parts of the evidence that the checks need together."""
 
 
 def nav_findings_in(evidence: NavEvidence) -> list[NavFinding]:
-    """What all checks find: the worst first, and of the same rank what comes first in the chain of causes.
+    """Run all checks; return the findings, the worst rank first, and within a rank in the order of the chain of causes.
 
-    What only follows from another finding is left out.
+    Findings that only follow from another one (its `covers`) are omitted. Without Nav2 there are none.
     """
     if not evidence.is_nav2:
         return []
@@ -47,7 +47,8 @@ def nav_findings_in(evidence: NavEvidence) -> list[NavFinding]:
 
 
 def not_looked_at(evidence: NavEvidence) -> Sequence[str]:
-    """The checks that could not be run, by name."""
+    """Return the names of the checks that could not be run because evidence was missing. A goal that was not given does
+    not count as missing."""
     return [
         name.replace("_", " ")
         for name, check in CHECKS.items()

@@ -1,4 +1,4 @@
-"""What a check of navigation is."""
+"""The declaration of a check of navigation."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from ros2_mcp.ops.navigation.evidence import NavEvidence, NavFinding, Need
 
 CLOCKS, SENSORS, LOCALISER, FRAMES, SERVERS, CHAIN, MAP, GOAL, TUNING = range(9)
-"""Places in the chain of causes: what comes first is named first, and what follows from it after it, or not at all."""
+"""Places in the chain of causes, from the first cause to the last consequence. Findings are sorted by them."""
 
 
 @dataclass(frozen=True, slots=True)
 class NavCheck:
-    """One kind of cause: what has to be read to see it, and the function that sees it."""
+    """One kind of cause: the evidence it needs, the function that finds it, and its place in the chain of causes."""
 
     needs: Sequence[Need]
     find: Callable[[NavEvidence], Iterable[NavFinding]]

@@ -1,4 +1,4 @@
-"""Time: computers whose clocks differ, and nodes that run on another time than the others."""
+"""Clocks: computers whose clocks differ, and nodes whose use_sim_time differs from the others'."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ from ros2_mcp.ops.navigation.evidence import NavEvidence, NavFinding, is_tool
 
 _CLOCK = "/clock"
 _BEHIND_S, _AHEAD_S = 1.0, 0.2
-"""Beyond what networks and drivers delay; no delay stamps ahead, but for AMCL, which does so on purpose."""
+"""Larger than the delays of networks and drivers. A delay never makes a stamp lie in the future; only AMCL does so, on
+purpose."""
 _STEADY_S = 0.4
-"""A clock is off by the same each time; a delay varies."""
+"""A clock offset is the same in each message; a delay varies by more than this."""
 _OTHER_TIME_S = 1e6
 _LEAST, _LEAST_MESSAGES = 3, 8
-"""Transforms, and messages of a topic: on a loaded machine a few may all be late."""
+"""Least number of transforms, and of messages of a topic: on a loaded machine a few may all be late."""
 _MOST_NAMES = 6
 _SYNC = "Synchronise the clocks of the robot's computers (chrony or NTP); if they agree, its driver stamps late."
 
@@ -57,13 +58,13 @@ def _simulated(evidence: NavEvidence) -> Iterator[NavFinding]:
 
 
 def _offsets(evidence: NavEvidence) -> Iterator[NavFinding]:
-    """Stamps that are off by the same each time, on some topics and transforms and not on others."""
+    """Find topics and transforms whose stamps have a constant offset, while others have none."""
     offsets = dict(_of_topics(evidence))
     offsets |= _of_transforms(evidence)
     plain = {what: s for what, s in offsets.items() if abs(s) < _OTHER_TIME_S}
     off = {what: s for what, s in plain.items() if s > _BEHIND_S or s < -_AHEAD_S}
     is_alike = len(off) == len(plain) > 1 and max(off.values()) - min(off.values()) < _STEADY_S
-    if not off or is_alike:  # alike: it is the clock of this bridge, which need not be the robot's
+    if not off or is_alike:  # all alike: the clock of the bridge's own computer differs, which need not be the robot's
         return
     groups: list[dict[str, float]] = []
     for what, seconds in sorted(off.items(), key=lambda pair: pair[1]):
@@ -97,13 +98,14 @@ def _of_topics(evidence: NavEvidence) -> Iterator[tuple[str, float]]:
         if len(heard.ages_s) < _LEAST_MESSAGES:
             continue
         least, most = min(heard.ages_s), max(heard.ages_s)
-        # A machine with much to do delays some of them; a clock makes all of them old.
+        # A loaded machine delays some of the messages; a clock offset shifts all of them.
         if most - least < _STEADY_S or least < -_AHEAD_S or least > _BEHIND_S:
             yield topic, least if least > -_AHEAD_S else most
 
 
 def _of_transforms(evidence: NavEvidence) -> dict[str, float]:
-    """The newest stamps of moving transforms against their receipt; a localiser may stamp ahead."""
+    """Return the offset of the stamps of each moving transform in s (receipt minus stamp). A localiser may stamp its
+    transform in the future, which is skipped."""
     found: dict[str, float] = {}
     if not evidence.frames:
         return found

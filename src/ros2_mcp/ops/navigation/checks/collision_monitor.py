@@ -1,4 +1,4 @@
-"""The collision monitor: it holds the robot for something, or for a source that is late or never there."""
+"""The collision monitor: it stops the robot because of an obstacle, or of a source that is late or missing."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
 def _sources(
     evidence: NavEvidence, node: str, values: Mapping[str, Any], topics: Mapping[str, str]
 ) -> Iterator[NavFinding]:
-    """A source that is needed and does not come makes it stop."""
+    """Find enabled sources without data: the collision monitor stops the robot until they publish."""
     for source, topic in topics.items():
         if values.get(f"{source}.enabled") is False:
             continue
@@ -93,7 +93,7 @@ def _holding(evidence: NavEvidence, node: str, name: str, action: str, distances
 
 
 def _in_polygon(evidence: NavEvidence, values: Mapping[str, Any], name: str, topics: Sequence[str]) -> list[float]:
-    """How far from the base the points of the scans are that lie within a polygon or circle, in m."""
+    """Return the distances from the base, in m and sorted, of the scan points inside a polygon or circle."""
     frames = evidence.frames
     base = str(values.get("base_frame_id") or (frames.tree.base if frames else ""))
     if not frames or not base:
@@ -115,7 +115,8 @@ def _in_polygon(evidence: NavEvidence, values: Mapping[str, Any], name: str, top
 
 
 def hits_in(frames: Frames, base: str, scan: Any) -> list[tuple[float, float]]:
-    """Where the beams of a scan ended at something, in the frame of the base."""
+    """Return the end points of a scan's beams that hit something, as x and y in the frame `base`, in m; none without a
+    transform."""
     from ros2_mcp.model.errors import BadData
     from ros2_mcp.world.scans import moved, scan_points
 
@@ -139,7 +140,7 @@ def is_within(corners: Sequence[tuple[float, float]], x: float, y: float) -> boo
 
 
 def _corners(value: Any) -> list[tuple[float, float]]:
-    """Points as Nav2 takes them: a text with a list of pairs, or (before Jazzy) one list of numbers."""
+    """Parse a polygon as Nav2 accepts it: a string with a list of pairs, or (before Jazzy) a flat list of numbers."""
     if isinstance(value, str):
         try:
             read = json.loads(value)

@@ -1,4 +1,4 @@
-"""The command from the controller to the wheels: where the chain ends before the base, and why."""
+"""The chain of velocity commands from the controller to the wheels: where it breaks before the base, and why."""
 
 from __future__ import annotations
 
@@ -22,14 +22,15 @@ from ros2_mcp.robot import TopicEndpoints
 
 _STAMPED = "enable_stamped_cmd_vel"
 _BESIDE = ("docking_server", "behavior_server")
-"""They publish commands by design, and what they publish on may have no reader until they are used."""
+"""Nodes that publish velocities only while they are used; their topics may have no subscriber."""
 _MOST_NAMES = 4
 
 
 @dataclass(slots=True)
 class Chain:
-    """How far commands get: `nodes` that get them, in order, `topics` by which; `ends` are outputs that nobody takes,
-    each as topic and publisher, and `base` the nodes at which it ends as it should."""
+    """The path of the velocity commands: `nodes` in order, and the `topics` between them. `ends` are outputs without a
+    matching subscriber, each as topic and publisher; `base` are nodes that publish no velocity, where a chain should
+    end."""
 
     nodes: list[str] = field(default_factory=list[str])
     topics: list[str] = field(default_factory=list[str])
@@ -38,7 +39,8 @@ class Chain:
 
 
 def chain_of(evidence: NavEvidence, controller: str = "") -> Chain:
-    """The chain from Nav2's controller on, or from all of several robots, by endpoints that can match."""
+    """Follow the velocity commands from Nav2's controllers, or from one `controller`, by endpoints whose types and QoS
+    match."""
     chain = Chain()
     topics = evidence.topics(*VELOCITIES)
     waiting = [controller] if controller else evidence.of_role("controller_server")
@@ -63,7 +65,7 @@ def chain_of(evidence: NavEvidence, controller: str = "") -> Chain:
 
 
 def bases_of(evidence: NavEvidence) -> list[str]:
-    """Nodes that follow velocities and tell odometry: what drives the wheels."""
+    """Return the nodes that drive the wheels: they subscribe to velocities, publish none, and publish odometry."""
     odometry = {one.node for topic in evidence.topics(ODOMETRY) for one in topic.publishers}
     heard = {one.node for topic in evidence.topics(*VELOCITIES) for one in topic.subscribers}
     sent = {one.node for topic in evidence.topics(*VELOCITIES) for one in topic.publishers}
@@ -129,7 +131,8 @@ def _end(evidence: NavEvidence, topic: TopicEndpoints, publisher: Endpoint, chai
 
 
 def _waiting(evidence: NavEvidence, chain: Chain) -> Sequence[TopicEndpoints]:
-    """Topics of velocities that somebody follows, and that the chain does not lead to; those of bases first."""
+    """Return velocity topics outside the chain that have subscribers: first those without a publisher, then those of
+    bases."""
     bases = bases_of(evidence)
     found = [
         topic

@@ -1,4 +1,4 @@
-"""Parameters that were never applied: a node all of whose values are Nav2's defaults, which fit no real robot."""
+"""Parameter files that were never applied: all values of a node are Nav2's defaults, which fit no real robot."""
 
 from __future__ import annotations
 
@@ -32,7 +32,8 @@ _DEFAULTS: Mapping[str, Mapping[str, Any]] = {
 }
 _LEAST = 4
 _ALONE = ("local_costmap", "global_costmap")
-"""Nodes whose defaults nobody means: 5 × 5 m, cells of 0.1 m, a robot of 0.1 m. Of others only another name tells."""
+"""Nodes whose defaults are never intended: 5 × 5 m, cells of 0.1 m, a robot of 0.1 m. Other nodes are reported only if
+their name differs from the usual one."""
 
 
 def _find(evidence: NavEvidence) -> Iterator[NavFinding]:

@@ -1,4 +1,4 @@
-"""Whether the scan fits the map where the robot believes to be; a deviation alone says nothing against a place."""
+"""Compares the scan with the map at the robot's estimated pose. A large deviation alone does not mean a wrong pose."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ if TYPE_CHECKING:
     from ros2_mcp.world.costmap import CostGrid
 
 _NEAR_M = 0.15
-"""From a beam's end to what the map has: noise of the scanner, a cell, and an ordinary localisation."""
+"""Tolerance between the end of a beam and the map: noise of the scanner, a cell, and an ordinary localisation error."""
 _OCCUPIED = 65
-"""As map_server writes what is occupied, and as AMCL reads it."""
+"""Occupancy from which a cell counts as occupied: the default threshold of map_server (0.65)."""
 _LEAST_HITS = 40
 _LOST = 0.4
-"""Share of the beams' ends: of a robot that is localised 0.7 and more fit, with people and boxes about it, too."""
+"""Share of the beams that fit. A well localised robot has 0.7 or more, even with people and boxes around it."""
 _WIDE_M = 1.5
-"""Beyond what any localisation has once it has settled; a fresh initial pose has 0.5 m."""
+"""More than the standard deviation of any settled localisation; a new initial pose has 0.5 m."""
 
 
 def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
@@ -59,7 +59,7 @@ def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
 
 
 def deviation_m(evidence: NavEvidence) -> float | None:
-    """The greater standard deviation of the position that a localiser tells."""
+    """The larger standard deviation in x or y of the localiser's pose, in m; None if it is not published."""
     for one in evidence.of(POSE):
         if (message := one.newest) is not None:
             variance = max(float(message.pose.covariance[0]), float(message.pose.covariance[7]))
@@ -70,7 +70,11 @@ def deviation_m(evidence: NavEvidence) -> float | None:
 def share_that_fits(
     grid: CostGrid, hits: list[tuple[float, float]], x_m: float, y_m: float, yaw_rad: float
 ) -> tuple[float, int]:
-    """The share of beams' ends near something occupied of the map, of those that end on it; and how many these are."""
+    """Return the share of beam ends near an occupied cell of the map, and the number of beams it is based on.
+
+    Beams that end outside the map do not count. If all of them do, the share is 0 of all beams: the estimated pose is
+    outside the map.
+    """
     import numpy as np
 
     near = _near_occupied(grid)
@@ -84,12 +88,12 @@ def share_that_fits(
     height, width = grid.cells.shape
     on_map = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
     if not on_map.any():
-        return 0.0, len(hits)  # the robot believes to be beside the map
+        return 0.0, len(hits)  # the estimated pose is outside the map
     return float(near[rows[on_map], columns[on_map]].mean()), int(on_map.sum())
 
 
 def _near_occupied(grid: CostGrid) -> Any:
-    """Whether something occupied is within `_NEAR_M` of each cell."""
+    """Return for each cell whether an occupied cell is within `_NEAR_M`."""
     import numpy as np
 
     occupied: Any = grid.cells >= _OCCUPIED

@@ -1,4 +1,5 @@
-"""Frames: a transform that died on the way, that nobody tells, that two tell, or whose frames are called otherwise."""
+"""Frames: a transform that is no longer published, never published, published by two nodes, or has other frame
+names."""
 
 from __future__ import annotations
 
@@ -65,7 +66,7 @@ def _is_needed(edge: Edge) -> bool:
 
 
 def _name(edge: Edge) -> str:
-    """As other checks call the two that navigation stands on."""
+    """The name of an edge, with the names that other checks use for the two that navigation needs."""
     if edge.child.rpartition("/")[2] == "odom":
         return "map → odom"
     if _is_base(edge.child) and edge.newest and edge.newest.parent.rpartition("/")[2] == "odom":
@@ -105,7 +106,7 @@ def _two_owners(frames: Frames, edge: Edge) -> NavFinding:
 
 
 def _odometry(evidence: NavEvidence, frames: Frames) -> Iterator[NavFinding]:
-    """Odometry comes, and nobody tells the transform that goes with it."""
+    """Find odometry that is published without its transform."""
     tree = frames.tree
     if any(
         _is_base(child) and edge.newest and edge.newest.parent != child and not _is_fixed(edge)
@@ -134,7 +135,7 @@ def _odometry(evidence: NavEvidence, frames: Frames) -> Iterator[NavFinding]:
 
 
 def _switched_off(evidence: NavEvidence) -> list[str]:
-    """Parameters by which a node is told to tell no transform."""
+    """Return the parameters that keep a node from publishing its transform."""
     return [
         f"{name} of {named(node)} is false"
         for node, values in (evidence.parameters or {}).items()
@@ -144,7 +145,7 @@ def _switched_off(evidence: NavEvidence) -> list[str]:
 
 
 def _is_fixed(edge: Edge) -> bool:
-    """A base below another part of the robot, as base_footprint → base_link, is no odometry."""
+    """Whether the edge joins two base frames, such as base_footprint → base_link: that is no odometry."""
     return bool(edge.newest and _is_base(edge.newest.parent))
 
 
@@ -179,7 +180,7 @@ def _stale(evidence: NavEvidence, frames: Frames, edge: Edge) -> NavFinding:
 
 
 def _names(evidence: NavEvidence, frames: Frames) -> Iterator[NavFinding]:
-    """Frames that Nav2's nodes are set to, or that are in the headers of sensors, and that no transform has."""
+    """Find frames in Nav2's parameters or in headers of sensor messages that no transform has."""
     known = set(frames.tree.frames)
     wanted: dict[str, list[str]] = {}
     for node in evidence.of_role(*_ROLES):
@@ -216,7 +217,7 @@ def _names(evidence: NavEvidence, frames: Frames) -> Iterator[NavFinding]:
 
 
 def _near(frame: str, known: set[str]) -> str:
-    """The frame that is probably meant."""
+    """The known frame that is probably meant by an unknown one; "" if there is none."""
     if frame.rpartition("/")[2] in _BASES:
         for base in sorted(known):
             if _is_base(base):

@@ -1,4 +1,4 @@
-"""The goal: outside of the costmap, occupied, in unknown space that the planner may not enter, or without a path."""
+"""The goal: outside the costmap, occupied, in unknown space that the planner may not enter, or unreachable."""
 
 from __future__ import annotations
 

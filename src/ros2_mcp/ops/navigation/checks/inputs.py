@@ -1,4 +1,5 @@
-"""What Nav2 sees the world with: sensors that are silent, are published elsewhere, or whose points are ignored."""
+"""Nav2's sensor inputs: topics that are silent or published under another name, and sensors whose points are
+ignored."""
 
 from __future__ import annotations
 
@@ -95,7 +96,7 @@ def _silent(evidence: NavEvidence, topic: TopicEndpoints, who: str) -> NavFindin
 
 
 def silent_inputs(evidence: NavEvidence, node: str) -> list[str]:
-    """Topics that a node listens to of which nothing comes, or which nobody publishes."""
+    """Return the topics a node subscribes to that have no publisher, or whose publishers send nothing."""
     silent = list[str]()
     for topic in evidence.topics(*_INPUTS):
         if not any(one.node == node for one in topic.subscribers):
@@ -107,14 +108,16 @@ def silent_inputs(evidence: NavEvidence, node: str) -> list[str]:
 
 
 def _follows(topic: TopicEndpoints) -> list[str]:
-    """AMCL sends its transform only when a scan comes; an odometry that is silent tells no transform either."""
+    """Return the transforms that are missing as a consequence: AMCL publishes its transform only with a scan, and a
+    base without odometry publishes none either."""
     if ODOMETRY in topic.types:
         return ["odom → base", "map → odom"]
     return ["map → odom"] if any(is_of_role(one.node, "amcl", "slam_toolbox") for one in topic.subscribers) else []
 
 
 def _heights(evidence: NavEvidence) -> Iterator[NavFinding]:
-    """A source of a costmap whose height is outside of what the costmap takes in: nothing of it is marked."""
+    """Find laser scanners of a costmap that are mounted outside its obstacle heights: none of their points are
+    marked."""
     frames = evidence.frames
     if not frames:
         return

@@ -1,4 +1,4 @@
-"""The servers of localisation, before all that follows from them: without them there is no map, and no place in it."""
+"""The servers of localisation, checked before all that depends on them: without them there is no map and no pose."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Nobody says where the robot is in the map: no localiser, one that is not active, or one that waits for a pose."""
+"""No pose of the robot in the map: no localiser runs, it is not active, or it waits for an initial pose."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
     )
     amcl = evidence.of_role("amcl")
     if is_told or any(not evidence.is_active(node) for node in amcl):
-        return  # of one that is not active the servers' check says why
+        return  # an inactive localiser is reported by the check of the servers
     if amcl:
         yield from _waits(evidence, amcl[0])
         return
     known = [node for node in evidence.nodes if _CALLED.search(node.rpartition("/")[2])]
     if known:
-        return  # it runs, and the frames' check says what of it lacks
+        return  # it runs; the check of the frames reports what is missing
     yield NavFinding(
         rank="stops everything",
         subject=_EDGE,
@@ -57,7 +57,7 @@ def _waits(evidence: NavEvidence, amcl: str) -> Iterator[NavFinding]:
     if said:
         proof.append(f"Its log: «{said[-1].text}».")
     if not heard or not map_there:
-        return  # it waits for a scan or a map, which is told of these
+        return  # it waits for a scan or a map, which other checks report
     yield NavFinding(
         rank="stops everything",
         subject=_EDGE,

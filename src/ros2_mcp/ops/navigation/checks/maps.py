@@ -1,4 +1,5 @@
-"""The map, and masks: published by nobody, or in a way that those who come later never get them."""
+"""The map and the filter masks: without a publisher, or published as volatile, so that later subscribers get
+nothing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Commands that have no effect: another node sends, the base does not move, a limit is 0, a component has a fault."""
+"""Commands without effect: another node commands the base, it does not move, a limit is 0, or a component has a
+fault."""
 
 from __future__ import annotations
 
@@ -25,10 +26,11 @@ from ros2_mcp.ops.navigation.evidence import (
 )
 
 _LEAST = 5
-"""Commands within two seconds: who drives sends ten a second, and one press of a button is no rival."""
+"""Least number of commands within two seconds: a node that drives the robot sends ten a second, and a single press of a
+button is no conflict."""
 _MOVES_M_S, _TURNS_RAD_S = 0.02, 0.05
 _LEAST_COMMANDED = 0.6
-"""Share of the commands that ask for motion."""
+"""Least share of the commands that ask for motion."""
 _FAULT = re.compile(r"motor|disabled|e-?stop|emergency|brake|idle|fault|protective|undervoltage|blocked", re.IGNORECASE)
 _MOST_NAMES = 4
 
@@ -51,7 +53,8 @@ def _is_nav2(node: str, chain: Chain) -> bool:
 
 
 def _rivals(evidence: NavEvidence, chain: Chain) -> Iterator[NavFinding]:
-    """Who *sends* on what the chain listens to, and is no part of it; a publisher that is silent is none."""
+    """Find nodes outside Nav2 that publish velocities to a node of the chain. A publisher that sends nothing does not
+    count."""
     for heard in evidence.of(*VELOCITIES):
         topic = evidence.topic(heard.topic)
         if not any(one.node in chain.nodes for one in topic.subscribers) or heard.count < _LEAST:
@@ -84,7 +87,7 @@ def _takers(topic: Any, chain: Chain) -> list[str]:
 
 
 def _comes_before(evidence: NavEvidence, ours: list[str], heard: Heard) -> bool:
-    """Whether what Nav2's nodes of a topic send may be what came: their own input is not silent."""
+    """Whether the messages on a topic may come from Nav2's own nodes: one of their inputs has messages."""
     inputs = [
         one
         for one in evidence.of(*VELOCITIES)
@@ -94,7 +97,7 @@ def _comes_before(evidence: NavEvidence, ours: list[str], heard: Heard) -> bool:
 
 
 def _limits(evidence: NavEvidence, chain: Chain) -> Iterator[NavFinding]:
-    """A greatest speed of a node of the chain that is 0."""
+    """Find maximum speeds of 0 among the parameters of the chain's nodes."""
     for node in chain.nodes:
         values: Mapping[str, Any] = (evidence.parameters or {}).get(node, {})
         off = [
@@ -117,7 +120,7 @@ def _is_unlimited(values: Mapping[str, Any], name: str) -> bool:
 
 
 def _faults(evidence: NavEvidence, chain: Chain) -> Iterator[NavFinding]:
-    """What the base, or a node of the chain, reports of itself."""
+    """Find faults that the base or a node of the chain reports on /diagnostics."""
     for row in evidence.diagnostics or ():
         if row.level in ("OK", "STALE") or not _FAULT.search(row.message):
             continue
@@ -135,7 +138,8 @@ def _faults(evidence: NavEvidence, chain: Chain) -> Iterator[NavFinding]:
 
 
 def _stands(evidence: NavEvidence, chain: Chain) -> Iterator[NavFinding]:
-    """Commanded and not moving: what comes last in the chain asks for motion, and odometry says that it stands."""
+    """Find a robot that does not move although it is commanded: the last topic of the chain with commands asks for
+    motion, and odometry reports none."""
     moving = [one for one in evidence.of(ODOMETRY) if one.count >= _LEAST]
     if not moving or any(_moves(message) for one in moving for _, message, _ in one.messages[-_LEAST:]):
         return

@@ -1,4 +1,4 @@
-"""The lidar sees the robot itself: its own parts are obstacles to it, and the start is occupied."""
+"""A lidar that sees the robot itself: parts of the robot become obstacles, and its own position is occupied."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ros2_mcp.ops.navigation.evidence import SCAN, Heard, NavEvidence, NavFindin
 
 _LEAST_SCANS, _LEAST_BEAMS = 3, 3
 _INSIDE = 0.98
-"""Of a radius: what ends at the very edge is something that the robot touches."""
+"""Share of the radius within which a beam must end: at the very edge it may hit something that touches the robot."""
 
 
 def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
@@ -48,7 +48,7 @@ def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
 
 
 def outline_of(evidence: NavEvidence) -> tuple[Sequence[tuple[float, float]], float]:
-    """The robot's outline as the costmaps have it: corners, or a radius."""
+    """Return the robot's footprint as the costmaps have it: its corners in m, or none and a radius in m."""
     for node in evidence.of_role("local_costmap", "global_costmap"):
         footprint = evidence.value(node, "footprint")
         if isinstance(footprint, str) and len(footprint) > 4:
@@ -65,7 +65,7 @@ def outline_of(evidence: NavEvidence) -> tuple[Sequence[tuple[float, float]], fl
 def _beams(
     heard: Heard, corners: Sequence[tuple[float, float]], radius_m: float, x: float, y: float, yaw_rad: float
 ) -> list[int]:
-    """The beams that end inside the outline in every scan."""
+    """Return the indices of the beams that end inside the footprint in every scan."""
     always: set[int] | None = None
     for _, message, _ in heard.messages:
         inside = set[int]()

@@ -1,4 +1,4 @@
-"""Nav2's servers: which one failed first, in the order in which their manager brings them up, and what it said."""
+"""Nav2's servers: the first one that failed, in the order of the lifecycle manager, with its log."""
 
 from __future__ import annotations
 
@@ -16,21 +16,22 @@ _LOST = re.compile(
     r"SERVER (\S+) IS DOWN|not received a heartbeat from (\S+?)\.?(?:\s|$)|(\S+) was unable to be reached"
 )
 _UP = re.compile(r"Managed nodes (are active|have been paused)|Pausing managed nodes", re.IGNORECASE)
-"""What a manager says when all is well again, or when it was told to pause: what it said before is over."""
+"""Lines of a lifecycle manager when all nodes are active again, or were paused on request: its earlier lines are
+obsolete."""
 _IGNORED = re.compile(r"Message Filter dropping|missed its desired rate|desired rate of", re.IGNORECASE)
-"""Lines of the first seconds, and a warning that is often false: no reasons."""
+"""Lines that explain nothing: those of the first seconds, and a warning that is often false."""
 _OLD_PLUGIN = re.compile(r"\w+/\w+")
 _MOST_NAMES = 8
 _SLOW_S = 900.0
 
 
 def of_localisation(evidence: NavEvidence) -> Iterator[NavFinding]:
-    """What is wrong with the servers that say where the robot is."""
+    """Find faults of the servers of localisation."""
     yield from _find(evidence, of_localisation=True)
 
 
 def of_navigation(evidence: NavEvidence) -> Iterator[NavFinding]:
-    """What is wrong with all others."""
+    """Find faults of all other servers."""
     yield from _find(evidence, of_localisation=False)
 
 
@@ -51,7 +52,8 @@ def _find(evidence: NavEvidence, *, of_localisation: bool) -> Iterator[NavFindin
 
 
 def _of_supervisor(evidence: NavEvidence, supervisor: str, nodes: Sequence[str]) -> Iterator[NavFinding]:
-    """What its own diagnostics say of it is the same fault."""
+    """Yield the findings on one lifecycle manager; they cover the manager's own diagnostics, which report the same
+    fault."""
     for finding in _by_supervisor(evidence, supervisor, nodes):
         yield replace(finding, covers=[*finding.covers, *([supervisor] if finding.subject != supervisor else [])])
 
@@ -83,14 +85,15 @@ def _by_supervisor(evidence: NavEvidence, supervisor: str, nodes: Sequence[str])
 
 
 def _waits(evidence: NavEvidence, nodes: Sequence[str], absent: Sequence[str], idle: Sequence[str]) -> bool:
-    """Whether the manager was never able to bring up its nodes, as one of them never came."""
+    """Whether the manager never brought up its nodes because one of them never started."""
     never = [node for node in absent if node not in evidence.graph.left.nodes]
     active = [node for node in nodes if (evidence.states or {}).get(node) == "active"]
     return bool(never) and not active and bool(idle)
 
 
 def _lost(evidence: NavEvidence, supervisor: str, nodes: Sequence[str]) -> tuple[str, LogLine] | None:
-    """The server whose heartbeat the manager missed, by its log: the last time that it did."""
+    """Return the server whose heartbeat the manager missed last, and that line of its log; None if all are active
+    again."""
     for line in reversed(evidence.log or ()):
         if line.node.rpartition("/")[2] != supervisor.rpartition("/")[2]:
             continue
@@ -204,7 +207,7 @@ def _not_brought_up(evidence: NavEvidence, supervisor: str, nodes: Sequence[str]
 
 
 def _old_plugins(evidence: NavEvidence, node: str) -> list[str]:
-    """Plugins of a node whose names have the slash that newer distributions refuse, where others have ::."""
+    """Return plugins of a node whose names contain a slash, which newer distributions refuse, instead of "::"."""
     values = {
         name: value for name, value in (evidence.parameters or {}).get(node, {}).items() if isinstance(value, str)
     }
@@ -216,7 +219,8 @@ def _old_plugins(evidence: NavEvidence, node: str) -> list[str]:
 
 
 def _lines(evidence: NavEvidence, node: str) -> list[LogLine]:
-    """What a node said at level WARN or above since its manager had all active last, without what says nothing."""
+    """Return a node's warnings and errors since its manager last activated all nodes, without lines that explain
+    nothing."""
     supervisors = [
         supervisor.rpartition("/")[2] for supervisor in evidence.supervisors if node in evidence.managed(supervisor)
     ]
@@ -227,7 +231,7 @@ def _lines(evidence: NavEvidence, node: str) -> list[LogLine]:
 
 
 def _covered(nodes: Sequence[str]) -> list[str]:
-    """What follows from nodes that are down."""
+    """Return the subjects of findings that follow from nodes that are down."""
     return [*nodes, *(["map → odom"] if any(is_of_role(node, "amcl", "slam_toolbox") for node in nodes) else [])]
 
 
@@ -261,7 +265,8 @@ def _unmanaged(evidence: NavEvidence, nodes: Sequence[str]) -> Iterator[NavFindi
 
 
 def _missing(evidence: NavEvidence) -> Iterator[NavFinding]:
-    """A server that the navigator needs, and that was never seen: dead before this session, and its manager too."""
+    """Find a server that bt_navigator needs and that was never seen: it ended before this session, as did its
+    manager."""
     offered = {
         name.rpartition("/_action/")[0] for name in evidence.graph.services or () if "/_action/send_goal" in name
     }

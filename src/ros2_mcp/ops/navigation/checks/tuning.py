@@ -1,4 +1,4 @@
-"""Settings that abort goals: time-outs that are too short, a rate that is missed, a progress that is never made."""
+"""Parameters that abort goals: time-outs that are too short, a rate that is missed, progress that cannot be made."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from ros2_mcp.ops.navigation.evidence import VELOCITIES, NavEvidence, NavFinding
 
 _ACKNOWLEDGE = r"timed out while waiting for action server to acknowledge"
 _SHORT_MS = 10.0
-"""Nav2's default of 20 ms is short on a loaded computer; less is no time for an answer."""
+"""Nav2's default of 20 ms is short on a loaded computer; less than 10 ms leaves no time for an answer."""
 _LEAST_SERVERS, _TIMES_SLOWER, _SLOW_S = 4, 5.0, 0.05
-"""On a loaded computer all are slow; one that is five times as slow as the others is so by itself."""
+"""On a loaded computer all servers are slow; a server five times as slow as the median has a problem of its own."""
 _RECENT_S = 300.0
 _MISSED = 0.6
 _LEAST = 8
@@ -51,7 +51,8 @@ def _acknowledged(evidence: NavEvidence) -> Iterator[NavFinding]:
 
 
 def _slow(evidence: NavEvidence) -> tuple[str, float] | None:
-    """A server that takes much longer to answer than the others do, at best of two times; and how long, in s."""
+    """Return a planner or controller server that answers much more slowly than the others, and its shorter answer time
+    of two, in s."""
     times: Mapping[str, float] = getattr(evidence.states, "answered_s", {})
     if len(times) < _LEAST_SERVERS:
         return None
@@ -62,7 +63,7 @@ def _slow(evidence: NavEvidence) -> tuple[str, float] | None:
 
 
 def _rate(evidence: NavEvidence) -> Iterator[NavFinding]:
-    """Measured while it drives: the warning of that text alone is often false."""
+    """Find a controller that misses its rate, measured while it drives: Nav2's own warning about it is often false."""
     for node in evidence.of_role("controller_server"):
         wanted_hz = evidence.value(node, "controller_frequency")
         for one in evidence.of(*VELOCITIES):
@@ -83,7 +84,7 @@ def _rate(evidence: NavEvidence) -> Iterator[NavFinding]:
 
 
 def _progress(evidence: NavEvidence) -> Iterator[NavFinding]:
-    """More is asked of the robot in a time than it may drive in that time."""
+    """Find progress checkers that ask for more distance than the robot can drive in the allowed time."""
     for node in evidence.of_role("controller_server"):
         values: Mapping[str, Any] = (evidence.parameters or {}).get(node, {})
         fastest = [
@@ -123,7 +124,8 @@ def _progress(evidence: NavEvidence) -> Iterator[NavFinding]:
 
 
 def _turning_s(values: Mapping[str, Any], plugin: str, allowed_s: float) -> float:
-    """How long half a turn takes, where that is longer than allowed and turning is no progress; else 0."""
+    """Return the time of half a turn, in s, if it is longer than allowed and turning does not count as progress; else
+    0."""
     if "Pose" in str(values.get(plugin, "")):
         return 0.0
     fastest = [
