@@ -32,6 +32,7 @@ MOST_LINES, MOST_CHARACTERS = 20, 240
 """Of an answer, and of a line of it, in the documentation: enough to see its form."""
 
 STRING, NAVIGATE = "std_msgs/msg/String", "/navigate_to_pose"
+AT_2_HZ = {"transform": "rate_limit", "target_rate_hz": 2}
 IN_MAP = {"header": {"frame_id": "map"}, "pose": {"position": {"x": 1.5}, "orientation": {"w": 1}}}
 
 
@@ -153,7 +154,10 @@ ROVER = (
     Example("ros2_parameter_set", {"node_name": "/base_controller", "values": {"max_linear_speed": 0.4}}),
     Example("ros2_lifecycle_state"),
     Example("ros2_lifecycle_change", {"node_name": "/gripper_driver", "transition": "deactivate"}),
-    Example("ros2_relay_start", {"source_topic": "/odom", "destination_topic": "/odom_slow", "target_rate_hz": 2}),
+    Example(
+        "ros2_relay_start",
+        {"source_topic": "/odom", "destination_topic": "/odom_slow", "transform": "rate_limit", "target_rate_hz": 2},
+    ),
     Example("ros2_relay_list"),
     Example("ros2_topic_compare", {"topic1_name": "/odom", "topic2_name": "/odom_slow", "duration_sec": 2}),
     Example("ros2_relay_stop"),

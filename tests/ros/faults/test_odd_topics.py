@@ -37,7 +37,11 @@ def built_elsewhere(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     if done.returncode:
         pytest.skip(f"needs what builds interface packages: {done.stderr[-300:]}")
     prefix = done.stdout.split()[-1]
-    return {"AMENT_PREFIX_PATH": f"{prefix}:{sys.prefix}", "PYTHONPATH": python_path(f"{prefix}/site-packages")}
+    return {
+        "AMENT_PREFIX_PATH": f"{prefix}:{sys.prefix}",
+        "PYTHONPATH": python_path(f"{prefix}/site-packages"),
+        "DESCRIBES_NO_TYPES": "yes",
+    }
 
 
 @pytest.mark.promise("README", "the package with that type is not where the bridge runs: --workspace")

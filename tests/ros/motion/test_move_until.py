@@ -30,7 +30,7 @@ def place(robot: CommandedProcess, agent: Agent, **given: Any) -> str:
 
 
 def asked(base: str, **how: Any) -> dict[str, Any]:
-    given = {"topic_name": f"{base}/scan", "condition": AHEAD, "linear_x": 0.3, "timeout": 30}
+    given = {"topic_name": f"{base}/scan", "condition": AHEAD, "linear_x": 0.3, "timeout_s": 30}
     return {"command_topic": f"{base}/cmd_vel", **given, **how}
 
 

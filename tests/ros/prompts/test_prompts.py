@@ -27,7 +27,7 @@ def test_prompts_are_listed_and_fetched_in_both_eras(
     assert list(agent.prompts()) == [ECHO, RELAY, HEALTH, DIFF]
     assert "1. Call ros2_health_check with" in agent.text(HEALTH)
     every = {"topic_name": "/odom", "duration_sec": "2", "analysis_type": "statistics"}
-    assert '{"topic_names": ["/odom"], "duration": 2.0}' in agent.text(ECHO, **every)
+    assert '{"topic_names": ["/odom"], "duration_s": 2.0}' in agent.text(ECHO, **every)
     assert "analysis_type cannot be 'mean'. Give one of all" in agent.refusal(ECHO, analysis_type="mean")
     assert "needs the argument source_topic" in agent.refusal(RELAY)
     assert "Did you mean base.ros2-topic-relay?" in agent.refusal("base.ros2-topic-relais")

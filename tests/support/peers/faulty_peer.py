@@ -13,6 +13,7 @@ from array import array
 import rclpy
 from rclpy.duration import Duration
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.serialization import serialize_message
 from std_msgs.msg import UInt8MultiArray, UInt64
@@ -74,7 +75,10 @@ def main() -> None:
     rclpy.init()
     told_to_end = threading.Event()
     leave_on_sigterm(told_to_end.set)
-    node = Node(f"{role}_{os.getpid()}")
+    # A node that describes its types (from Jazzy on) can be read without their package.
+    undescribed = Parameter("start_type_description_service", value=False)
+    overrides = [undescribed] if os.environ.get("DESCRIBES_NO_TYPES") else []
+    node = Node(f"{role}_{os.getpid()}", parameter_overrides=overrides)
     globals()[role](node, *arguments)
     while not told_to_end.is_set():
         rclpy.spin_once(node, timeout_sec=0.1)

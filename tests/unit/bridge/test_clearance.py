@@ -47,10 +47,11 @@ def test_nothing_in_sight_lets_it_go() -> None:
     assert clearance.allowed_turn(FAST, 0.0).speed == FAST
 
 
-def test_a_scan_with_another_number_of_ranges_than_its_header_tells_shows_no_direction() -> None:
+def test_a_scan_with_another_number_of_ranges_than_its_header_tells_is_refused() -> None:
     message = scan({0: 1.0}, otherwise=3.0)
     message.angle_max = 0.5
-    assert not Guard({"scan": heard(message)}).sees(0.0)
+    with pytest.raises(ValueError, match="it has 360 ranges, and the header tells 210"):
+        heard(message)
 
 
 @pytest.mark.parametrize("unknown", [math.nan, 0.0, 0.05])

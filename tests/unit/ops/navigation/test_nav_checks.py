@@ -118,6 +118,7 @@ def scan(ranges: Sequence[float], frame: str = "laser") -> Any:
     return SimpleNamespace(
         header=SimpleNamespace(frame_id=frame),
         angle_min=-math.pi,
+        angle_max=math.pi,
         angle_increment=2 * math.pi / len(ranges),
         range_min=0.05,
         range_max=10.0,
