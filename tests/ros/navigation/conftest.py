@@ -75,5 +75,6 @@ def navigator(nav_environment: dict[str, str], nav2: CommandedProcess, nav_agent
     nav2.put()
     process = CommandedProcess("navigator_peer", nav_environment)
     nav_agent.until_answered("ros2_parameter_list", node_name="/bt_navigator")  # not one that was killed
+    until(lambda: "/navigate_to_pose" in str(nav_agent.call("ros2_list_actions")))
     yield process
     process.end_or_kill()
