@@ -53,6 +53,8 @@ LISTENED_S = 2.0
 _GIVEN_UP_S = 8.0
 """For a part as a whole. On a quiet machine all are there within three seconds; on a busy one a late answer is better
 than none."""
+_ASKED_S = 7.0
+"""For questions to all nodes: who has answered by then counts, and who has not does not take the others' answers."""
 _ANSWER_S = 1.2
 """For one node: one that spins answers within milliseconds."""
 _AT_A_TIME = 8
@@ -75,8 +77,8 @@ _logger = logging.getLogger(__name__)
 
 async def read_evidence(
     robot: Robot, needs: Collection[Need], target: Target | None = None, action: str = ""
-) -> tuple[NavEvidence, Sequence[str]]:
-    """The evidence, and the names of the parts that could not be read. Raises what reading the graph raises."""
+) -> tuple[NavEvidence, Mapping[str, str]]:
+    """The evidence, and the parts that could not be read, each with why. Raises what reading the graph raises."""
     await load("ros2_mcp.values.cdr", "ros2_mcp.world.costmap", "ros2_mcp.world.scans")  # with numpy
     source = Live(robot)
     graph = await source.graph()
@@ -90,23 +92,23 @@ async def read_evidence(
         "diagnostics": lambda: _diagnostics(robot),
     }
     found: dict[str, Any] = {}
-    missed: list[str] = []
+    missed: dict[str, str] = {}
 
     async def made(need: Need) -> None:
         try:
             with anyio.move_on_after(_GIVEN_UP_S) as scope:
                 found[need] = await makers[need]()
             if scope.cancelled_caught:
-                missed.append(need)
+                missed[need] = f"no answer within {_GIVEN_UP_S:g} s"
         except RobotError as error:
             _logger.info("%s could not be read: %s", need, error)
-            missed.append(need)
+            missed[need] = str(error).splitlines()[0]
 
     await asyncio.gather(*(made(need) for need in needs if need in makers))
     if frames := found.get("frames"):  # the tree has grown meanwhile
         found["frames"] = replace(frames, at_ns=robot.now_ns())
     goal = await _goal(robot, target, found.get("grids")) if target else None
-    return NavEvidence(graph=graph, goal=goal, now_ns=robot.now_ns(), **found), sorted(missed)
+    return NavEvidence(graph=graph, goal=goal, now_ns=robot.now_ns(), **found), missed
 
 
 # ── topics ───────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -225,8 +227,11 @@ async def _parameters(robot: Robot, graph: GraphSnapshot) -> Mapping[str, Mappin
                 pass
 
     nodes = [node for node in dict.fromkeys(evidence.nodes) if is_of_robot(node) and node != names.UNKNOWN_NODE]
-    nodes.sort(key=lambda node: node not in whole)
-    await asyncio.gather(*map(asked, nodes[:_MOST_NODES]))
+    servers = set(evidence.robots_nodes)
+    nodes.sort(key=lambda node: (node not in servers, node not in whole))
+    with anyio.move_on_after(_ASKED_S):
+        await asyncio.gather(*map(asked, nodes[:_MOST_NODES]))
+        await asyncio.gather(*(asked(node) for node in nodes[:_MOST_NODES] if node in whole and node not in found))
     return found
 
 
@@ -261,9 +266,10 @@ async def _states(robot: Robot, graph: GraphSnapshot) -> States:
             answered_s[node] = min(monotonic() - began_at, answered_s.get(node, _ANSWER_S))
             states[node] = str((await robot.fields_of(answer))["current_state"]["label"])
 
-    await asyncio.gather(*map(asked, nodes))
-    # Again: a node may be busy for a second, and the first question waits for its service to be matched.
-    await asyncio.gather(*map(asked, nodes))
+    with anyio.move_on_after(_ASKED_S):
+        await asyncio.gather(*map(asked, nodes))
+        # Again: a node may be busy for a second, and the first question waits for its service to be matched.
+        await asyncio.gather(*map(asked, nodes))
     return States(states, answered_s)
 
 
