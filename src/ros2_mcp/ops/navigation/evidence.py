@@ -108,6 +108,7 @@ class Frames:
     listened_s: float
     owners: Mapping[str, Sequence[str]] = field(default_factory=dict[str, Sequence[str]])
     """The nodes that publish on /tf and on /tf_static, by topic."""
+    stale_ns: int = STALE_NS
 
     def silent_ns(self, edge: Edge) -> int:
         """For how long nothing was told of an edge, by receipt: a stamp may lie ahead, as AMCL's does."""
@@ -116,7 +117,7 @@ class Frames:
     def is_stale(self, edge: Edge) -> bool:
         """Whether it is told no longer."""
         period_ns = 1e9 / edge.received_hz if edge.received_hz else 0.0
-        return bool(edge.moving) and self.silent_ns(edge) > max(STALE_NS, 5 * period_ns)
+        return bool(edge.moving) and self.silent_ns(edge) > max(self.stale_ns, 5 * period_ns)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
