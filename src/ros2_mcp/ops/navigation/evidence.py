@@ -131,10 +131,14 @@ class Goal:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Grids:
-    """The map, as it was published (None: nothing came), and the global costmap with its topic."""
+    """The map, as it was published (None: nothing came), and the global costmap with its topic.
+
+    `maps` are the different ones, where several nodes publish on the topic of the map.
+    """
 
     map: CostGrid | None = None
     map_topic: str = ""
+    maps: Sequence[CostGrid] = ()
     costs: CostGrid | None = None
     costs_topic: str = ""
 

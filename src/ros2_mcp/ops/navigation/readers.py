@@ -62,6 +62,7 @@ _MOST_NODES = 60
 """Nodes that are asked: the questions should not weigh on the robot."""
 _MOST_OF_TYPE: Mapping[str, int] = {SCAN: 4, ODOMETRY: 4, POSE: 3, "nav2_msgs/msg/CollisionMonitorState": 2}
 _MOST_VELOCITIES, _MOST_CLOUDS = 14, 4
+_MOST_MAPS = 6
 _MOST_MESSAGES = 12
 """Scans and the like that are decoded, the first and the last ones; of velocities and odometry all are."""
 _FRAMES_S = 1.8
@@ -306,23 +307,32 @@ async def _grids(robot: Robot, graph: GraphSnapshot, action: str) -> Grids:
     rows = list(await robot.graph.topics())
     maps = [name for name in _of_types(graph, GRID) if "costmap" not in name and name.rpartition("/")[2] == "map"]
 
-    async def the_map() -> CostGrid | None:
+    async def the_maps() -> list[CostGrid]:
+        """One; several different ones where several nodes publish it: each keeps its own for who comes later."""
         if not maps:
-            return None
-        async with robot.listen(maps[0], keep="latest") as listening:
-            samples = await listening.take(LISTENED_S)
-            if not samples:
-                return None
-            message = (await robot.values.decode_all(listening.type, samples[-1:]))[0]
-            try:
-                return await aside(len(samples[-1].data), CostGrid, message)
-            except BadData:
-                return None
+            return []
+        several = len(graph.topics[maps[0]].publishers) > 1
+        async with robot.listen(maps[0], keep="all" if several else "latest") as listening:
+            if several:
+                samples = [sample async for sample in listening.samples(LISTENED_S)][-_MOST_MAPS:]
+            else:
+                samples = (await listening.take(LISTENED_S))[-1:]
+            found: dict[Any, CostGrid] = {}
+            for sample in samples:
+                message = (await robot.values.decode_all(listening.type, [sample]))[0]
+                try:
+                    grid = await aside(len(sample.data), CostGrid, message)
+                except BadData:
+                    continue
+                where = (grid.corner.x_m, grid.corner.y_m, grid.corner.yaw_rad)
+                found[grid.frame_id, grid.resolution_m, where, grid.cells.shape, grid.cells.tobytes()] = grid
+            return list(found.values())
 
-    of_map, (costs, topic, _) = await asyncio.gather(the_map(), costmap_of(robot, rows, action))
+    different, (costs, topic, _) = await asyncio.gather(the_maps(), costmap_of(robot, rows, action))
     return Grids(
-        map=of_map,
+        map=different[-1] if different else None,
         map_topic=maps[0] if maps else "",
+        maps=different,
         costs=costs if "costmap" in topic else None,
         costs_topic=topic if "costmap" in topic else "",
     )
