@@ -161,3 +161,8 @@ def test_a_static_transform_whose_publisher_has_gone_is_said_as_such_below_a_ser
     server, left = nav_findings_in(whole(frames=tree, states=states))
     assert server.subject == "/planner_server"
     assert left.rank == "makes it worse" and "was told as static by a node that has gone" in left.cause
+    mount = frames(("map", "odom", 0.1), ("odom", "base_link", 0.05), static=[("base_link", "laser")], ahead_s=1.0)
+    mount.tree.edges["laser"].is_left = True
+    server, left = nav_findings_in(whole(frames=mount, states=states))
+    assert (server.subject, left.subject) == ("/planner_server", "base_link → laser")
+    assert left.rank == "makes it worse" and "by a node that has gone" in left.cause

@@ -45,6 +45,7 @@ def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
     for edge in frames.tree.edges.values():
         if edge.two_parents or edge.on_both or len(edge.writers) > 1:
             yield _two_owners(frames, edge)
+    yield from _left(evidence, frames)
     yield from _odometry(evidence, frames)
     for edge in frames.tree.edges.values():
         if frames.is_stale(edge) and _is_needed(edge):
@@ -104,6 +105,24 @@ def _two_owners(frames: Frames, edge: Edge) -> NavFinding:
         proof=f"It is told by {who}{left}.{far}",
         remedy=remedy,
     )
+
+
+def _left(evidence: NavEvidence, frames: Frames) -> Iterator[NavFinding]:
+    """Static transforms that navigation needs, and that nobody keeps any more for those who start later."""
+    of_sensors = {one.frame_id for one in evidence.of(SCAN, "sensor_msgs/msg/PointCloud2")}
+    for edge in frames.tree.edges.values():
+        if not (edge.is_static and edge.is_left and edge.newest and (edge.child in of_sensors or _is_needed(edge))):
+            continue
+        name = f"{named(edge.newest.parent)} → {named(edge.child)}"
+        who = frames.tellers.of(edge).removesuffix(GONE)
+        yield NavFinding(
+            rank="makes it worse",
+            subject=name,
+            cause=f"The static transform {name} was published by a node that has gone.",
+            proof=f"A new subscription to {TF_STATIC} does not get it{f'; it was that of {who}' if who else ''}. Who "
+            "heard it keeps it; who starts now never gets it.",
+            remedy="Start its publisher again.",
+        )
 
 
 def _odometry(evidence: NavEvidence, frames: Frames) -> Iterator[NavFinding]:
