@@ -92,6 +92,7 @@ def said(agent: Agent, **arguments: Any) -> list[str]:
 
 
 def test_nothing_is_found_while_it_is_well_beside_decoys_and_the_answer_is_short(agent: Agent) -> None:
+    until(lambda: agent.call("ros2_nav_check")["verdict"] == "FINE", 30.0)  # on a busy machine not all may be read
     assert said(agent) == []
     told: Any = agent.whole("ros2_nav_check", {}).content[0]
     assert len(told.text.encode()) <= 1500
