@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from ros2_mcp.link.client import Bridge, Subscription
     from ros2_mcp.robot.graph import Graph
     from ros2_mcp.robot.values import Values
+    from ros2_mcp.world.frame_edges import Edge
 
 TF, TF_STATIC = "/tf", "/tf_static"
 TF_TYPE = "tf2_msgs/msg/TFMessage"
@@ -281,7 +282,7 @@ class TransformListener:
     async def _find_left(self, tree: FrameTree) -> None:
         """Mark the static transforms whose publisher has disappeared: a new subscription does not receive them."""
         asked_ns = self.now_ns()
-        left = {edge.child for edge in tree.edges.values() if edge.is_static and edge.last_received_ns < asked_ns}
+        left = {edge.child for edge in tree.edges.values() if edge.static and _static_ns(edge) < asked_ns}
         again = FrameTree()
         async with await self._subscribe(TF_STATIC) as subscription:
             deadline = monotonic() + _AGAIN_S
@@ -290,9 +291,14 @@ class TransformListener:
         is_heard = again.edges or not await self.publishers(TF_STATIC)
         for child in left if is_heard else ():  # an empty replay shows nothing
             edge = tree.edges[child]
-            edge.is_left = child not in again.edges and edge.last_received_ns < asked_ns
+            edge.is_left = child not in again.edges and _static_ns(edge) < asked_ns
 
     def _tell(self) -> None:
         """Wake all tasks that wait for new transforms."""
         news, self._news = self._news, asyncio.Event()
         news.set()
+
+
+def _static_ns(edge: Edge) -> int:
+    """When it was received as static last; the same frame may be told as moving, too."""
+    return max((told.received_ns for told in edge.static.values()), default=0)

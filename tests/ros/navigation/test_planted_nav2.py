@@ -30,7 +30,7 @@ CAUSES = {
     "19 never comes": "waits for /route_server, which does not run",
     "20 bond lost": r"down since \d+ s: /bt_navigator missed its heartbeat, and lives; .* took 6 others down",
     "21 acknowledged too late": "/bt_navigator gives up before the servers can answer",
-    "23 sees itself": "beams -180 to -168° of /scan",
+    "23 sees itself": "beams at -180 to -168° of /scan",
     "28 lost": "the scan does not fit the map",
     "30 progress": "progress checker asks for more than the robot may drive",
     "map is volatile": "/map_server publishes /map as volatile",
@@ -92,6 +92,7 @@ def said(agent: Agent, **arguments: Any) -> list[str]:
 
 
 def test_nothing_is_found_while_it_is_well_beside_decoys_and_the_answer_is_short(agent: Agent) -> None:
+    until(lambda: agent.call("ros2_nav_check")["verdict"] == "FINE", 30.0)  # on a busy machine not all may be read
     assert said(agent) == []
     told: Any = agent.whole("ros2_nav_check", {}).content[0]
     assert len(told.text.encode()) <= 1500

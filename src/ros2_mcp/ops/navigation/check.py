@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -15,10 +15,11 @@ from ros2_mcp.ops.navigation.evidence import ODOMETRY, SCAN, NavEvidence, NavFin
 from ros2_mcp.ops.navigation.known_places import places_of
 from ros2_mcp.ops.navigation.readers import read_evidence
 from ros2_mcp.ops.navigation.targets import targets_of
+from ros2_mcp.ops.navigation.unread import unread_in
 from ros2_mcp.ops.results.results import IF_ANY, SAID
 from ros2_mcp.robot import Robot
 
-Verdict = Literal["FINE", "STOPPED", "SOME GOALS FAIL", "IMPAIRED"]
+Verdict = Literal["FINE", "NOT KNOWN", "STOPPED", "SOME GOALS FAIL", "IMPAIRED"]
 _VERDICTS: dict[str, Verdict] = {
     "stops everything": "STOPPED",
     "stops some goals": "SOME GOALS FAIL",
@@ -32,23 +33,27 @@ _MOST = 8
 class NavChecked:
     """What keeps the robot from navigating, the worst first; each with its cause, its proof and a remedy.
 
-    `FINE` means that nothing was found in what was looked at. `seen` has the figures on which that stands, `not_read`
-    what could not be looked at.
+    `FINE` means that nothing was found, and that what this needs was read; `NOT KNOWN` that it was not: `unread` says
+    what, and why. `seen` has the figures on which it stands, `not_read` the checks that could not be run.
     """
 
     verdict: Verdict = field(metadata=SAID)
     findings: Sequence[NavFinding] = field(metadata=SAID)
     servers: str = field(metadata=SAID)
     seen: Sequence[str] = field(metadata=SAID)
+    unread: Sequence[str] = field(metadata={**IF_ANY, **SAID})
     not_read: Sequence[str] = field(metadata={**IF_ANY, **SAID})
 
     def summary(self) -> list[str]:
         """Return the verdict, one line per finding, and the measured figures."""
         what = "nothing found that keeps the robot from navigating" if not self.findings else "why, the worst first"
-        lines = [f"{self.verdict}: {what}."]
+        missing = f"not read: {'; '.join(self.unread)}"
+        lines = [f"{self.verdict}: {missing if self.verdict == 'NOT KNOWN' else what}."]
         for number, one in enumerate(self.findings, 1):
             lines.append(f"{number}. {one.rank}: {one.cause} Proof: {one.proof} Remedy: {one.remedy}")
         lines.append(" ".join([f"{self.servers}.", *(f"{line}." for line in self.seen)]))
+        if self.unread and self.verdict != "NOT KNOWN":
+            lines.append(f"{missing[:1].upper()}{missing[1:]}.")
         if self.not_read:
             lines.append(f"Not looked at: {', '.join(self.not_read)}.")
         return lines
@@ -69,18 +74,26 @@ async def check_navigation(robot: Robot, to: object = None, action: str = "") ->
             raise BadInput("ros2_nav_check looks at one place.", "Give one.")
         target = targets[0]
     robot.log.start()
-    evidence, _ = await read_evidence(robot, NEEDS, target, action)
+    evidence, missed = await read_evidence(robot, NEEDS, target, action)
     if not evidence.is_nav2:
         raise await robot.graph.missing(
             "There is no Nav2: no bt_navigator, planner_server, controller_server or lifecycle manager is seen.",
             "Start Nav2; ros2_list_nodes shows what runs.",
         )
+    return judged(evidence, missed)
+
+
+def judged(evidence: NavEvidence, missed: Mapping[str, str] | None = None) -> NavChecked:
+    """The verdict on what was read; `missed` has the parts that could not be, and why."""
     findings = nav_findings_in(evidence)
+    unread = unread_in(evidence, missed)
+    verdict: Verdict = _VERDICTS[findings[0].rank] if findings else "FINE"
     return NavChecked(
-        verdict=_VERDICTS[findings[0].rank] if findings else "FINE",
+        verdict="NOT KNOWN" if unread and verdict in ("FINE", "IMPAIRED") else verdict,
         findings=findings[:_MOST],
         servers=servers_in_words(evidence),
         seen=_seen(evidence),
+        unread=unread,
         not_read=sorted(not_looked_at(evidence)),
     )
 

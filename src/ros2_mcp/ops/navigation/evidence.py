@@ -111,7 +111,8 @@ class Frames:
     at_ns: int
     listened_s: float
     owners: Mapping[str, Sequence[str]] = field(default_factory=dict[str, Sequence[str]])
-    """The publishers on /tf and on /tf_static, by topic."""
+    """The nodes that publish on /tf and on /tf_static, by topic."""
+    stale_ns: int = STALE_NS
 
     def silent_ns(self, edge: Edge) -> int:
         """Time since the last message about an edge, by receipt: a stamp may lie in the future, as AMCL's does."""
@@ -120,7 +121,7 @@ class Frames:
     def is_stale(self, edge: Edge) -> bool:
         """Whether a moving edge is no longer published."""
         period_ns = 1e9 / edge.received_hz if edge.received_hz else 0.0
-        return bool(edge.moving) and self.silent_ns(edge) > max(STALE_NS, 5 * period_ns)
+        return bool(edge.moving) and self.silent_ns(edge) > max(self.stale_ns, 5 * period_ns)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -134,10 +135,14 @@ class Goal:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Grids:
-    """The map as it was published (None: no message), and the global costmap with its topic."""
+    """The map, as it was published (None: nothing came), and the global costmap with its topic.
+
+    `maps` are the different ones, where several nodes publish on the topic of the map.
+    """
 
     map: CostGrid | None = None
     map_topic: str = ""
+    maps: Sequence[CostGrid] = ()
     costs: CostGrid | None = None
     costs_topic: str = ""
 

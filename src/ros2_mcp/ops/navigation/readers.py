@@ -52,8 +52,10 @@ LISTENED_S = 2.0
 """A slow laser scans five times a second and AMCL publishes its transform ten times: a stalled one shows within this
 time."""
 _GIVEN_UP_S = 8.0
-"""Limit for each part. On a quiet machine all are read within three seconds; on a busy one a late answer is better than
-none."""
+"""For a part as a whole. On a quiet machine all are there within three seconds; on a busy one a late answer is better
+than none."""
+_ASKED_S = 7.0
+"""For questions to all nodes: who has answered by then counts, and who has not does not take the others' answers."""
 _ANSWER_S = 1.2
 """Limit for one node: a node that spins answers within milliseconds."""
 _AT_A_TIME = 8
@@ -61,6 +63,7 @@ _MOST_NODES = 60
 """Number of nodes that are asked, to limit the load on the robot."""
 _MOST_OF_TYPE: Mapping[str, int] = {SCAN: 4, ODOMETRY: 4, POSE: 3, "nav2_msgs/msg/CollisionMonitorState": 2}
 _MOST_VELOCITIES, _MOST_CLOUDS = 14, 4
+_MOST_MAPS = 6
 _MOST_MESSAGES = 12
 """Number of scans and the like that are decoded, the first and the last ones; velocities and odometry are all
 decoded."""
@@ -77,8 +80,8 @@ _logger = logging.getLogger(__name__)
 
 async def read_evidence(
     robot: Robot, needs: Collection[Need], target: Target | None = None, action: str = ""
-) -> tuple[NavEvidence, Sequence[str]]:
-    """Return the evidence, and the names of the parts that could not be read. Raises what reading the graph raises."""
+) -> tuple[NavEvidence, Mapping[str, str]]:
+    """The evidence, and the parts that could not be read, each with why. Raises what reading the graph raises."""
     await load("ros2_mcp.values.cdr", "ros2_mcp.world.costmap", "ros2_mcp.world.scans")  # with numpy
     source = Live(robot)
     graph = await source.graph()
@@ -92,23 +95,23 @@ async def read_evidence(
         "diagnostics": lambda: _diagnostics(robot),
     }
     found: dict[str, Any] = {}
-    missed: list[str] = []
+    missed: dict[str, str] = {}
 
     async def made(need: Need) -> None:
         try:
             with anyio.move_on_after(_GIVEN_UP_S) as scope:
                 found[need] = await makers[need]()
             if scope.cancelled_caught:
-                missed.append(need)
+                missed[need] = f"no answer within {_GIVEN_UP_S:g} s"
         except RobotError as error:
             _logger.info("%s could not be read: %s", need, error)
-            missed.append(need)
+            missed[need] = str(error).splitlines()[0]
 
     await asyncio.gather(*(made(need) for need in needs if need in makers))
     if frames := found.get("frames"):  # the tree was updated while other parts were read
         found["frames"] = replace(frames, at_ns=robot.now_ns())
     goal = await _goal(robot, target, found.get("grids")) if target else None
-    return NavEvidence(graph=graph, goal=goal, now_ns=robot.now_ns(), **found), sorted(missed)
+    return NavEvidence(graph=graph, goal=goal, now_ns=robot.now_ns(), **found), missed
 
 
 # ── topics ───────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -228,8 +231,11 @@ async def _parameters(robot: Robot, graph: GraphSnapshot) -> Mapping[str, Mappin
                 pass
 
     nodes = [node for node in dict.fromkeys(evidence.nodes) if is_of_robot(node) and node != names.UNKNOWN_NODE]
-    nodes.sort(key=lambda node: node not in whole)
-    await asyncio.gather(*map(asked, nodes[:_MOST_NODES]))
+    servers = set(evidence.robots_nodes)
+    nodes.sort(key=lambda node: (node not in servers, node not in whole))
+    with anyio.move_on_after(_ASKED_S):
+        await asyncio.gather(*map(asked, nodes[:_MOST_NODES]))
+        await asyncio.gather(*(asked(node) for node in nodes[:_MOST_NODES] if node in whole and node not in found))
     return found
 
 
@@ -265,9 +271,10 @@ async def _states(robot: Robot, graph: GraphSnapshot) -> States:
             answered_s[node] = min(monotonic() - began_at, answered_s.get(node, _ANSWER_S))
             states[node] = str((await robot.fields_of(answer))["current_state"]["label"])
 
-    await asyncio.gather(*map(asked, nodes))
-    # Again: a node may be busy for a second, and the first question waits for its service to be matched.
-    await asyncio.gather(*map(asked, nodes))
+    with anyio.move_on_after(_ASKED_S):
+        await asyncio.gather(*map(asked, nodes))
+        # Again: a node may be busy for a second, and the first question waits for its service to be matched.
+        await asyncio.gather(*map(asked, nodes))
     return States(states, answered_s)
 
 
@@ -304,23 +311,32 @@ async def _grids(robot: Robot, graph: GraphSnapshot, action: str) -> Grids:
     rows = list(await robot.graph.topics())
     maps = [name for name in _of_types(graph, GRID) if "costmap" not in name and name.rpartition("/")[2] == "map"]
 
-    async def the_map() -> CostGrid | None:
+    async def the_maps() -> list[CostGrid]:
+        """One; several different ones where several nodes publish it: each keeps its own for who comes later."""
         if not maps:
-            return None
-        async with robot.listen(maps[0], keep="latest") as listening:
-            samples = await listening.take(LISTENED_S)
-            if not samples:
-                return None
-            message = (await robot.values.decode_all(listening.type, samples[-1:]))[0]
-            try:
-                return await aside(len(samples[-1].data), CostGrid, message)
-            except BadData:
-                return None
+            return []
+        several = len(graph.topics[maps[0]].publishers) > 1
+        async with robot.listen(maps[0], keep="all" if several else "latest") as listening:
+            if several:
+                samples = [sample async for sample in listening.samples(LISTENED_S)][-_MOST_MAPS:]
+            else:
+                samples = (await listening.take(LISTENED_S))[-1:]
+            found: dict[Any, CostGrid] = {}
+            for sample in samples:
+                message = (await robot.values.decode_all(listening.type, [sample]))[0]
+                try:
+                    grid = await aside(len(sample.data), CostGrid, message)
+                except BadData:
+                    continue
+                where = (grid.corner.x_m, grid.corner.y_m, grid.corner.yaw_rad)
+                found[grid.frame_id, grid.resolution_m, where, grid.cells.shape, grid.cells.tobytes()] = grid
+            return list(found.values())
 
-    of_map, (costs, topic, _) = await asyncio.gather(the_map(), costmap_of(robot, rows, action))
+    different, (costs, topic, _) = await asyncio.gather(the_maps(), costmap_of(robot, rows, action))
     return Grids(
-        map=of_map,
+        map=different[-1] if different else None,
         map_topic=maps[0] if maps else "",
+        maps=different,
         costs=costs if "costmap" in topic else None,
         costs_topic=topic if "costmap" in topic else "",
     )

@@ -12,7 +12,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from importlib import import_module
 
-from ros2_mcp.ops.navigation.checks.check import NavCheck
+from ros2_mcp.ops.navigation.checks.busy import busy_in, without_what_is_late
+from ros2_mcp.ops.navigation.checks.check import TUNING, NavCheck
 from ros2_mcp.ops.navigation.evidence import RANKS, NavEvidence, NavFinding, Need
 
 __all__ = ["CHECKS", "NEEDS", "nav_findings_in", "not_looked_at"]
@@ -36,6 +37,9 @@ def nav_findings_in(evidence: NavEvidence) -> list[NavFinding]:
         return []
     covered = set[str]()
     kept: dict[tuple[str, str], NavFinding] = {}
+    if busy := busy_in(evidence):
+        kept[(busy.subject, busy.cause)] = replace(busy, place=TUNING)
+        evidence = without_what_is_late(evidence)
     for check in sorted(CHECKS.values(), key=lambda check: check.place):
         if any(getattr(evidence, need) is None for need in check.needs):
             continue

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING
 
 from ros2_mcp.model.text import listed, named
 from ros2_mcp.ops.navigation.checks.check import CLOCKS, NavCheck
-from ros2_mcp.ops.navigation.evidence import NavEvidence, NavFinding, is_tool
+from ros2_mcp.ops.navigation.evidence import SCAN, NavEvidence, NavFinding, is_tool
+
+if TYPE_CHECKING:
+    from ros2_mcp.world.frame_edges import Edge
 
 _CLOCK = "/clock"
 _BEHIND_S, _AHEAD_S = 1.0, 0.2
@@ -15,6 +19,8 @@ purpose."""
 _STEADY_S = 0.4
 """A clock offset is the same in each message; a delay varies by more than this."""
 _OTHER_TIME_S = 1e6
+_MOST_TOLERANCE_S = 2.5
+"""AMCL stamps ahead of the scan by its transform_tolerance, which is 1 s of itself."""
 _LEAST, _LEAST_MESSAGES = 3, 8
 """Least number of transforms, and of messages of a topic: on a loaded machine a few may all be late."""
 _MOST_NAMES = 6
@@ -62,6 +68,8 @@ def _offsets(evidence: NavEvidence) -> Iterator[NavFinding]:
     offsets = dict(_of_topics(evidence))
     offsets |= _of_transforms(evidence)
     plain = {what: s for what, s in offsets.items() if abs(s) < _OTHER_TIME_S}
+    plain_of, follows = plain, _of_localiser(evidence, plain)
+    plain = {what: s for what, s in plain.items() if what not in follows}
     off = {what: s for what, s in plain.items() if s > _BEHIND_S or s < -_AHEAD_S}
     is_alike = len(off) == len(plain) > 1 and max(off.values()) - min(off.values()) < _STEADY_S
     if not off or is_alike:  # all alike: the clock of the bridge's own computer differs, which need not be the robot's
@@ -77,6 +85,10 @@ def _offsets(evidence: NavEvidence) -> Iterator[NavFinding]:
         middle = sorted(group.values())[len(group) // 2]
         way = "behind" if middle > 0 else "ahead of"
         beside = f", and not so {listed(fine, 3)}" if fine else ""
+        after = [what for what, scan in follows.items() if scan in group]
+        if after:
+            beside += f"; that of {listed(after, 2)} ({plain_of[after[0]]:+.2f} s) follows from it: a localiser takes "
+            beside += "the scan's stamp, and adds its transform_tolerance"
         yield NavFinding(
             rank="stops everything",
             subject=next(iter(group)),
@@ -84,8 +96,33 @@ def _offsets(evidence: NavEvidence) -> Iterator[NavFinding]:
             "the clocks differ.",
             proof=f"Receipt minus stamp is {middle:+.2f} s, the least of {len(group)} series{beside}.",
             remedy=_SYNC,
-            covers=[*group, *_follows(group)],
+            covers=[*group, *after, *_follows(group)],
         )
+
+
+def _of_localiser(evidence: NavEvidence, offsets: Mapping[str, float]) -> dict[str, str]:
+    """The transforms to odom whose offset is that of a scan that is off, each with it: stamped as the scan is, or
+    ahead of that by a tolerance."""
+    scans = {
+        one.topic: offsets[one.topic]
+        for one in evidence.of(SCAN)
+        if one.topic in offsets and not -_AHEAD_S <= offsets[one.topic] <= _BEHIND_S
+    }
+    found: dict[str, str] = {}
+    for name in _to_odom(evidence):
+        for topic, seconds in scans.items():
+            if name in offsets and -_STEADY_S < seconds - offsets[name] < _MOST_TOLERANCE_S + _STEADY_S:
+                found[name] = topic
+    return found
+
+
+def _to_odom(evidence: NavEvidence) -> list[str]:
+    edges = evidence.frames.tree.edges.values() if evidence.frames else ()
+    return [_named(edge) for edge in edges if edge.moving and edge.child.rpartition("/")[2] == "odom"]
+
+
+def _named(edge: Edge) -> str:
+    return f"{named(edge.moving[-1].parent)} → {named(edge.child)}"
 
 
 def _follows(group: Mapping[str, float]) -> list[str]:
@@ -113,9 +150,8 @@ def _of_transforms(evidence: NavEvidence) -> dict[str, float]:
         if len(edge.moving) < _LEAST or evidence.frames.is_stale(edge):
             continue
         lags = [(told.received_ns - told.stamp_ns) / 1e9 for told in edge.moving[-30:]]
-        parent = edge.moving[-1].parent
-        name = f"{named(parent)} → {named(edge.child)}"
-        if edge.child.rpartition("/")[2] == "odom" and -2.5 < min(lags) < 0:
+        name = _named(edge)
+        if edge.child.rpartition("/")[2] == "odom" and -_MOST_TOLERANCE_S < min(lags) < 0:
             continue
         found[name] = min(lags) if min(lags) > -_AHEAD_S else max(lags)
     return found

@@ -3,7 +3,8 @@ names."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from ros2_mcp.model.names import may_be_one
@@ -45,6 +46,7 @@ def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
     for edge in frames.tree.edges.values():
         if edge.two_parents or edge.on_both or len(edge.writers) > 1:
             yield _two_owners(frames, edge)
+    yield from _left(evidence, frames)
     yield from _odometry(evidence, frames)
     for edge in frames.tree.edges.values():
         if frames.is_stale(edge) and _is_needed(edge):
@@ -77,13 +79,16 @@ def _name(edge: Edge) -> str:
 def _two_owners(frames: Frames, edge: Edge) -> NavFinding:
     parents = edge.parents
     static_by = frames.tellers.on(TF_STATIC, edge, parents[0]) or " or ".join(frames.owners.get(TF_STATIC, ()))
+    is_left, left = GONE in static_by or edge.is_left, ""
     is_static_too = bool(edge.static) and bool(edge.moving)
     who = frames.tellers.of(edge) or listed(list(frames.owners.get(TF, ())), _MOST_NAMES)
     if is_static_too:
         moving = frames.tellers.on(TF, edge, edge.moving[-1].parent) or " or ".join(frames.owners.get(TF, ()))
         cause = f"{named(edge.child)} is told twice: as moving by {moving}, and as static by {static_by}."
         remedy = "End the static one (static_transform_publisher)."
-        if GONE in static_by:
+        if is_left:
+            left = f"; the static one was {static_by.removesuffix(GONE)}'s" if GONE in static_by else ""
+            cause = f"{named(edge.child)} was told as static by a node that has gone, and as moving by {moving}."
             remedy = "Its publisher has gone: start the nodes again that heard it, as they keep it."
     elif edge.two_parents:
         cause = f"{named(edge.child)} has two parents: {listed(parents, 3)}."
@@ -95,14 +100,30 @@ def _two_owners(frames: Frames, edge: Edge) -> NavFinding:
     apart = edge.apart
     far = f" What they tell is {apart[0]:.2g} m and {apart[1]:.2g}° apart." if apart else ""
     return NavFinding(
-        rank="makes it worse"
-        if GONE in static_by or not (_is_needed(edge) or edge.two_parents)
-        else "stops everything",
+        rank="makes it worse" if is_left or not (_is_needed(edge) or edge.two_parents) else "stops everything",
         subject=_name(edge),
         cause=cause,
-        proof=f"It is told by {who}.{far}",
+        proof=f"It is told by {who}{left}.{far}",
         remedy=remedy,
     )
+
+
+def _left(evidence: NavEvidence, frames: Frames) -> Iterator[NavFinding]:
+    """Static transforms that navigation needs, and that nobody keeps any more for those who start later."""
+    of_sensors = {one.frame_id for one in evidence.of(SCAN, "sensor_msgs/msg/PointCloud2")}
+    for edge in frames.tree.edges.values():
+        if not (edge.is_static and edge.is_left and edge.newest and (edge.child in of_sensors or _is_needed(edge))):
+            continue
+        name = f"{named(edge.newest.parent)} → {named(edge.child)}"
+        who = frames.tellers.of(edge).removesuffix(GONE)
+        yield NavFinding(
+            rank="makes it worse",
+            subject=name,
+            cause=f"The static transform {name} was published by a node that has gone.",
+            proof=f"A new subscription to {TF_STATIC} does not get it{f'; it was that of {who}' if who else ''}. Who "
+            "heard it keeps it; who starts now never gets it.",
+            remedy="Start its publisher again.",
+        )
 
 
 def _odometry(evidence: NavEvidence, frames: Frames) -> Iterator[NavFinding]:
@@ -126,22 +147,29 @@ def _odometry(evidence: NavEvidence, frames: Frames) -> Iterator[NavFinding]:
     yield NavFinding(
         rank="stops everything",
         subject="odom → base",
-        cause="Nobody tells the transform from odom to the base.",
+        cause=f"Nobody tells the transform from odom to the base{f': {off[0]}' if off else ''}.",
         proof=f"{named(one.topic)} comes at {one.rate_hz:.3g} Hz from {listed(one.nodes, 2)}, and in "
-        f"{frames.listened_s:.1f} s no transform of its frames. {'; '.join(off[:3])}{'.' if off else ''}".rstrip(),
+        f"{frames.listened_s:.1f} s no transform of its frames. {_also(off)}".rstrip(),
         remedy="Set enable_odom_tf (publish_tf) of the base or the EKF to true, or start an EKF.",
         covers=("map → odom",),
     )
 
 
-def _switched_off(evidence: NavEvidence) -> list[str]:
-    """Return the parameters that keep a node from publishing its transform."""
+def _switched_off(evidence: NavEvidence, owner: str = "") -> list[str]:
+    """Parameters by which a node is told to tell no transform: of its owner, as far as that is known, and of who
+    publishes the odometry that comes before others."""
+    comes = [node for one in evidence.of(ODOMETRY) if one.count for node in one.nodes]
+    nodes = [node for node in evidence.parameters or {} if not owner or node in re.split(r"[ ,]+", owner)]
     return [
         f"{name} of {named(node)} is false"
-        for node, values in (evidence.parameters or {}).items()
-        for name, value in values.items()
+        for node in sorted(nodes, key=lambda node: node not in comes)
+        for name, value in (evidence.parameters or {}).get(node, {}).items()
         if value is False and name.rpartition(".")[2] in _TELLS_TF
     ]
+
+
+def _also(off: Sequence[str]) -> str:
+    return f"Also, {'; '.join(off[1:3])}." if off[1:] else ""
 
 
 def _is_fixed(edge: Edge) -> bool:
@@ -157,10 +185,11 @@ def _stale(evidence: NavEvidence, frames: Frames, edge: Edge) -> NavFinding:
     cause = f"The transform {_name(edge)} is not told any more"
     cause += f": {owner}." if is_gone else f"; {owner} publishes it." if owner else "."
     proof = f"The last one came {silent_s:.1f} s ago."
-    off = _switched_off(evidence) if _name(edge) == "odom → base" else []
-    if off and any(one.count for one in evidence.of(ODOMETRY)):
-        cause = "Odometry comes, and nobody tells the transform from odom to the base."
-        proof += f" {'; '.join(off[:3])}."
+    odometry_comes = _name(edge) == "odom → base" and any(one.count for one in evidence.of(ODOMETRY))
+    off = _switched_off(evidence, owner) if odometry_comes and not is_gone else []
+    if off:
+        cause = f"Odometry comes, and nobody tells the transform from odom to the base: {off[0]}."
+        proof += f" {_also(off)}".rstrip()
     elif inputs:
         cause = f"{cause[:-1]}, and what it waits for is silent: {listed(inputs, 3)}."
     elif owner.startswith("/") and not is_gone:
@@ -168,6 +197,8 @@ def _stale(evidence: NavEvidence, frames: Frames, edge: Edge) -> NavFinding:
     fine = [one.topic for one in evidence.of(SCAN) if one.count]
     proof += f" {listed(fine, 2)} comes." if fine else ""
     remedy = f"First find out why {inputs[0]} is silent." if inputs else "Start its publisher again, and read its log."
+    if odometry_comes and not off and owner in evidence.nodes and not (evidence.parameters or {}).get(owner):
+        proof += " Odometry comes; the node's parameters, such as publish_tf, did not come."
     remedy = "Set it to true again." if off else remedy
     return NavFinding(
         rank="stops everything",

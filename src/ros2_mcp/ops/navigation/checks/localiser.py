@@ -18,15 +18,20 @@ def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
     frames = evidence.frames
     if not frames:
         return
-    is_told = any(
-        edge.child.rpartition("/")[2] == "odom" or (edge.newest and edge.newest.parent.rpartition("/")[2] == MAP_FRAME)
+    told = [
+        edge
         for edge in frames.tree.edges.values()
-    )
+        if edge.child.rpartition("/")[2] == "odom"
+        or (edge.newest and edge.newest.parent.rpartition("/")[2] == MAP_FRAME)
+    ]
+    is_told = any(not frames.is_stale(edge) for edge in told)
     amcl = evidence.of_role("amcl")
     if is_told or any(not evidence.is_active(node) for node in amcl):
         return  # an inactive localiser is reported by the check of the servers
     if amcl:
-        yield from _waits(evidence, amcl[0])
+        yield from _waits(evidence, amcl[0], was_told=bool(told))
+        return
+    if told:
         return
     known = [node for node in evidence.nodes if _CALLED.search(node.rpartition("/")[2])]
     if known:
@@ -41,7 +46,7 @@ def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
     )
 
 
-def _waits(evidence: NavEvidence, amcl: str) -> Iterator[NavFinding]:
+def _waits(evidence: NavEvidence, amcl: str, *, was_told: bool) -> Iterator[NavFinding]:
     poses = [one for one in evidence.of(POSE) if amcl in one.nodes]
     if any(one.newest is not None for one in poses):
         return
@@ -49,21 +54,22 @@ def _waits(evidence: NavEvidence, amcl: str) -> Iterator[NavFinding]:
     asks = evidence.value(amcl, "set_initial_pose")
     map_there = any(topic.publishers for topic in evidence.topics(GRID))
     heard = [one for one in (evidence.heard or {}).values() if one.type.endswith("LaserScan") and one.count]
-    proof = [
-        f"It is active, {listed([one.topic for one in heard], 2)} comes, and it has told no pose and no transform."
-    ]
+    proof = [f"It is active, {listed([one.topic for one in heard], 2)} comes, and it tells no pose and no transform."]
     if asks is not None:
         proof.append(f"set_initial_pose is {str(asks).lower()}.")
     if said:
         proof.append(f"Its log: «{said[-1].text}».")
     if not heard or not map_there:
-        return  # it waits for a scan or a map, which other checks report
+        return  # it waits for a scan or a map, which is told of these
+    if was_told and asks is not False and not said:
+        return  # it told a place before: that it was started again, and waits, has no proof
     yield NavFinding(
         rank="stops everything",
         subject=_EDGE,
         cause=f"{named(amcl)} was never told where the robot is: it waits for /initialpose.",
         proof=" ".join(proof),
         remedy="Publish the robot's pose on /initialpose (ros2_topic_publish), or set set_initial_pose to true.",
+        covers=(_EDGE,),
     )
 
 

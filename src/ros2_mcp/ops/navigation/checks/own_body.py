@@ -13,6 +13,8 @@ from ros2_mcp.ops.navigation.checks.collision_monitor import is_within
 from ros2_mcp.ops.navigation.evidence import SCAN, Heard, NavEvidence, NavFinding
 
 _LEAST_SCANS, _LEAST_BEAMS = 3, 3
+_GAP, _MOST_SECTORS = 5, 4
+"""Beams that a sector may lack: a post is not seen by each of them."""
 _INSIDE = 0.98
 """Share of the radius within which a beam must end: at the very edge it may hit something that touches the robot."""
 
@@ -33,12 +35,11 @@ def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
         if len(found) < _LEAST_BEAMS:
             continue
         message = one.messages[-1][1]
-        angles = [math.degrees(message.angle_min + beam * message.angle_increment) for beam in found]
         ranges = [float(message.ranges[beam]) for beam in found]
         yield NavFinding(
             rank="stops everything",
             subject=one.topic,
-            cause=f"The lidar sees the robot itself: beams {min(angles):.0f} to {max(angles):.0f}° of "
+            cause=f"The lidar sees the robot itself: {len(found)} beams at {_sectors(message, found)} of "
             f"{named(one.topic)} always end inside its outline.",
             proof=f"{len(found)} beams read {min(ranges):.2f} to {max(ranges):.2f} m in {len(one.messages)} scans; "
             f"{_outline_in_words(corners, radius_m)}.",
@@ -83,6 +84,28 @@ def _beams(
         if not always:
             return []
     return sorted(always or ())
+
+
+def _sectors(message: Any, beams: Sequence[int]) -> str:
+    """Where these beams are, by sector, from the first to the last; one that goes over ±180° is one."""
+    count, step = len(message.ranges), float(message.angle_increment)
+    groups: list[list[int]] = []
+    for beam in beams:
+        if groups and beam - groups[-1][-1] <= _GAP:
+            groups[-1].append(beam)
+        else:
+            groups.append([beam])
+    is_round = abs(step) * count > 2 * math.pi - 1.5 * abs(step)
+    if is_round and len(groups) > 1 and groups[0][0] + count - groups[-1][-1] <= _GAP:
+        groups[0] = [*groups.pop(), *groups[0]]
+
+    def degrees(beam: int) -> str:
+        angle = math.degrees(float(message.angle_min) + beam * step)
+        return f"{angle - 360 * math.floor((angle + 180.5) / 360):.0f}"
+
+    sectors = [f"{degrees(group[0])} to {degrees(group[-1])}°" for group in groups]
+    more = f" and {len(sectors) - _MOST_SECTORS} more" if len(sectors) > _MOST_SECTORS else ""
+    return f"{', '.join(sectors[:_MOST_SECTORS])}{more}"
 
 
 def _outline_in_words(corners: Sequence[tuple[float, float]], radius_m: float) -> str:

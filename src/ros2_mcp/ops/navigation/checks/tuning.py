@@ -11,8 +11,8 @@ from ros2_mcp.ops.navigation.checks.check import TUNING, NavCheck
 from ros2_mcp.ops.navigation.evidence import VELOCITIES, NavEvidence, NavFinding, is_zero, line_age_s, said
 
 _ACKNOWLEDGE = r"timed out while waiting for action server to acknowledge"
-_SHORT_MS = 10.0
-"""Nav2's default of 20 ms is short on a loaded computer; less than 10 ms leaves no time for an answer."""
+_SHORT_MS = 20.0
+"""Nav2's default, which is short on a loaded computer; less leaves a planner no time to answer."""
 _LEAST_SERVERS, _TIMES_SLOWER, _SLOW_S = 4, 5.0, 0.05
 """On a loaded computer all servers are slow; a server five times as slow as the median has a problem of its own."""
 _RECENT_S = 300.0
@@ -42,7 +42,7 @@ def _acknowledged(evidence: NavEvidence) -> Iterator[NavFinding]:
         if slow and is_slower:
             heard += f" {named(slow[0])} takes {slow[1] * 1000:.0f} ms to answer a question, the others less."
         yield NavFinding(
-            rank="stops some goals",
+            rank="stops some goals" if lines or is_slower else "makes it worse",
             subject=node,
             cause=f"{named(node)} gives up before the servers can answer.",
             proof=" ".join(filter(None, (heard, told))),
@@ -137,4 +137,4 @@ def _turning_s(values: Mapping[str, Any], plugin: str, allowed_s: float) -> floa
     return time_s if time_s > allowed_s else 0.0
 
 
-CHECK = NavCheck(("parameters", "log", "heard"), _find, TUNING)
+CHECK = NavCheck(("parameters",), _find, TUNING)

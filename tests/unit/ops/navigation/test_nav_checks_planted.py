@@ -1,0 +1,168 @@
+"""The checks of navigation on evidence as planted causes left it: what is named, and what only follows from it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ros2_mcp.ops.navigation.check import judged
+from ros2_mcp.ops.navigation.checks import nav_findings_in
+from ros2_mcp.ops.navigation.evidence import Grids, States
+from ros2_mcp.ops.space.tellers import Publishers, Tellers
+from support.made_navigation import (
+    ACTIVE,
+    GRID,
+    ODOMETRY,
+    ODOMS,
+    READ,
+    SCAN,
+    SERVERS,
+    WELL,
+    found,
+    frames,
+    grid,
+    heard,
+    odometry,
+    parts_of,
+    room,
+    scan,
+    topic,
+)
+
+from .test_verdict import whole
+
+SLOW = {
+    **heard("/scan", SCAN, ["/lidar"], [scan([2.0] * 60)] * 2, frame_id="laser"),
+    **heard("/wheel/odom", ODOMETRY, ["/base"], [odometry()] * 4, frame_id="odom"),
+    **heard("/odom", ODOMETRY, ["/ekf"]),
+}
+
+
+def test_servers_that_all_do_not_answer_beside_slow_series_are_one_finding_and_no_server_hangs() -> None:
+    evidence = whole(states=States(dict.fromkeys(SERVERS, ""), {}), heard=SLOW)
+    (finding,) = nav_findings_in(evidence)
+    assert (finding.subject, finding.rank) == ("load", "makes it worse")
+    assert "3 of 3 services did not answer" in finding.proof and "/scan (1 Hz)" in finding.proof
+    assert judged(evidence).verdict == "NOT KNOWN"
+
+
+def test_series_that_are_all_slow_where_services_are_late_say_nothing_of_the_one_that_is_silent() -> None:
+    states = States(dict.fromkeys(SERVERS, "active"), dict.fromkeys(SERVERS, 0.6))
+    topics = {**whole().graph.topics, "/odom": replace(READ[1], subscribers=whole().graph.topics["/odom"].subscribers)}
+    evidence = whole(states=states, heard=SLOW)
+    evidence = replace(evidence, graph=replace(evidence.graph, topics=topics))
+    assert [one.subject for one in nav_findings_in(evidence)] == ["load"]
+    quick = replace(evidence, states=States(dict.fromkeys(SERVERS, "active"), dict.fromkeys(SERVERS, 0.01)))
+    assert [one.subject for one in nav_findings_in(quick)] == ["/odom"]
+
+
+def test_servers_that_hang_while_all_else_comes_as_ever_are_no_load() -> None:
+    evidence = whole(states=States(dict.fromkeys(SERVERS, ""), {}))
+    assert all(one.subject != "load" and one.rank == "stops everything" for one in nav_findings_in(evidence))
+
+
+def test_a_transform_that_takes_its_stamp_from_a_late_scan_is_told_as_following_from_it() -> None:
+    ages = [1.8, 1.81, 1.82] * 4
+    late = heard("/scan", SCAN, ["/lidar"], [scan([2.0] * 60)] * 5, frame_id="laser", count=12, ages_s=ages)
+    fine = heard("/odom", ODOMETRY, ["/base"], [odometry()] * 20, frame_id="odom", ages_s=[0.01] * 12)
+    tree = frames(("map", "odom", 0.1), ("odom", "base_link", 0.05), static=[("base_link", "laser")], ahead_s=-0.8)
+    (finding,) = found(*READ, **parts_of(tree, {**late, **fine}))
+    assert finding.subject == "/scan" and "1.80 s behind" in finding.cause and "map" not in finding.cause
+    assert "«map → odom» (+0.80 s) follows from it" in finding.proof
+
+
+def seen_of(ranges: list[float]) -> str:
+    rows = heard("/scan", SCAN, ["/lidar"], [scan(ranges)] * 5, frame_id="laser")
+    outline = {"local_costmap/local_costmap": {"robot_radius": 0.2}}
+    (finding,) = found(*READ, **parts_of(WELL, {**rows, **ODOMS}, **outline))
+    return finding.cause
+
+
+def test_a_sector_over_the_back_is_one_and_two_sectors_are_two() -> None:
+    back = [2.0] * 360
+    for beam in (*range(351, 360), *range(4)):
+        back[beam] = 0.12
+    assert "13 beams at 171 to -177° of /scan" in seen_of(back)
+    two = [2.0] * 360
+    for beam in (*range(80, 86), *range(270, 276)):
+        two[beam] = 0.12
+    assert "12 beams at -100 to -95°, 90 to 95° of /scan" in seen_of(two)
+
+
+THE_MAP = topic("/map", GRID, ["/map_server"], ["/amcl"], durability="transient_local")
+
+
+def test_a_switch_that_is_off_is_named_in_the_cause_and_only_that_of_the_node_that_told_the_transform() -> None:
+    late = frames(("map", "odom", 0.1), ("odom", "base_link", 14.0), static=[("base_link", "laser")])
+    switches = {"ekf_filter_node": {"publish_tf": False}, "base": {"enable_odom_tf": False}}
+    owned = replace(late, tellers=Tellers(late.tree, {"/tf": Publishers(["/ekf_filter_node"])}, {}))
+    comes = {**ODOMS, **heard("/scan", SCAN, ["/lidar"], [scan([2.0] * 60)] * 5, frame_id="laser")}
+    (finding,) = found(*READ, **parts_of(owned, comes, **switches))
+    assert finding.cause.endswith("from odom to the base: publish_tf of /ekf_filter_node is false.")
+    unread = found(*READ, nodes=["/ekf_filter_node"], **parts_of(owned, comes, base={"enable_odom_tf": False}))
+    assert "/ekf_filter_node publishes it" in unread[0].cause and "parameters, such as publish_tf" in unread[0].proof
+    never = found(*READ, **parts_of(frames(static=[("base_link", "laser")]), comes, **switches))
+    assert any(one.cause.endswith("to the base: enable_odom_tf of /base is false.") for one in never)
+
+
+def test_amcl_that_was_started_again_waits_where_its_own_setting_says_so() -> None:
+    comes = {**ODOMS, **heard("/scan", SCAN, ["/lidar"], [scan([2.0] * 60)] * 5, frame_id="laser")}
+    late = frames(("map", "odom", 19.0), ("odom", "base_link", 0.05), static=[("base_link", "laser")], ahead_s=1.0)
+    rows: dict[str, Any] = {"states": {}, "log": ()}
+    waits = found(*READ, THE_MAP, **rows, **parts_of(late, comes, amcl={"set_initial_pose": False}))
+    assert [one.subject for one in waits] == ["map → odom"] and "waits for /initialpose" in waits[0].cause
+    other = found(*READ, THE_MAP, **rows, **parts_of(late, comes, amcl={"set_initial_pose": True}))
+    assert "is not told any more" in other[0].cause
+
+
+def test_settings_that_goals_cannot_meet_are_told_though_nothing_else_was_read() -> None:
+    short = found(parameters={"/bt_navigator": {"default_server_timeout": 1}})
+    assert [(one.rank, one.subject) for one in short] == [("makes it worse", "/bt_navigator")]
+    hurried = {
+        "progress_checker.required_movement_radius": 0.5,
+        "progress_checker.movement_time_allowance": 3.0,
+        "FollowPath.desired_linear_vel": 0.1,
+    }
+    assert "progress checker asks for more" in found(parameters={"/controller_server": hurried})[0].cause
+
+
+def test_a_scan_in_which_no_beam_ends_is_told_and_one_beam_is_enough() -> None:
+    blind = [math.inf] * 359 + [math.nan]
+    rows = heard("/scan", SCAN, ["/lidar"], [scan(blind)] * 5, frame_id="laser")
+    (finding,) = found(*READ, **parts_of(WELL, {**rows, **ODOMS}))
+    assert finding.rank == "makes it worse" and "0 of 360 beams of /scan" in finding.cause
+    once = heard("/scan", SCAN, ["/lidar"], [*[scan(blind)] * 4, scan([2.0, *blind[1:]])], frame_id="laser")
+    assert found(*READ, **parts_of(WELL, {**once, **ODOMS})) == []
+
+
+def test_different_maps_on_one_topic_are_told_and_not_that_localisation_is_lost() -> None:
+    wrong = heard("/scan", SCAN, ["/lidar"], [scan([1.2] * 120)] * 5, frame_id="laser")
+    empty = grid(np.zeros((40, 40), np.int8))
+    two = topic("/map", GRID, ["/map_server", "/map_server_2"], ["/amcl"], durability="transient_local")
+    grids = Grids(map=empty, map_topic="/map", maps=[room(), empty])
+    (finding,) = found(*READ, two, grids=grids, **parts_of(WELL, {**wrong, **ODOMS}))
+    assert finding.subject == "/map" and "/map_server, /map_server_2" in finding.cause
+    assert "40 x 40 cells" in finding.proof
+    alike = Grids(map=room(), map_topic="/map", maps=[room()])
+    (lost,) = found(*READ, two, grids=alike, **parts_of(WELL, {**wrong, **ODOMS}))
+    assert lost.subject == "localisation"
+
+
+def test_a_static_transform_whose_publisher_has_gone_is_said_as_such_below_a_server_that_is_down() -> None:
+    tree = frames(
+        ("map", "odom", 0.1), ("odom", "base_link", 0.05), static=[("base_link", "laser"), ("odom", "base_link")],
+        ahead_s=1.0,
+    )  # fmt: skip
+    tree.tree.edges["base_link"].is_left = True
+    states = {**ACTIVE, "/planner_server": "inactive"}
+    server, left = nav_findings_in(whole(frames=tree, states=states))
+    assert server.subject == "/planner_server"
+    assert left.rank == "makes it worse" and "was told as static by a node that has gone" in left.cause
+    mount = frames(("map", "odom", 0.1), ("odom", "base_link", 0.05), static=[("base_link", "laser")], ahead_s=1.0)
+    mount.tree.edges["laser"].is_left = True
+    server, left = nav_findings_in(whole(frames=mount, states=states))
+    assert (server.subject, left.subject) == ("/planner_server", "base_link → laser")
+    assert left.rank == "makes it worse" and "by a node that has gone" in left.cause
