@@ -20,7 +20,7 @@ def whole(**more: Any) -> NavEvidence:
     topics = {one.topic: one for one in (*made(*CHAIN), READ[0])}
     services = {f"{node}/get_parameters": ["rcl_interfaces/srv/GetParameters"] for node in NODES}
     services |= {f"{node}/get_state": ["lifecycle_msgs/srv/GetState"] for node in SERVERS}
-    parameters = {node: {"use_sim_time": False} for node in NODES}
+    parameters: dict[str, dict[str, Any]] = {node: {"use_sim_time": False} for node in NODES}
     parameters[MANAGER] = {"use_sim_time": False, "node_names": [name.strip("/") for name in SERVERS]}
     well = NavEvidence(
         graph=GraphSnapshot(topics, NODES, services),
