@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ros2_mcp.model.errors import BadData
 from ros2_mcp.model.occupancy import OCCUPIED_FROM, MapFacts
 from ros2_mcp.model.pictures import Place
+from ros2_mcp.model.poses import Pose
 from ros2_mcp.world.transforms import pose_of
 from ros2_mcp_common.finite import not_finite
 
@@ -25,12 +26,14 @@ class OccupancyGrid:
     cell (0, 0), `corner` the same in the plane. `frame_id` has no leading slash.
     """
 
-    def __init__(self, message: Any) -> None:
+    def __init__(self, message: Any, *, needs_place: bool = True) -> None:
         """Read the `header`, `info` and `data` of a message.
+
+        Without `needs_place`, a grid whose origin is no pose begins at (0, 0), and `unplaced` says why.
 
         Raises:
             BadData: if the grid is empty, its data does not fit its size, its resolution is not positive, or its
-                resolution or origin is not finite.
+                resolution is not finite; with `needs_place`, also if its origin is no pose.
         """
         info = message.info
         width, height, count = info.width, info.height, len(message.data)
@@ -40,16 +43,14 @@ class OccupancyGrid:
             raise BadData(
                 f"The grid's data has {count} cells, but width × height is {width} × {height} = {width * height}."
             )
-        for what in ("resolution", "origin"):
-            if why := not_finite(info, what, within="info"):
-                raise BadData(f"The grid's {what} is not finite ({why}): nothing can be placed on it.")
+        if why := not_finite(info, "resolution", within="info"):
+            raise BadData(f"The grid's resolution is not finite ({why}): nothing can be placed on it.")
         resolution_m = float(info.resolution)
         if resolution_m <= 0:
             raise BadData(f"The grid's resolution is {resolution_m:g} m for a cell: nothing can be placed on it.")
-        try:
-            self.origin = pose_of(info.origin)
-        except ValueError as error:
-            raise BadData(f"The grid's origin is not a pose: {error}.") from error
+        self.origin, self.unplaced = _origin_of(info)
+        if self.unplaced and needs_place:
+            raise BadData(f"{self.unplaced}: nothing can be placed on it.")
         self.header: Any = message.header
         self.info: Any = info
         self.frame_id: str = message.header.frame_id.lstrip("/")
@@ -141,3 +142,13 @@ def largest_of(cells: NDArray[np.int8], together: int) -> NDArray[np.int8]:
     for axis, length in enumerate(cells.shape):
         cells = np.maximum.reduceat(cells, range(0, length, together), axis=axis)
     return cells
+
+
+def _origin_of(info: Any) -> tuple[Pose, str]:
+    """Return the pose of the corner of cell (0, 0), and why it is unknown, if it is."""
+    if why := not_finite(info, "origin", within="info"):
+        return Pose(), f"The grid's origin is not finite ({why})"
+    try:
+        return pose_of(info.origin), ""
+    except ValueError as error:
+        return Pose(), f"The grid's origin is not a pose ({error})"

@@ -158,6 +158,13 @@ async def test_a_map_that_has_no_place_names_the_field(tools: Toolset, topic: st
         assert field in await told(tools, name, bag="good_frames", **arguments)
 
 
+@pytest.mark.parametrize("topic", ["/map", "/map_turned"])
+async def test_a_map_whose_origin_is_not_finite_is_drawn_from_its_own_corner(tools: Toolset, topic: str) -> None:
+    said = await told(tools, "ros2_get_map_as_image", topic_name=topic, bag="good_frames")
+    assert "cells of" in said and "picture:" in said and "the robot is not shown" in said
+    assert "origin_x_m" not in said
+
+
 async def test_a_scene_shows_the_rest_and_names_what_it_cannot_show(tools: Toolset) -> None:
     said = await told(tools, "ros2_scene", bag="good_frames")
     assert "Robot at (0.00, 0.00)" in said and "path /plan" in said

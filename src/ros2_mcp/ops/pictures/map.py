@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import asdict, dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.model.aside import load
 from ros2_mcp.model.nav2 import COSTMAP_UPDATE, GRID_UPDATE
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 @dataclass(frozen=True, slots=True)
 class MapPicture(WithPictures):
     """A map. `width` and `height` in cells; the origin is the pose of the corner of cell (0, 0), lower left in the
-    picture; `free`, `occupied` (50 % and more) and `unknown` are shares of all cells.
+    picture, null where it is not finite; `free`, `occupied` (50 % and more) and `unknown` are shares of all cells.
 
     The map's upper left pixel is at `left_px`, `top_px`, a pixel is `metres_per_pixel` wide; the rest are axes. Where
     the robot is in `frame_id` is null where nobody says so. `seconds_in` counts from a recording's beginning.
@@ -36,9 +36,9 @@ class MapPicture(WithPictures):
     resolution_m: float
     width: int
     height: int
-    origin_x_m: float
-    origin_y_m: float
-    origin_yaw_rad: float
+    origin_x_m: float | None
+    origin_y_m: float | None
+    origin_yaw_rad: float | None
     free: float
     occupied: float
     unknown: float
@@ -76,13 +76,18 @@ async def map_picture(robot: Robot, source: Source, topic: str, report: Report =
     topic, chosen = await only_topic(source, topic, OCCUPANCY_GRID)
     grid, found = await _map(robot, source, topic, report)
     numbers = await asyncio.to_thread(grid.facts)
-    place = await robot_place(source, numbers.frame_id, found.sample.received_ns)
+    told, place, unplaced = dict[str, Any](asdict(numbers)), None, ""
+    if grid.unplaced:
+        told |= dict.fromkeys(("origin_x_m", "origin_y_m", "origin_yaw_rad"))
+        unplaced = f"{grid.unplaced}: x and y are counted from the map's own corner, and the robot is not shown."
+    else:
+        place = await robot_place(source, numbers.frame_id, found.sample.received_ns)
     drawing = await asyncio.to_thread(map_drawing, grid, BOUNDS, place)
     picture = await asyncio.to_thread(finished, drawing.raster, BOUNDS)
     smaller = picture.width / drawing.raster.pixels.shape[1]
     return MapPicture(
         topic_name=await source.name_of(topic),
-        **asdict(numbers),
+        **told,
         metres_per_pixel=drawing.metres_per_pixel / smaller,
         left_px=round(drawing.left_px * smaller),
         top_px=round(drawing.top_px * smaller),
@@ -92,7 +97,7 @@ async def map_picture(robot: Robot, source: Source, topic: str, report: Report =
         received_at=iso_time(found.sample.received_ns),
         seconds_in=seconds_in(found.sample.received_ns, source.began_ns),
         source=found.source,
-        note=" ".join(filter(None, (found.note, chosen))),
+        note=" ".join(filter(None, (unplaced, found.note, chosen))),
         pictures=facts([picture]),
         images=[picture],
     )
@@ -112,4 +117,4 @@ async def _map(robot: Robot, source: Source, topic: str, report: Report) -> tupl
     found = await next_message(source, topic, OCCUPANCY_GRID, report)
     if updates:  # those up to the start time may precede it, and are not read
         found = replace(found, note=f"{found.note} Later updates are not shown.".lstrip())
-    return await asyncio.to_thread(OccupancyGrid, found.message), found
+    return await asyncio.to_thread(OccupancyGrid, found.message, needs_place=False), found
