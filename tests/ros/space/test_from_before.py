@@ -12,7 +12,7 @@ from support.agent import Agent, until
 from support.processes import peer_command, running
 
 OLD = "s old, from before"
-TOPICS = ("/count", "/armed", "/steady", "/battery", "/odom", "/goal_pose", "/map")
+TOPICS = ("/count", "/armed", "/steady", "/battery", "/odom", "/goal_pose", "/map", "/joint_states")
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -99,3 +99,8 @@ def test_a_program_and_a_resource_get_the_newest_with_its_age(agent: Agent) -> N
     assert "9 True True" in told(agent, "ros2_program_run", program=program)
     sample = json.loads(agent.ask("read_resource", "ros2://topic//count").contents[0].text)["sample"]
     assert sample["message"] == {"data": 9} and OLD in sample["from_before"]
+
+
+def test_positions_of_joints_from_before_are_told_as_old(agent: Agent) -> None:
+    said = told(agent, "ros2_robot", whole=True)
+    assert "lift 0.25" in said and "The joint positions of /joint_states are" in said

@@ -13,7 +13,7 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid, Odometry
 from rclpy.executors import ExternalShutdownException
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from sensor_msgs.msg import BatteryState
+from sensor_msgs.msg import BatteryState, JointState
 from std_msgs.msg import Bool, Int32
 
 from support.leaving import leave_on_sigterm
@@ -51,6 +51,8 @@ def main() -> None:
     room.header.frame_id, room.info.resolution, room.info.width, room.info.height = "map", 0.1, 4, 4
     room.data = [0] * 16
     grid.publish(room)
+    joints = publisher(JointState, "/joint_states")
+    joints.publish(JointState(name=["lift"], position=[0.25]))
     time.sleep(2.0)  # they are old before anybody is told that they are there
     node.create_timer(0.1, lambda: steady.publish(Bool(data=False)))
     print("ready", flush=True)

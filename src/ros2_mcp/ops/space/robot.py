@@ -339,6 +339,7 @@ async def _positions(source: Source, seen: _Seen, topic: str) -> None:
                     message: Any = stream.codec.decode(stream.type, sample.data)
                     told = zip(message.name, message.position, strict=False)
                     seen.positions |= {name: float(at) for name, at in told}
+                    seen.ages[topic] = from_before(source, stream, [sample]).age
                     if sample.received_ns - first_ns > _TURNS_NS and source.is_live:
                         return
 
@@ -451,7 +452,7 @@ def _everything(source: Source, seen: _Seen) -> RobotInBrief:
         place=place,
         frames=_frames_in_words(seen, base),
         stacks=with_active(stacks, seen.nav2),
-        unhealthy=[*trouble, *_unhealthy(source, seen)],
+        unhealthy=[*trouble, *_old_positions(seen), *_unhealthy(source, seen)],
         command_inputs=_lines(inputs),
         other_actions=_lines(other_actions(seen.graph, inputs)),
         waited_for=_lines(waited),
@@ -519,6 +520,11 @@ def _frames_in_words(seen: _Seen, base: str) -> str:
 def _misses_frames(seen: _Seen) -> bool:
     """Return whether this call received no transform although /tf or /tf_static has a publisher."""
     return not seen.tree.frames and ("frames" in seen.not_read or bool(_topics(seen.graph, _TF)))
+
+
+def _old_positions(seen: _Seen) -> list[str]:
+    topics = [one.topic for one in _topics(seen.graph, JOINT_STATE) if seen.ages.get(one.topic)]
+    return [f"The joint positions of {named(topic)} are {seen.ages[topic]}." for topic in topics]
 
 
 def _unhealthy(source: Source, seen: _Seen) -> list[str]:
