@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
 from dataclasses import dataclass
 from typing import Any
 
 from ros2_mcp.model.aside import load
 from ros2_mcp.model.errors import RobotError
-from ros2_mcp.model.occupancy import OCCUPIED_FROM
 from ros2_mcp.model.pictures import OCCUPANCY_GRID
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.navigation.targets import MAP_FRAME
@@ -19,15 +19,13 @@ from ros2_mcp.robot import Robot
 _SCAN = "sensor_msgs/msg/LaserScan"
 _MAP_S, _SCAN_S = 2.0, 1.5
 """A map is latched; the slowest scanners scan five times a second."""
-_NEAR_M = 0.15
-"""Tolerance: a cell, the noise of the scanner, and the error of a settled localisation."""
 _LEAST_HITS = 20
 """With fewer beams that hit something a share means nothing."""
 
 
 @dataclass(frozen=True, slots=True)
 class ScanFit:
-    """`share` of the beams that end within 0.15 m of an occupied cell of the map, of `beams` that hit something."""
+    """`share` of the beams that end within 0.15 m of an occupied cell of the map, of `beams` that end on it."""
 
     share: float
     beams: int
@@ -40,8 +38,9 @@ class ScanFit:
 
 async def scan_fit(robot: Robot) -> ScanFit | str:
     """Return the fit now, or a sentence on why it is unknown. Raises no `RobotError`."""
-    await load("ros2_mcp.world.scans")  # with numpy: not before it is needed
+    await load("ros2_mcp.world.scans", "ros2_mcp.world.map_fit")  # with numpy: not before it is needed
     from ros2_mcp.ops.space.frames import pose_in
+    from ros2_mcp.world.map_fit import share_that_fits
     from ros2_mcp.world.occupancy import OccupancyGrid
     from ros2_mcp.world.scans import moved, scan_points
 
@@ -60,18 +59,5 @@ async def scan_fit(robot: Robot) -> ScanFit | str:
         return error.message.rstrip(".")
     if len(hits) < _LEAST_HITS:
         return f"only {len(hits)} beams of {named(scans[0])} end at something"
-    return ScanFit(round(share_near_occupied(grid, hits.tolist()), 3), len(hits), scans[0], maps[0])
-
-
-def share_near_occupied(grid: Any, points: list[list[float]]) -> float:
-    """Return the share of points (x, y in m in the map) within `_NEAR_M` of an occupied cell; points off the grid are
-    not near."""
-    reach = max(1, round(_NEAR_M / grid.resolution_m))
-    occupied = grid.cells >= OCCUPIED_FROM
-    near = 0
-    for x_m, y_m in points:
-        row, column = grid.cell(x_m, y_m)
-        if row + reach >= 0 and column + reach >= 0:
-            around = occupied[max(0, row - reach) : row + reach + 1, max(0, column - reach) : column + reach + 1]
-            near += bool(around.any())
-    return near / len(points)
+    share, beams = await asyncio.to_thread(share_that_fits, grid, hits.tolist())
+    return ScanFit(round(share, 3), beams, scans[0], maps[0])

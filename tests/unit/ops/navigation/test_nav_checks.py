@@ -12,9 +12,9 @@ import pytest
 
 from ros2_mcp.ops.measure.diagnostics import Diagnostic
 from ros2_mcp.ops.navigation.checks import CHECKS, nav_findings_in
-from ros2_mcp.ops.navigation.checks.fit import share_that_fits
 from ros2_mcp.ops.navigation.evidence import Goal, Grids, Heard, NavEvidence, States
 from ros2_mcp.ops.sources.source import GraphSnapshot
+from ros2_mcp.world.map_fit import share_that_fits
 from support.made_navigation import (
     ACTIVE,
     CHAIN,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
-from ros2_mcp.ops.navigation.scan_fit import share_near_occupied
+from ros2_mcp.world.map_fit import share_that_fits
 from ros2_mcp.world.occupancy import OccupancyGrid
 
 
@@ -21,10 +21,10 @@ def room() -> OccupancyGrid:
 
 def test_beams_that_end_at_the_wall_fit_and_others_do_not() -> None:
     at_wall = [[3.05, 0.1 * step] for step in range(1, 31)]
-    assert share_near_occupied(room(), at_wall) == 1.0
-    assert share_near_occupied(room(), [[x - 0.6, y] for x, y in at_wall]) == 0.0
-    assert share_near_occupied(room(), [*at_wall, *([x - 0.6, y] for x, y in at_wall)]) == 0.5
+    assert share_that_fits(room(), at_wall)[0] == 1.0
+    assert share_that_fits(room(), [[x - 0.6, y] for x, y in at_wall])[0] == 0.0
+    assert share_that_fits(room(), [*at_wall, *([x - 0.6, y] for x, y in at_wall)])[0] == 0.5
 
 
 def test_beams_that_end_beside_the_map_fit_nothing() -> None:
-    assert share_near_occupied(room(), [[-5.0, -5.0], [50.0, 2.0]]) == 0.0
+    assert share_that_fits(room(), [[-5.0, -5.0], [50.0, 2.0]])[0] == 0.0
