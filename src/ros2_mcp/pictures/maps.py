@@ -34,7 +34,7 @@ def map_raster(message: Any, bounds: Bounds) -> Raster:
 
 
 def map_drawing(grid: OccupancyGrid, bounds: Bounds, robot: Place | None = None) -> MapDrawing:
-    """Draw a map with axes and the robot (a place in the frame of the map).
+    """Draw a map with axes and the robot (a place in the frame of the map); a map without a place has neither.
 
     The first row is at the bottom; free is white, occupied black, unknown grey. Cells are magnified, or pooled with the
     darkest one winning, so that walls stay visible.
@@ -54,8 +54,8 @@ def map_drawing(grid: OccupancyGrid, bounds: Bounds, robot: Place | None = None)
         metres = facts.resolution_m / times
         scale = f"one cell is {times} × {times} pixels"
     pixels, left, top = np.flipud(pixels), 0, 0
-    note = f"Map, {facts} White is free, black occupied, grey unknown; x to the right, y up; {scale}."
-    if has_axes(bounds.max_side):
+    note = f"Map, {facts.in_words(is_placed=not grid.unplaced)} White is free, black occupied, grey unknown; x to the right, y up; {scale}."
+    if has_axes(bounds.max_side) and not grid.unplaced:
         ground = _ground(facts, metres, robot)
         framed = with_axes(pixels, ground)
         pixels, left, top = framed.pixels, framed.left_px, framed.top_px

@@ -79,7 +79,7 @@ async def map_picture(robot: Robot, source: Source, topic: str, report: Report =
     told, place, unplaced = dict[str, Any](asdict(numbers)), None, ""
     if grid.unplaced:
         told |= dict.fromkeys(("origin_x_m", "origin_y_m", "origin_yaw_rad"))
-        unplaced = f"{grid.unplaced}: x and y are counted from the map's own corner, and the robot is not shown."
+        unplaced = f"{grid.unplaced}: the map is drawn without axes, and the robot is not shown."
     else:
         place = await robot_place(source, numbers.frame_id, found.sample.received_ns)
     drawing = await asyncio.to_thread(map_drawing, grid, BOUNDS, place)
