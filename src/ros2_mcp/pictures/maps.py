@@ -54,7 +54,8 @@ def map_drawing(grid: OccupancyGrid, bounds: Bounds, robot: Place | None = None)
         metres = facts.resolution_m / times
         scale = f"one cell is {times} × {times} pixels"
     pixels, left, top = np.flipud(pixels), 0, 0
-    note = f"Map, {facts.in_words(is_placed=not grid.unplaced)} White is free, black occupied, grey unknown; x to the right, y up; {scale}."
+    told = facts.in_words(is_placed=not grid.unplaced)
+    note = f"Map, {told} White is free, black occupied, grey unknown; x to the right, y up; {scale}."
     if has_axes(bounds.max_side) and not grid.unplaced:
         ground = _ground(facts, metres, robot)
         framed = with_axes(pixels, ground)
