@@ -61,7 +61,7 @@ _MOST_PICTURES = 4
 
 @dataclass(frozen=True, slots=True)
 class Done:
-    """A command of a program: the line that gave it, the function, and what became of it."""
+    """A command of a program: its line, its function, and its outcome."""
 
     line: int
     function: str

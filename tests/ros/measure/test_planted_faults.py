@@ -76,7 +76,8 @@ EXPECTED = {
 def test_nothing_is_found_while_it_is_well_and_what_is_latched_tells_its_age(well: dict[str, Any]) -> None:
     assert well["findings"] == []
     assert (
-        well["in_short"]["/map_name"].startswith("OK, 1 message, ") and "from before" in well["in_short"]["/map_name"]
+        well["other_topics"]["/map_name"].startswith("OK, 1 message, ")
+        and "from before" in well["other_topics"]["/map_name"]
     )
 
 

@@ -73,7 +73,7 @@ FACTS: dict[str, dict[str, str | list[str]]] = {
             r"/navigate_to_pose NavigateToPose \(action\) → /bt_navigator",
         ],
         "other_actions": ["/compute_path_to_pose ComputePathToPose → /planner_server"],
-        "waited_for": [],
+        "topics_without_publisher": [],
         "command_services": [
             "/enable_motors SetBool",
             "/reset_odometry Trigger",
@@ -90,7 +90,7 @@ FACTS: dict[str, dict[str, str | list[str]]] = {
             rf"/imu Imu{RATE} in imu_link at 0 0 0.1",
             rf"/camera/image_raw Image{RATE} 70° wide in camera_optical at 0.15 0 0.35",
         ],
-        "also_told": [
+        "state_topics": [
             rf"/joint_states JointState{RATE}",
             rf"/odom Odometry{RATE}",
             rf"/gripper/joint_states JointState{RATE}",
@@ -118,10 +118,10 @@ FACTS: dict[str, dict[str, str | list[str]]] = {
             for name in ("arm", "gripper")
         ],
         "other_actions": [],
-        "waited_for": [],
+        "topics_without_publisher": [],
         "command_services": ["/self_test Trigger"],
         "sensors": [],
-        "also_told": [rf"/joint_states JointState{RATE}", r"/heartbeat String «.*»"],
+        "state_topics": [rf"/joint_states JointState{RATE}", r"/heartbeat String «.*»"],
         "joints": [
             *(
                 rf"{name}_joint -?[\d.]+ rad, limits -{limit} to {limit} rad, at most {speed} rad/s"
@@ -157,7 +157,7 @@ FACTS: dict[str, dict[str, str | list[str]]] = {
             r"/mavros/setpoint_position/local PoseStamped \(goal\) → /mavros/mavros",
         ],
         "other_actions": [],
-        "waited_for": [],
+        "topics_without_publisher": [],
         "command_services": [
             "/mavros/set_mode SetMode",
             "/mavros/cmd/arming CommandBool",
@@ -170,7 +170,7 @@ FACTS: dict[str, dict[str, str | list[str]]] = {
             rf"/mavros/global_position/global NavSatFix{RATE} in gps_link at 0 0 0.08",
             r"/mavros/battery BatteryState \d+%.*",
         ],
-        "also_told": [
+        "state_topics": [
             rf"/odom Odometry{RATE}",
             rf"/mavros/extended_state ExtendedState{RATE}",
             rf"/mavros/state State{RATE}",

@@ -45,8 +45,9 @@ _SPOKEN = "FCU: "
 
 @dataclass(frozen=True, slots=True)
 class StoppedFlight:
-    """A vehicle that was told to stand: the `mode` it took, what its state said of that mode (`confirmed`) and of its
-    motors (`armed`; null: nothing). It is not disarmed: in the air it stays there.
+    """A vehicle that was commanded to hold its position. `mode` is the mode that was set; `confirmed`: the vehicle's
+    state reports that mode. `armed` is the state of its motors (null: unknown). The vehicle is not disarmed: in the air
+    it hovers.
     """
 
     vehicle: str

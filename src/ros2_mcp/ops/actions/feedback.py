@@ -28,7 +28,9 @@ class FeedbackMessage:
 
 @dataclass(frozen=True, slots=True)
 class FeedbackMessages:
-    """The feedback of an action during a call, of one goal or of all."""
+    """The feedback that an action published during the call, for one goal or for all. `omitted` counts messages that
+    did not fit.
+    """
 
     topic: str
     action_type: str

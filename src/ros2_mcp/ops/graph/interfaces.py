@@ -27,10 +27,10 @@ class InterfaceList:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Definition:
-    """The whole definition of an interface, and an example value for each of its sides, ready to fill in.
+    """The whole definition of an interface, with an example value for each side, ready to fill in.
 
-    `fields` is name → type, for a service or action one level deeper: side → name → type. `text` is the definition as
-    a listing with every nested type; `examples` has the key `message`, or `request` and `response`, or `goal`,
+    `fields` maps names to types; for a service or action it is one level deeper: side → name → type. `text` is the
+    definition with every nested type; `examples` has the key `message`, or `request` and `response`, or `goal`,
     `result` and `feedback`.
     """
 

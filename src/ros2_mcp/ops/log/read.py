@@ -63,18 +63,18 @@ class LogLine:
 
 @dataclass(frozen=True, slots=True)
 class Log:
-    """The newest lines that were asked for, the oldest first.
+    """The newest of the requested lines, the oldest first.
 
-    `matched` lines met the conditions, `kept` are in memory, `dropped` had to go from there. `listening_since` is when
-    this server began to listen; lines from a few seconds before may be there too. Of a recording `seconds_in` says when
-    each line was recorded, counted from its beginning.
+    `matched` lines match the filters, `kept` lines are in this server's memory, `dropped` older ones no longer are.
+    `subscribed_since` is when this server subscribed to /rosout; lines from a few seconds before may be included. For a
+    recording, `seconds_in` gives the receive time of each line as an offset from its start.
     """
 
     lines: Sequence[LogLine]
     matched: int = field(metadata=SAID)
     kept: int = field(metadata=SAID)
     dropped: int
-    listening_since: str
+    subscribed_since: str
     note: str = field(metadata=IF_ANY)
     source: str = "live"
     seconds_in: Sequence[float] = field(default=(), metadata=beside("lines"))
@@ -146,7 +146,7 @@ async def read(robot: Robot, request: LogRequest, max_bytes: int = 32_000) -> Lo
         matched=matched,
         kept=len(kept),
         dropped=robot.log.dropped,
-        listening_since=iso_time(robot.log.since_ns),
+        subscribed_since=iso_time(robot.log.since_ns),
         note=" ".join(notes),
     )
 
@@ -193,7 +193,7 @@ async def read_recorded(source: Source, request: LogRequest, max_bytes: int) -> 
         matched=found.matched,
         kept=capture.received,
         dropped=capture.dropped,
-        listening_since=iso_time(capture.start_ns),
+        subscribed_since=iso_time(capture.start_ns),
         note=" ".join(filter(None, (*notes, found.skipped))),
         source=source.words,
         seconds_in=[seconds for at_ns in shown_ns if (seconds := seconds_in(at_ns, source.began_ns)) is not None],

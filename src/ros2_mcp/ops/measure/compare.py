@@ -40,13 +40,13 @@ class FieldComparison:
 
     `compared_as`: a quaternion is one `rotation`, whose difference is the angle between the two; an `angle` (by its
     name: yaw, heading, steering_angle, ...) differs by at most half a turn; all other values are a `number`. `unit` is
-    empty if it is that of the field. Percentages refer to `scale`: the range of values within a topic (max - min, the
-    larger of the two; at least a thousandth of the largest magnitude, at most all of it); the magnitude if neither
-    topic varies; at least 0.001° for latitude and longitude; half a turn for angles. `correlation` is Pearson's, null
-    if one topic does not vary. `delay_s` is the delay of the second topic behind the first (by cross-correlation of the
-    values over the time of receipt), null if the two do not correlate. `not_compared` counts values that are missing,
-    or NaN or infinite, in only one topic, and rotations that were never set (all 0) in only one. `alike` counts pairs
-    that are identical but cannot be subtracted (NaN, infinity, unset).
+    empty if the difference has the unit of the field. Percentages refer to `scale`: the range of values within a topic
+    (max - min, the larger of the two; at least a thousandth of the largest magnitude, at most all of it); the magnitude
+    if neither topic varies; at least 0.001° for latitude and longitude; half a turn for angles. `correlation` is
+    Pearson's, null if one topic does not vary. `delay_s` is the delay of the second topic behind the first (by
+    cross-correlation of the values over the time of receipt), null if the two do not correlate. `not_compared` counts
+    pairs in which only one of the values is missing, NaN, infinite, or a rotation that was never set (all 0).
+    `equal_not_numeric` counts pairs that are identical but cannot be subtracted (NaN, infinity, unset).
     """
 
     field: str
@@ -62,17 +62,17 @@ class FieldComparison:
     correlation: float | None = None
     delay_s: float | None = None
     not_compared: int = 0
-    alike: int = 0
+    equal_not_numeric: int = 0
 
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """How two topics differ.
+    """The differences between two topics.
 
-    `IDENTICAL`: every field agrees within the tolerance, and every message has its partner (but for the edges).
-    `SIMILAR`: the root of the mean squared difference is at most 5 % of the field's scale in every field;
-    `DIFFERENT`: at most 50 %; `VERY DIFFERENT`: more, or nothing to compare. `receive_delay_s` is by how much the
-    second topic's message of a pair is received later, in the mean.
+    `IDENTICAL`: every field agrees within the tolerance, and every message has a partner, except at the start and the
+    end. `SIMILAR`: in every field, the root mean square (RMS) difference is at most 5 % of the field's scale;
+    `DIFFERENT`: at most 50 %; `VERY DIFFERENT`: more, or no pair could be compared. `receive_delay_s`: the second
+    message of a pair was received this much later than the first, on average.
     """
 
     topic1: str = field(metadata=SAID)
@@ -246,7 +246,7 @@ def _row(difference: Difference) -> FieldComparison:
         compared_as=difference.kind,
         unit=difference.unit,
         not_compared=difference.not_compared,
-        alike=difference.alike,
+        equal_not_numeric=difference.equal_not_numeric,
     )
     if not len(values):
         return row
@@ -294,7 +294,7 @@ def _judge(
         return math.inf if row.rms_percent is None else row.rms_percent  # null: too large for a float
 
     one_sided = [row.field for row in compared if not row.compared and row.not_compared]
-    absent = [row.field for row in compared if not (row.compared or row.not_compared or row.alike)]
+    absent = [row.field for row in compared if not (row.compared or row.not_compared or row.equal_not_numeric)]
     differing = [row for row in compared if row.compared and (row.max_percent is None or row.max_percent > tolerance)]
     differing.sort(key=percent, reverse=True)
     reasons = [

@@ -122,7 +122,7 @@ class TopicStatistics:
 
 @dataclass(frozen=True, slots=True)
 class Statistics:
-    """Several topics over the same time; an `error` of one leaves the others."""
+    """Several topics over the same time span; an `error` concerns only its topic."""
 
     source: str
     topics: Sequence[TopicStatistics]

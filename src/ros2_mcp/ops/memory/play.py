@@ -80,7 +80,8 @@ class PlayRequest:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PlaybackState:
-    """A playback. `state` is `playing`, `ended`, `stopped` or `failed`; `late_s` how far it lags behind its rhythm.
+    """A playback. `state` is `playing`, `ended`, `stopped` or `failed`; `late_s` is how far it lags behind the recorded
+    timing.
 
     `at` is the playback position as a recorded time, `seconds_in` the same as an offset from the start of the bag.
     """
@@ -106,7 +107,7 @@ class PlaybackState:
 
 @dataclass(frozen=True, slots=True)
 class PlaybackStates:
-    """The playbacks that run, and the last ones that ended."""
+    """All running playbacks, and those that ended last."""
 
     playbacks: Sequence[PlaybackState]
 

@@ -104,11 +104,11 @@ class RecordRequest:
 
 @dataclass(frozen=True, slots=True)
 class TopicCounts:
-    """One topic of a recording.
+    """The counts of one topic of a recording.
 
-    `written` messages are in the file; `dropped` were discarded because they were not written fast enough, or this
-    server was too busy; `lost` never arrived, as gaps between those that did show: not what is missing at the end (null
-    where that cannot be known). `other_types` are those of publishers that came later, and are not recorded.
+    `written` messages are in the file; `dropped` were discarded because they could not be written fast enough, or this
+    server was too busy; `lost` never arrived, as far as sequence numbers show (null if unknown; losses after the last
+    message do not show). `other_types` are types of publishers that appeared later, and are not recorded.
     """
 
     topic_name: str
@@ -162,7 +162,7 @@ class RecordingState:
 
 @dataclass(frozen=True, slots=True)
 class RecordingStates:
-    """The recordings that run, and the last ones that ended."""
+    """All running recordings, and those that ended last."""
 
     recordings: Sequence[RecordingState]
 

@@ -64,9 +64,9 @@ class Series:
 
 @dataclass(frozen=True, slots=True)
 class Plot(WithPictures):
-    """What the picture shows. Times by the receiver's clock; `note` names what is not shown, and why.
+    """The plotted series. Times are receive times; `note` lists what is not shown, and why.
 
-    `seconds_in` is `started_at` counted from a recording's beginning.
+    `seconds_in` is `started_at` as an offset from the start of a recording.
     """
 
     source: str = field(metadata=SAID)

@@ -75,13 +75,13 @@ class RelayRequest:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RelayState:
-    """A relay and what became of the messages so far.
+    """A relay and its message counts.
 
-    `state` is `starting`, `running`, `ended` (its time was over), `stopped` or `failed`. `passed` messages were
-    published on the destination; `dropped` were held back by the transform; `lost` never reached the relay or had to
-    be left out for want of time, null where that cannot be known; `failed` could not be decoded or mapped, or was a
-    velocity that is not finite.
-    `subscribers` and `publishers` are those matched now, or last.
+    `state` is `starting`, `running`, `ended` (its duration was over), `stopped` or `failed`. `published` messages were
+    published on the destination; `filtered_out` were omitted by the transform; `lost` did not reach the relay, or
+    arrived faster than it could compare them (null if unknown); `errors` could not be decoded or mapped, or were
+    velocities that are not finite. `subscribers` and `publishers` are the numbers matched now, or when the relay ended.
+    `process` is where the relay runs: `bridge` or `server`.
     """
 
     relay_id: str = field(metadata=SAID)
@@ -94,14 +94,14 @@ class RelayState:
     target_rate_hz: float | None
     duration_sec: float
     elapsed_sec: float
-    passed: int = field(metadata=SAID)
-    dropped: int = field(metadata=SAID)
+    published: int = field(metadata=SAID)
+    filtered_out: int = field(metadata=SAID)
     lost: int | None
-    failed: int
+    errors: int
     publishers: int | None
     subscribers: int
     stopped_with_zero: bool
-    runs_in: str
+    process: str
     qos: Sequence[str]
     note: str = field(metadata=IF_ANY)
 
@@ -109,13 +109,13 @@ class RelayState:
         """Return the result in one line."""
         return (
             f"{self.relay_id} ({self.transform}) {self.source_topic} → {self.destination_topic}: {self.state}, "
-            f"{self.passed} passed, {self.dropped} dropped. {self.note}"
+            f"{self.published} passed, {self.filtered_out} dropped. {self.note}"
         ).rstrip()
 
 
 @dataclass(frozen=True, slots=True)
 class RelayList:
-    """Every relay that runs, and the last ones that ended."""
+    """All running relays, and those that ended last."""
 
     relays: Sequence[RelayState]
     running: int
@@ -239,14 +239,14 @@ class Relay(Job):
             target_rate_hz=self._rate_hz,
             duration_sec=self._request.duration_s,
             elapsed_sec=round(counts.elapsed_s, 3),
-            passed=counts.passed,
-            dropped=counts.dropped + self._held_back,
+            published=counts.passed,
+            filtered_out=counts.dropped + self._held_back,
             lost=lost,
-            failed=self._failed + counts.refused,
+            errors=self._failed + counts.refused,
             publishers=publishers,
             subscribers=counts.matched,
             stopped_with_zero=counts.final_sent,
-            runs_in="server" if self._in_server else "bridge",
+            process="server" if self._in_server else "bridge",
             qos=self._qos_words,
             note=" ".join(filter(None, notes)),
         )

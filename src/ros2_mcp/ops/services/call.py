@@ -27,8 +27,8 @@ shorter time-out is a mistake."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ServiceAnswer:
-    """The response of a service as an object, or `called` false: with the request fields that are missing, or because
-    several nodes serve it, which `note` names.
+    """The response of a service as an object. `called` is false if request fields are missing (`missing_fields`), or
+    several nodes serve it (see `note`).
     """
 
     service_name: str = field(metadata=SAID)

@@ -121,7 +121,7 @@ def other_actions(graph: GraphSnapshot, inputs: Sequence[CommandInput]) -> list[
     return [Named(name, kind.rpartition("/")[2], listeners=servers) for name, kind, servers in found]
 
 
-def waited_for(graph: GraphSnapshot, inputs: Sequence[CommandInput]) -> list[Named]:
+def topics_without_publisher(graph: GraphSnapshot, inputs: Sequence[CommandInput]) -> list[Named]:
     """Return topics that have subscribers but no publisher, whatever their types. A topic of a sensor type is included
     only if a topic with nearly the same name is published, which suggests a missing remapping.
     """

@@ -484,7 +484,7 @@ async def _picture(gathered: Gathered, request: SceneRequest) -> ScenePicture:
         x_max_m=round(scene.x.high, 4),
         y_min_m=round(scene.y.low, 4),
         y_max_m=round(scene.y.high, 4),
-        line_m=drawing.line_m,
+        grid_spacing_m=drawing.line_m,
         metres_per_pixel=drawing.metres_per_pixel / smaller,
         left_px=round(drawing.left_px * smaller),
         top_px=round(drawing.top_px * smaller),

@@ -85,8 +85,8 @@ class Spread:
     """The variation of the pose over the duration, from `count` poses; the pose of the result is their mean.
 
     `std_*` are the standard deviations of the translation (m) and of the rotation (angle from the mean, degrees).
-    `most_m` and `most_deg` are the largest deviations from the mean; `moved_m` and `turned_deg` are the distance and
-    the angle between the first and the last pose.
+    `max_deviation_m` and `max_deviation_deg` are the largest deviations from the mean; `moved_m` and `turned_deg` are
+    the distance and the angle between the first and the last pose.
     """
 
     count: int
@@ -94,21 +94,21 @@ class Spread:
     std_y_m: float
     std_z_m: float
     std_deg: float
-    most_m: float
-    most_deg: float
+    max_deviation_m: float
+    max_deviation_deg: float
     moved_m: float
     turned_deg: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lookup:
-    """Where `source` is in `target`, as tf2 has it: a point of `source` times the rotation plus the translation is that
-    point in `target`. Roll, pitch and yaw are turns about the fixed axes x, y, z of `target`.
+    """The pose of `source` in `target`, as tf2 defines it: rotating a point of `source` and adding the translation
+    gives the point in `target`. Roll, pitch and yaw are rotations about the fixed axes x, y, z of `target`.
 
-    `stamp` is the time that it is of, by the stamps (null where all between is static, or without a stamp), `age_s` how
-    long before now, or the recording's end (null where a time in a recording was asked for). `chain` goes from `source`
-    to `target`, with its `edges`. `transformed` is what was given, in `target`: [x, y, z], or [x, y, z, qx, qy, qz,
-    qw].
+    `stamp` is the time of the transform by its stamps (null if all transforms in the chain are static or have no
+    stamp). `age_s` is the age at the time of the call, or at the end of the recording (null if a time in a recording
+    was given). `chain` lists the frames from `source` to `target`, `edges` the transforms between them. `transformed`
+    has the given points or poses in `target`: [x, y, z] or [x, y, z, qx, qy, qz, qw].
     """
 
     target: str = field(metadata=SAID)
@@ -402,8 +402,8 @@ def _spread(poses: Sequence[Pose]) -> Spread:
         std_y_m=deviation([one[1] for one in away]),
         std_z_m=deviation([one[2] for one in away]),
         std_deg=deviation(angles),
-        most_m=max(math.hypot(*one) for one in away),
-        most_deg=max(angles),
+        max_deviation_m=max(math.hypot(*one) for one in away),
+        max_deviation_deg=max(angles),
         moved_m=math.dist(poses[0].translation, poses[-1].translation),
         turned_deg=math.degrees(angle_between_rad(poses[0].rotation, poses[-1].rotation)),
     )

@@ -51,8 +51,9 @@ class FrameProblem:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tree(WithPictures):
-    """All frames: `roots` (more than one: several trees, between which there is no transform), and every edge, the
-    parents before their children. `problems` are sentences; none: the tree is healthy.
+    """All frames as a tree. With more than one of `roots` there are several trees, without a transform between them.
+    `edges` lists parents before their children. `problems` has a sentence for each problem; without any the tree is
+    healthy.
     """
 
     frames: int = field(metadata=SAID)

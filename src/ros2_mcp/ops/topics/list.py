@@ -27,9 +27,9 @@ _INTERNAL_NAMES = frozenset({"clearing_endpoints", "voxel_marked_cloud", "voxel_
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TopicEntry:
-    """One topic; `topic_types` is filled only where there are several, which is a fault of the system.
+    """One topic; `topic_types` is set only if the topic has several types, which is a fault.
 
-    `request_fields` is name → type of a message, only where that was asked for.
+    `request_fields` maps the fields of the messages to their types, if requested.
     """
 
     topic_name: str

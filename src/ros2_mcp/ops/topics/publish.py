@@ -46,9 +46,9 @@ class PublishRequest:
 class Published:
     """The result of publishing on one topic.
 
-    `status` is `published` if at least one subscriber was matched when it was sent, `nobody_listening` if none was,
-    and `failed` with an `error` where several were published and this one could not be. `acknowledged` is null where
-    that is not known.
+    `status` is `published` if at least one subscriber was matched when the message was sent, `no_subscriber` if none
+    was, and `failed` with an `error` if this topic, one of several, could not be published. `acknowledged` is null if
+    unknown.
     """
 
     status: str
@@ -132,7 +132,7 @@ async def publish(robot: Robot, session: Session, request: PublishRequest, repor
         left_at_default(definitions, to.type, request.data),
     )
     return Published(
-        status="published" if sent.matched else "nobody_listening",
+        status="published" if sent.matched else "no_subscriber",
         topic_name=sent.topic,
         topic_type=sent.type,
         sent=sent.sent,

@@ -42,7 +42,7 @@ async def check(present: Sequence[TopicEndpoints], windows: Sequence[Window], **
 
 def state_of(found: Health, name: str) -> str:
     rows: dict[str, str] = {row.topic_name: row.state for row in found.topics}
-    return rows[name] if name in rows else found.in_short[name].partition(",")[0]
+    return rows[name] if name in rows else found.other_topics[name].partition(",")[0]
 
 
 def at(rate_hz: float, duration_s: float = 3.0) -> list[tuple[float, dict[str, Any]]]:
@@ -101,8 +101,8 @@ async def test_topics_that_are_as_they_should_be_are_told_in_short(window: Make)
         ("/scan", "SILENT", None),
         ("/scan3", "OK", 9.877),
     ]
-    assert len(found.in_short) == 19 and set(found.in_short.values()) == {"OK, 9.877 Hz"}
-    short = len(json.dumps(found.in_short))
+    assert len(found.other_topics) == 19 and set(found.other_topics.values()) == {"OK, 9.877 Hz"}
+    short = len(json.dumps(found.other_topics))
     assert short < 700
 
 
@@ -256,7 +256,7 @@ async def test_a_stream_of_which_only_a_message_from_before_came_is_silent_and_i
     assert [row.problem for row in found.findings] == [
         "/base publishes it, but nothing new came: 1 message, 8 s old, from before."
     ]
-    assert found.in_short["/map"] == "OK, 1 message, 63 s old, from before"
+    assert found.other_topics["/map"] == "OK, 1 message, 63 s old, from before"
 
 
 async def test_the_first_in_a_chain_is_named(window: Make) -> None:
@@ -453,7 +453,7 @@ async def test_a_very_broken_robot_still_gives_a_short_report(window: Make) -> N
     ]
     found = await check(pairs, [window("/x", SCAN, [], 3.0)])
     assert found.counts["findings"] == 200
-    assert len(found.findings) == 40 and len({*(row.topic_name for row in found.topics), *found.in_short}) == 60
+    assert len(found.findings) == 40 and len({*(row.topic_name for row in found.topics), *found.other_topics}) == 60
 
 
 async def test_an_expected_latched_topic_needs_its_one_message_and_no_rate(window: Make) -> None:
