@@ -142,7 +142,7 @@ class Approvals:
         raise ApprovalNeeded(
             f"needs_approval {request.id}: this waits for a person; nothing was sent.",
             "Tell the operator, who runs `ros2-mcp operate`. Once approved, repeat the same call within "
-            f"{self._valid_s:g} s, without what was already done; it is carried out once.",
+            f"{self._valid_s:g} s, leaving out any part that already succeeded. The approval is valid for one call.",
             request_id=request.id,
         )
 

@@ -292,7 +292,8 @@ class Streams:
     def _free(self) -> int:
         if len(self._followed) + len(self._latest) >= MOST_STREAMS:
             raise Refused(
-                f"A program follows at most {MOST_STREAMS} topics at a time.", "Begin messages() before a loop, once."
+                f"A program can have at most {MOST_STREAMS} open streams.",
+                "Call messages() once, before the loop, not in it.",
             )
         return next(number for number in range(MOST_STREAMS) if number not in self._followed)
 

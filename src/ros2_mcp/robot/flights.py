@@ -106,7 +106,7 @@ class Flight(Job):
         self._core.failsafes.leave_brake(self.vehicle)
 
     def answered(self, was_sent: bool) -> None:
-        """Record that the order was answered, or is known not to be sent."""
+        """Record that the order was answered, or is known not to have been sent."""
         self._under_way -= 1
         self._ordered_ns = self._core.now_ns()
         if not was_sent and not self._under_way and not self.armed:

@@ -72,7 +72,9 @@ MaxArray = Annotated[
     Field(ge=0, le=10_000, description="Summarise longer arrays."),
 ]
 EveryN = Annotated[Whole, Field(ge=1, le=1_000_000, description="Keep every n-th message.")]
-FromBag = Annotated[str, Field(description='Read this bag, not live data; "black box": this server\'s own.')]
+FromBag = Annotated[
+    str, Field(description='Read this bag instead of live data; "black box": this server\'s recording.')
+]
 FromStart = Annotated[
     str,
     BeforeValidator(_as_text),

@@ -51,7 +51,9 @@ async def ros2_relay_start(
     duration_sec: Annotated[Number, Field(ge=0, le=86400, description="Duration in seconds; 0: until stopped.")] = 60.0,
     tolerances: Tolerances | None = None,
     mapping: Mapping | None = None,
-    destination_type: Annotated[str, Field(description="With a mapping to a topic that has no type yet.")] = "",
+    destination_type: Annotated[
+        str, Field(description="With a mapping: type of a destination that has none yet.")
+    ] = "",
 ) -> relay.RelayState:
     """Republish the messages of one topic on another, in the background. Can move the robot.
 

@@ -39,7 +39,7 @@ FIRST_HEARD_S = 5.0
 TELL_EVERY_S = 0.5
 # The path of the velocity in types with a header.
 _INNER = {"geometry_msgs/msg/TwistStamped": "twist.", "ackermann_msgs/msg/AckermannDriveStamped": "drive."}
-NOBODY = "Nobody listens to this command input: nothing was sent."
+NOBODY = "This command input has no subscriber: nothing was sent."
 
 
 class Motion:

@@ -90,7 +90,7 @@ def seconds_of_a_publish_to_nobody(agent) -> float:
     started = time.monotonic()
     sent = agent.call("ros2_topic_publish", topic_name="/nobody_here", message_type=STRING, data={"data": "x"})
     assert (sent["status"], sent["subscribers"], sent["acknowledged"]) == ("no_subscriber", 0, None)
-    assert "Nobody received it." in sent["note"]
+    assert "No subscriber received it." in sent["note"]
     return time.monotonic() - started
 
 

@@ -67,7 +67,7 @@ def test_a_subscriber_that_left_is_a_doubt_unless_another_stays_and_odometry_sho
 
 @pytest.mark.promise("README", "(or nobody listens)")
 def test_that_nobody_listens_is_said() -> None:
-    assert _facts(ENDED, [StoppedTopic("/cmd_vell", 0, None)], [], {}) == ["Nobody subscribes to /cmd_vell now."]
+    assert _facts(ENDED, [StoppedTopic("/cmd_vell", 0, None)], [], {}) == ["/cmd_vell has no subscriber now."]
     assert _facts(ENDED, [StoppedTopic("/cmd_vel", 0, None, unreached_subscribers=1)], [], {}) == []
 
 

@@ -238,7 +238,7 @@ def evaluate(capture: Capture[Columns], most_fields: int = 80) -> TopicStatistic
             f"{FromBefore.of(kept.replayed, kept.replayed_ns, capture.end_ns)}: measured, but not counted in the rate.",
         )
     if not kept.seen:
-        notes.insert(0, "No message in this time." if capture.publishers else "Nobody published on this topic.")
+        notes.insert(0, "No message in this time." if capture.publishers else "The topic had no publisher.")
     elif capture.dropped:
         notes.insert(0, f"{capture.dropped} older messages did not fit in memory and are not counted.")
     rate = kept.rate_hz(holes)

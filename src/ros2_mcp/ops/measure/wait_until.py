@@ -206,7 +206,7 @@ class _Search:
             notes.append(undecodable(self.undecodable))
         elif not self.messages_checked:
             notes.append(
-                "No message came." if self.stream.publishers else "No message came: nobody publishes on this topic."
+                "No message came." if self.stream.publishers else "No message came: the topic has no publisher."
             )
         if self.not_evaluable:
             why = f"{self.not_evaluable} of {counted(self.messages_checked, 'message')} could not be checked"

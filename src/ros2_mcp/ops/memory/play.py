@@ -187,7 +187,7 @@ class Playback(Job):
                 unheard = [topic for topic, relay in feeds.items() if relay and not relay.matched]
                 if unheard:
                     more = f" and {len(unheard) - _MOST_NAMED} more" if len(unheard) > _MOST_NAMED else ""
-                    self._note = f"Nobody subscribed to {', '.join(unheard[:_MOST_NAMED])}{more} when it began."
+                    self._note = f"No subscriber when it began: {', '.join(unheard[:_MOST_NAMED])}{more}."
                 self.begun()
                 await self._play()
                 publishers.cancel_scope.cancel()

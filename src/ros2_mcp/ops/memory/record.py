@@ -306,7 +306,7 @@ class Recording(Job):
             topics.append(replace(row, other_types=joined.other_types))
         if CALLS in written:
             topics.append(TopicCounts(CALLS, _TEXT, written[CALLS], discarded.get(CALLS, 0), 0))
-        absent = "nobody publishes it yet; recording begins within a second after somebody does."
+        absent = "no publisher yet; recording begins within a second after one appears."
         notes = [*self._notes, *(recorder.notes if recorder else ())]
         why_dropped = drops_in_words(busy, sum(discarded.values()), is_remote=self._robot.graph.is_remote)
         notes += [f"{why_dropped}."] if why_dropped else []

@@ -52,7 +52,7 @@ async def command_input(robot: Robot, given: str = "") -> Destination:
         found = [row.name for row in rows if row.subscribers and set(row.types) & set(DRIVEN_TYPES)]
         if not found:
             raise await robot.graph.missing(
-                f"Nobody listens to a topic of type {' or '.join(DRIVEN_TYPES)}.",
+                f"No topic of type {' or '.join(DRIVEN_TYPES)} has a subscriber.",
                 "Start the base's driver, or give the topic as topic_name; ros2_topic_list shows the topics.",
             )
         given = _only("command input", "topic_name", found, _INPUTS)

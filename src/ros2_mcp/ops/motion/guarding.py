@@ -127,7 +127,7 @@ async def _sight(robot: Robot, found: Found, base_frame: str, is_given: bool) ->
         elif is_given or _is_carried(located):
             mount = {"translation": list(located.pose.translation), "rotation": list(located.pose.rotation)}
         else:
-            return BadInput(f"{named(found.topic)} is told in {named(frame)}, which is not carried by the robot.")
+            return BadInput(f"{named(found.topic)} is in the frame {named(frame)}, which is not on the robot.")
     except RobotError as error:
         if is_given:
             raise

@@ -438,7 +438,7 @@ class JointMotion(Job):
         self.has_left = True
         sent = await self._robot.do(command, self._session)
         if not sent.matched:
-            self._end("no_subscriber", f"Nobody received the trajectory on {named(to.topic)}.")
+            self._end("no_subscriber", f"No subscriber received the trajectory on {named(to.topic)}.")
             return
         await self._watch()
         if self.outcome_word == "reached":

@@ -225,9 +225,9 @@ class Relay(Job):
         if late:
             notes.append(f"{counted(late, 'message')} came faster than they could be compared.")
         if self.is_running and not counts.matched:
-            notes.append("Nobody subscribes to the destination.")
+            notes.append("The destination has no subscriber.")
         if self.is_running and publishers == 0:
-            notes.append("Nobody publishes on the source now; the relay waits.")
+            notes.append("The source has no publisher now; the relay waits.")
         return RelayState(
             relay_id=self.id,
             state=self.state,

@@ -115,7 +115,7 @@ def _shorten(head: _Part, parts: Sequence[_Part], room: int, narrowing: Sequence
         if part.left_out and part.lines
     ]
     way = f" To see them, ask for less at once: {', '.join(narrowing)}." if narrowing else ""
-    return f"Left out, because this text is full: {', '.join((*cut, *gone))}.{way}"
+    return f"Omitted, because this text is full: {', '.join((*cut, *gone))}.{way}"
 
 
 class _Body:
@@ -282,7 +282,7 @@ def _grouped(name: str, values: Sequence[Any], inner: str, said: str) -> _Part:
 
 
 def _in_all(row: Mapping[str, Any], shared: Sequence[str]) -> str:
-    return f"; in all {pairs(row, shared)}" if shared else ""
+    return f"; every row has {pairs(row, shared)}" if shared else ""
 
 
 def _with(beside: Beside, rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:

@@ -133,7 +133,7 @@ def topics_without_publisher(graph: GraphSnapshot, inputs: Sequence[CommandInput
 
 def _waiting(topic: TopicEndpoints, published: TopicEndpoints | None) -> Named:
     listeners = sorted({subscriber.node for subscriber in topic.subscribers})
-    meant = f"(nobody hears {named(published.topic)}: a remapping?)" if published else ""
+    meant = f"({named(published.topic)} has no subscriber: a remapping?)" if published else ""
     return Named(topic.topic, topic.types[0].rpartition("/")[2], meant, listeners=listeners)
 
 

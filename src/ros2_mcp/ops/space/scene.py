@@ -545,7 +545,7 @@ def _chosen_grid(asked: str, grids: Sequence[str]) -> str:
     maps = [name for name in grids if _COSTMAP not in name]
     if asked.strip() == _COSTMAP:
         if not costmaps:
-            raise NotFound("Nobody publishes a costmap.", f"Grids are: {listed(grids, 8) or 'none'}.")
+            raise NotFound("No costmap has a publisher.", f"Grids are: {listed(grids, 8) or 'none'}.")
         return next((name for name in costmaps if "global" in name), costmaps[0])
     if asked.strip():
         return names.absolute(asked)

@@ -353,7 +353,7 @@ async def _over(
         return tree, first, _spread([first.pose])
     if source.is_live:
         if request.time:
-            raise BadInput("time and duration are both given.", "Leave one out: live, the duration begins now.")
+            raise BadInput("Give either time or duration_s, not both.", "On a live robot, a duration starts now.")
         poses = await _listened(source, tree, first, request.duration_s, report)
     else:
         poses = _poses(tree, first, first.stamp_ns - length_ns, first.stamp_ns)

@@ -121,7 +121,7 @@ async def _sources(robot: Robot, hovers: bool) -> tuple[Sequence[_Source], Seque
     missing = [] if rows.settled else ["discovery is under way, and more may report motion"]
     missing += [f"{counted(len(beyond), 'more topic')} with odometry or joint states, not read"] if beyond else []
     missing += [
-        f"{named(topic)} reported motion before, and nobody publishes it any more"
+        f"{named(topic)} reported motion before, and has no publisher any more"
         for topic in robot.graph.seen.published(_KINDS)
         if topic not in {*odometry, *joint_states, *beyond}
     ]

@@ -513,7 +513,7 @@ def _facts(
     if ended_jobs := [job for job in jobs if job.kind not in ("repeat", "relay") and not job.doubt]:
         facts.append(f"Ended: {', '.join(f'{job.kind} {job.id}' for job in ended_jobs)}.")
     facts += [
-        f"Nobody subscribes to {topic.topic_name} now."
+        f"{topic.topic_name} has no subscriber now."
         for topic in topics
         if not (topic.subscribers or topic.unreached_subscribers or topic.error)
     ]

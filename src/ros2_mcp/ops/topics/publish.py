@@ -241,12 +241,12 @@ async def _repeat(robot: Robot, session: Session, command: Repeat, report: Repor
 async def _note(robot: Robot, sent: Sent, reason: str) -> str:
     notes = [ended_by(reason)] if reason else []
     if not sent.matched and reason:
-        notes.append("Nobody received it.")  # many may be stopped at once: no more requests for each
+        notes.append("No subscriber received it.")  # many may be stopped at once: no more requests for each
     elif not sent.matched:
         found = await robot.graph.endpoints(sent.topic)
         ours = [publisher for publisher in found.publishers if publisher.node in robot.graph.own_nodes]
         reasons = mismatches(ours, found.subscribers)
-        notes.append(f"Nobody received it: {' '.join(reasons)}" if reasons else "Nobody received it.")
+        notes.append(f"No subscriber received it: {' '.join(reasons)}" if reasons else "No subscriber received it.")
         if not found.subscribers:  # most likely a typing error in the name of a topic with subscribers
             subscribed = [row.name for row in await robot.graph.topics() if row.subscribers and row.name != sent.topic]
             near = names.nearest(sent.topic, subscribed)

@@ -193,7 +193,7 @@ async def _published(source: Source) -> tuple[list[str], str]:
     published = [topic for topic in graph.topics.values() if topic.publishers]
     published = [row for row in published if not is_hidden(row.topic) and row.topic not in OF_EVERY_NODE]
     if not published:
-        raise NotFound(graph.absence or f"Nobody publishes on any topic in {source.title}.", "Name the topics.")
+        raise NotFound(graph.absence or f"No topic in {source.title} has a publisher.", "Name the topics.")
     published.sort(key=lambda row: (not LARGE_TYPES.intersection(row.types), row.topic))
     found = [row.topic for row in published]
     left_out = found[MAX_TOPICS:]
@@ -250,7 +250,7 @@ def _measured(source: Source, capture: Capture[AgedArrivals], publishers: Sequen
     usual = usual_s(periods) if len(periods) else 0.0
     ages = kept.ages
     if not publishers and not kept.count:
-        notes = ["Nobody publishes on it."]
+        notes = ["It has no publisher."]
     elif not kept.count:
         notes = [f"{publishers[0].who} publishes it, but sent nothing for {source.duration_s:g} s."]
     else:

@@ -63,8 +63,8 @@ async def test_what_was_published_in_this_session_and_has_no_publisher_any_more_
     found = await check_health(Recorded([], GraphSnapshot({}, ["/nav"], [], left=left)), Expectations())
     assert found.verdict == "CRITICAL"
     assert [(row.severity, row.subject, row.problem) for row in found.findings] == [
-        ("critical", "/lidar", "/lidar has left: nobody publishes any longer on /imu, /scan."),
-        ("critical", "/nav", "/nav is there, but nobody publishes any longer on /pose."),
+        ("critical", "/lidar", "/lidar has left: no publisher is left on /imu, /scan."),
+        ("critical", "/nav", "/nav is there, but no publisher is left on /pose."),
         ("warning", "/camera", "It was running earlier in this session, and has left."),
     ]
 
@@ -276,7 +276,7 @@ async def test_the_first_in_a_chain_is_named(window: Make) -> None:
         "/robot_description",
         "Start what publishes /robot_description.",
     )
-    assert "/joints waits for /robot_description, which nobody publishes" in finding.problem
+    assert "/joints subscribes to /robot_description, which has no publisher" in finding.problem
     assert "/odom" in finding.problem and "/joint_states" in finding.problem
 
 
@@ -352,7 +352,7 @@ async def test_a_node_that_left_is_one_finding_with_what_is_missing_without_it(w
     found = await check_health(Recorded([], gone), Expectations(topics=["/scan"], nodes=["/lidar", "/other"]))
     assert [finding.subject for finding in found.findings] == ["/lidar", "/other"]
     problem = found.findings[0].problem
-    assert problem.startswith("/lidar has left: nobody publishes any longer on /scan. /scan: Nobody publishes on")
+    assert problem.startswith("/lidar has left: no publisher is left on /scan. /scan: The expected topic has no")
     assert "The expected node is missing." in problem and "/nav subscribes to it" in problem
 
 
@@ -386,7 +386,7 @@ async def test_a_mismatch_of_qos_degrades(window: Make) -> None:
 
 async def test_a_node_that_waits_for_a_sensor_that_nobody_publishes_degrades(window: Make) -> None:
     found = await check([topic("/scan", (), [endpoint("/nav", SCAN)])], [window("/x", SCAN, [], 3.0)])
-    assert (found.verdict, found.findings[0].problem) == ("DEGRADED", "/nav subscribes to it, but nobody publishes.")
+    assert (found.verdict, found.findings[0].problem) == ("DEGRADED", "/nav subscribes to it, but it has no publisher.")
     assert found.subscribers_without_publishers == ["/scan"]
 
 

@@ -28,7 +28,7 @@ def _find(evidence: Evidence) -> Iterator[Finding]:
     for publishers, topics in silenced.items():
         gone = [node for node in publishers if node in graph.left.nodes]
         who = f"{listed(gone, MAX_NAMES)} has left:" if gone else f"{listed(publishers, MAX_NAMES)} is there, but"
-        problem = f"{who} nobody publishes any longer on {listed(sorted(topics), MAX_NAMES)}."
+        problem = f"{who} no publisher is left on {listed(sorted(topics), MAX_NAMES)}."
         advice = "Start the node again; ros2_log_read may show why it ended."
         is_needed = any(graph.left.types.get(name) in _STEADY or name in expected.topics for name in topics)
         severity = "critical" if is_needed and graph.settled else "warning"
