@@ -38,6 +38,8 @@ Transform = Callable[[Sample], "bytes | None"]
 TRANSFORMS = {"identity": "identity", "rate_limit": "rate_limit", "on_change": "on_change", "filter": "on_change"}
 MAX_RELAY_S = 86_400.0
 """A day: longer than any task of a robot, and short enough that a forgotten relay ends."""
+DEFAULT_RATE_HZ = 10.0
+"""The rate limit if none is given: fast enough to follow a robot, and the default of the relay prompt."""
 _STARTED_S = 5.0
 """A relay that has not begun by then (the bridge is busy) is reported as `starting`, and goes on."""
 _MATCH_S = 1.0
@@ -60,13 +62,15 @@ does not matter, small enough that no request takes long."""
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RelayRequest:
-    """The settings of a relay. `duration_s` 0: until stopped. `destination_type` matters only with a mapping."""
+    """The settings of a relay. `duration_s` 0: until stopped. `destination_type` is allowed only with a mapping,
+    `target_rate_hz` only with the transform `rate_limit` (default: `DEFAULT_RATE_HZ`).
+    """
 
     source_topic: str
     destination_topic: str
     message_type: str = ""
     transform: str = "identity"
-    target_rate_hz: float = 10.0
+    target_rate_hz: float | None = None
     duration_s: float = 60.0
     tolerances: Mapping[str, float] = field(default_factory=dict[str, float])
     mapping: Mapping[str, str] = field(default_factory=dict[str, str])
@@ -109,7 +113,7 @@ class RelayState:
         """Return the result in one line."""
         return (
             f"{self.relay_id} ({self.transform}) {self.source_topic} → {self.destination_topic}: {self.state}, "
-            f"{self.published} passed, {self.filtered_out} dropped. {self.note}"
+            f"{self.published} published, {self.filtered_out} filtered out. {self.note}"
         ).rstrip()
 
 
@@ -154,7 +158,7 @@ class Relay(Job):
         self.at_most_s = request.duration_s or math.inf
         self._types = source_type, destination_type
         self._transform = TRANSFORMS[request.transform]
-        self._rate_hz = request.target_rate_hz if self._transform == "rate_limit" else None
+        self._rate_hz = (request.target_rate_hz or DEFAULT_RATE_HZ) if self._transform == "rate_limit" else None
         self._in_server = self._transform == "on_change" or bool(request.mapping)
         self._pass = self._make_transform()
         self._choose_qos(source, destination)
@@ -214,7 +218,7 @@ class Relay(Job):
         is_told = isinstance(self.failure, Stopped) and self.stop_reason  # `ended_by` says it
         notes: list[str] = [str(self.failure)] if self.failure and not is_told else []
         if self._failed:
-            notes.append(f"{counted(self._failed, 'message')} could not be passed on; last error: {self._last_error}")
+            notes.append(f"{counted(self._failed, 'message')} could not be published; last error: {self._last_error}")
         notes.append(guarded(counts.stopper_s, counts.unguarded))
         if counts.refused:
             notes.append(held_back(counts.refused))
@@ -375,7 +379,13 @@ async def start(robot: Robot, session: Session, request: RelayRequest) -> RelayS
         raise BadInput(
             f"tolerances have no meaning with {request.transform}.", "Leave tolerances out, or use transform on_change."
         )
-    bounded("target_rate_hz", request.target_rate_hz, MIN_RATE_HZ, MAX_RATE_HZ, "Hz")
+    if request.target_rate_hz is not None:
+        if TRANSFORMS[request.transform] != "rate_limit":
+            raise BadInput(
+                f"target_rate_hz has no meaning with {request.transform}.",
+                "Leave target_rate_hz out, or use transform rate_limit.",
+            )
+        bounded("target_rate_hz", request.target_rate_hz, MIN_RATE_HZ, MAX_RATE_HZ, "Hz")
     bounded("duration_sec", request.duration_s, 0.0, MAX_RELAY_S, "s")
     if source == destination:
         raise BadInput(f"A relay from {source} to itself would feed itself.", "Choose another destination.")

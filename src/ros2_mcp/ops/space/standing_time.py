@@ -90,4 +90,5 @@ async def _clock_in_words(source: Source, newest_ns: int, *, is_told: bool) -> s
         return f"{who} publishes {_CLOCK}, but sends nothing (a simulation that is paused, or hangs)"
     if max(times) != min(times) or max(times) > newest_ns + _AHEAD_NS:
         return ""
-    return f"{_CLOCK}, published by {who}, is stopped at {stamp_in_words(max(times))} (a simulation that is paused, or hangs)"
+    stopped = f"{_CLOCK}, published by {who}, is stopped at {stamp_in_words(max(times))}"
+    return f"{stopped} (a simulation that is paused, or hangs)"

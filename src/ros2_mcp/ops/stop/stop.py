@@ -465,10 +465,8 @@ def _doubts(topics: Sequence[StoppedTopic], goals: Sequence[StoppedGoal], seen: 
                 f"{', '.join(topic.other_publishers)} also publishes on {topic.topic_name}: the robot may still move."
             )
         if topic.unreached_subscribers:
-            doubts.append(
-                f"{counted(topic.unreached_subscribers, 'subscriber')} of {topic.topic_name} did not get the zero: stop "
-                "again."
-            )
+            unreached = counted(topic.unreached_subscribers, "subscriber")
+            doubts.append(f"{unreached} of {topic.topic_name} did not get the zero: stop again.")
         if topic.error:
             doubts.append(topic.error)
         elif topic.subscribers and topic.acknowledged is None:

@@ -14,7 +14,8 @@ def _find(evidence: Evidence) -> Iterator[Finding]:
     for name, published in led_nowhere(evidence.graph.topics).items():
         awaited = evidence.graph.topics[name]
         who, by = nodes_of(awaited.subscribers), nodes_of(published.publishers)
-        problem = f"{who} subscribes to it, but it has no publisher; {by} publishes {published.topic}, which has no subscriber."
+        other = f"{by} publishes {published.topic}, which has no subscriber"
+        problem = f"{who} subscribes to it, but it has no publisher; {other}."
         advice = f"If they belong together, remap one: {published.topic}:={name}."
         yield Finding("warning", name, problem, advice, only(evidence.graph.left.topics.get(name, ())) or name)
 
