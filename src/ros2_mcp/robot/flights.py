@@ -122,7 +122,7 @@ class Flight(Job):
         elif self.is_running and not self.comes_down:
             braked = await self.brake()
             if braked.error:
-                _logger.warning("%s was not made to stand: %s", self.vehicle, braked.error)
+                _logger.warning("%s could not be brought to hold its position: %s", self.vehicle, braked.error)
 
     async def brake(self) -> Braked:
         """Order the best brake mode that the vehicle has, and wait for its state to confirm it.

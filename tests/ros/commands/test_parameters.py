@@ -119,7 +119,7 @@ def test_what_every_node_has_is_left_out_of_a_list_unless_it_is_asked_for_or_set
 
     found, note = listed()
     assert "speed" in found and "use_sim_time" not in found
-    assert re.match(r"Left out: \d standard parameters \(use_sim_time at its default, ", note)
+    assert re.match(r"Not shown: \d standard parameters \(use_sim_time at its default, ", note)
     assert listed("use_sim*") == ({"use_sim_time": False}, "")
     put(agent, robot, use_sim_time=True)
     assert listed()[0]["use_sim_time"] is True

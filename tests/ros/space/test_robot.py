@@ -103,7 +103,7 @@ FACTS: dict[str, dict[str, str | list[str]]] = {
         ],
         "controllers": [],
         "stacks": ["Nav2: 3 of 3 active"],
-        "frames": r"map → odom → base_link; 7 in all",
+        "frames": r"map → odom → base_link; 7 frames in total",
         "unhealthy": [],
     },
     "arm": {
@@ -111,7 +111,7 @@ FACTS: dict[str, dict[str, str | list[str]]] = {
         "kind": "arm of 6 joints and a gripper",
         "base_frame": "base_link",
         "footprint": "0.20 × 0.20 m, centred",
-        "place": r"In world at x 0.00 y 0.00 m, yaw 0° \(TF, fixed there\).",
+        "place": r"In world at x 0.00 y 0.00 m, yaw 0° \(TF, static\).",
         "command_inputs": [
             rf"/{name}_controller/follow_joint_trajectory FollowJointTrajectory "
             rf"\(action, or topic joint_trajectory\) → /{name}_controller"
@@ -141,7 +141,7 @@ FACTS: dict[str, dict[str, str | list[str]]] = {
             "/gripper_controller",
         ],
         "stacks": [],
-        "frames": r"world → base_link; 11 in all",
+        "frames": r"world → base_link; 11 frames in total",
         "unhealthy": [],
     },
     "drone": {
@@ -183,7 +183,7 @@ FACTS: dict[str, dict[str, str | list[str]]] = {
         "joints": [],
         "controllers": [],
         "stacks": ["MAVROS"],
-        "frames": r"map → base_link; 5 in all",
+        "frames": r"map → base_link; 5 frames in total",
         "unhealthy": [],
     },
 }

@@ -56,7 +56,7 @@ def test_a_subscriber_that_never_acknowledges_needs_to_where_nothing_shows_that_
 
 
 def test_a_subscriber_that_left_is_a_doubt_unless_another_stays_and_odometry_shows_that_the_base_stands() -> None:
-    said = ["/base took commands on /cmd_vel and is gone: it may move until it is seen again."]
+    said = ["/base received commands on /cmd_vel and has left the graph: it may still move."]
     one_left = StoppedTopic("/cmd_vel", 1, True, lost_subscribers=["/base"])
     assert _doubts([one_left], [], UNSEEN) == _doubts([one_left], [], JOINTS_STAND) == said
     assert _doubts([one_left], [], BASE_STANDS) == []

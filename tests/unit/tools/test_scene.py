@@ -214,7 +214,7 @@ async def test_without_a_map_the_scan_shows_the_room(tools: Toolset) -> None:
         ({"frame": "mapp"}, r"There is no frame mapp\..*Did you mean map\?"),
         ({"grid": "/nowhere"}, "/nowhere"),
         ({"grid": "/scan"}, "/scan is a sensor_msgs/msg/LaserScan"),
-        ({"bag": "lost", "radius_m": 2}, "Without the robot's place in map"),
+        ({"bag": "lost", "radius_m": 2}, "The robot's pose in map is unknown"),
         ({"bag": "mapless", "grid": "costmap"}, "No costmap has a publisher"),
     ],
 )

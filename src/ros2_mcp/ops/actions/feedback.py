@@ -89,5 +89,5 @@ async def follow_feedback(
                 break
     note = "" if messages else "No feedback: no goal is running, or the server publishes none."
     if omitted:
-        note = f"Left out to keep the answer short: the last {counted(omitted, 'message')}."
+        note = f"Not shown, to keep the answer short: the last {counted(omitted, 'message')}."
     return FeedbackMessages(topic, action_type, only_goal, monotonic() - started, messages, omitted, note)

@@ -72,7 +72,7 @@ class AuditExcerpt:
     def summary(self) -> list[str]:
         """A line for each of the newest."""
         entries = counted(len(self.entries), "audit entry", "audit entries")
-        return [f"{entries} for this client; end of the chain: {self.head}.", *self.shown]
+        return [f"{entries} for this client; last hash of the chain: {self.head}.", *self.shown]
 
 
 async def read(robot: Robot, session: Session, limit: int = 50) -> AuditExcerpt:

@@ -182,7 +182,7 @@ def evaluate(
         earlier, later = (first, second) if delay_s > 0 else (second, first)
         reasons.append(f"By its values, {later.topic} is {1000 * abs(delay_s):.3g} ms behind {earlier.topic}.")
     for capture in (first, second):
-        troubles = (capture.mixed, capture.kept.skipped, capture.kept.bounds("Compared are those", capture.began_ns))
+        troubles = (capture.mixed, capture.kept.skipped, capture.kept.bounds("The comparison covers", capture.began_ns))
         reasons += [f"{capture.topic}: {trouble}" for trouble in troubles if trouble]
     return Comparison(
         topic1=first.topic,
@@ -219,7 +219,7 @@ def _pairing_times(
     if stamps[0] is None or stamps[1] is None:
         reason = ": not both topics have a header" if by_stamp else ""
     elif not len(stamps[0]) or not len(stamps[1]):
-        reason = ": a topic is silent"
+        reason = ": a topic has no messages"
     elif any(own[-1] <= 0 or (own[1:] <= own[:-1]).any() for own in (stamps[0], stamps[1])):
         reason = ": the stamps do not increase"
     elif stamps[0][-1] < stamps[1][0] or stamps[1][-1] < stamps[0][0]:
@@ -284,10 +284,9 @@ def _judge(
         without = [capture for capture in (first, second) if not capture.kept.rows]
         lost = " and ".join(capture.topic for capture in without if capture.holes)
         silent_topics = " and ".join(capture.topic for capture in without if not capture.holes)
-        reasons = (
-            [f"Nothing was compared: of {lost} nothing can be read, for the recording is damaged."] if lost else []
-        )
-        reasons += [f"{silent_topics} sent nothing."] if silent_topics else []
+        damaged = f"Nothing was compared: the recording is damaged, and no message of {lost} can be read."
+        reasons = [damaged] if lost else []
+        reasons += [f"No message was received on {silent_topics}."] if silent_topics else []
         return "VERY DIFFERENT", reasons or ["No two messages are close in time."]
 
     def percent(row: FieldComparison) -> float:
@@ -300,19 +299,19 @@ def _judge(
     reasons = [
         f"{row.field} differs by {row.rms_difference or 0.0:.3g} {row.unit}".rstrip()
         + f" ({row.rms_percent or 0.0:.3g} %) RMS, "
-        f"{row.max_difference or 0.0:.3g} at most."
+        f"at most {row.max_difference or 0.0:.3g}."
         for row in differing[:_MAX_REASONS]
     ]
     if len(differing) > _MAX_REASONS:
-        reasons.append(f"{counted(len(differing) - _MAX_REASONS, 'more field')} with differences.")
+        reasons.append(f"{counted(len(differing) - _MAX_REASONS, 'more field')} differ.")
     unpaired = max(counts) - pairs - max(_in_holes(first, second), _in_holes(second, first))
     if unpaired > max(_EDGES, _UNPAIRED_SHARE * max(counts)):
-        reasons.append(f"{counted(unpaired, 'message')} without a partner ({counts[0]} and {counts[1]} received).")
+        reasons.append(f"{counted(unpaired, 'message')} have no partner ({counts[0]} and {counts[1]} received).")
     if not_compared := sum(row.not_compared for row in compared if row.compared_as != "rotation"):
-        reasons.append(f"{counted(not_compared, 'value')} not finite, or missing, on one topic only.")
+        reasons.append(f"{counted(not_compared, 'value')} are missing or not finite on one topic only.")
     if not_compared := sum(row.not_compared for row in compared if row.compared_as == "rotation"):
-        reasons.append(f"{counted(not_compared, 'rotation')} missing, or never set, on one topic only.")
-    nothing = [f"Nothing to compare in either: {listed(absent, _MAX_REASONS)}."] if absent else []
+        reasons.append(f"{counted(not_compared, 'rotation')} are missing or never set on one topic only.")
+    nothing = [f"No value on either topic: {listed(absent, _MAX_REASONS)}."] if absent else []
     if len(absent) == len(compared):
         return "VERY DIFFERENT", reasons + nothing
     if not reasons:

@@ -238,8 +238,8 @@ def _nothing_measured(evidence: Evidence) -> list[Finding]:
     parts = (any(flow.count for flow in evidence.flows.values()), evidence.diagnostics.rows, evidence.lifecycle)
     if is_expected_there or controllers or any(parts):
         return []
-    what = "no topic was listened to" if not evidence.expected.check_rates else "no message came on any topic"
-    problem = f"Nothing was measured: {what}, and no component told of itself. That it is healthy is not known."
+    what = "topics were not read" if not evidence.expected.check_rates else "no message came on any topic"
+    problem = f"Nothing was measured: {what}, and no diagnostics were published. The health of the robot is unknown."
     advice = "Name what must be there in expected_topics, expected_services and expected_nodes."
     return [Finding("warning", "robot", problem, advice)]
 

@@ -221,7 +221,7 @@ def evaluate(capture: Capture[Columns], most_fields: int = 80) -> TopicStatistic
     notes = [
         capture.odd_times,
         kept.skipped,
-        kept.bounds("Jumps and stuck values are searched in those", capture.began_ns),
+        kept.bounds("Jumps and stuck values were searched in", capture.began_ns),
     ]
     if not kept.all_kept:
         until = recorded_time(int(kept.times_ns[-1]), capture.began_ns) if len(kept.times_ns) else "its beginning"

@@ -221,7 +221,7 @@ class Playback(Job):
         slower = sum(counts.limited for counts in ended.values() if counts)
         left_out = "; ".join(f"{listed(found, _MOST_NAMED)} ({why})" for why, found in self._left_out.items())
         told = (
-            f"Left out: {left_out}." if left_out else "",
+            f"Not played: {left_out}." if left_out else "",
             self._guarded,
             held_back(refused) if refused else "",
             limited(slower) if slower else "",

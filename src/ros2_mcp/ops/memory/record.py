@@ -437,7 +437,7 @@ class Recording(Job):
                     samples = await listening.take(0.0)
                     sizes = [len(sample.data) for sample in samples]
                     if largest and (size := max(sizes, default=0)) > largest:
-                        what = f"Left out: it has messages of {size} bytes, more than {largest}."
+                        what = f"Not recorded: it has messages of {size} bytes, more than {largest}."
                         raise Refused(what, "Name the topic to record it.")
                     recorder.put(name, samples)
                     await anyio.sleep(_SHORT_TURN_S if sum(sizes) > _MUCH_BYTES else _TURN_S)

@@ -101,7 +101,7 @@ class DriveRequest:
         elif self.speed is not None:
             bounded("speed", self.speed, MIN_MPS, MAX_MPS, "m/s")
         if self.guard_m == 0 and self.scan:
-            raise BadInput("guard_m=0 looks at no sensor, and scan names one.", "Leave one of them out.")
+            raise BadInput("guard_m=0 uses no sensor, but scan names one.", "Leave one of them out.")
         if self.guard_m:
             bounded("guard_m", self.guard_m, MIN_GUARD_M, MAX_GUARD_M, "m")
 
@@ -158,7 +158,7 @@ class Driven:
         """Return the result in one line."""
         unit = "°" if self.unit == "deg" else " m"
         if self.measured is None:
-            return f"{self.outcome}: nothing was driven. {self.note}".rstrip()
+            return f"{self.outcome}: the robot was not moved. {self.note}".rstrip()
         error = "" if self.error is None else f", {abs(self.error):.3g}{unit} {self._side(self.error)},"
         went = f"{self.measured:.3f}{unit} of {self.requested:g}{unit}{error} by {named(self.odometry)}"
         return f"{self.outcome}: {went} in {self.elapsed_s:.1f} s. {self.note}".rstrip()
@@ -224,10 +224,10 @@ def _looked(request: DriveRequest, guard: Guarding | None, moved: Moved) -> str:
     if guard:
         return f"{guard.note} {WITHOUT}" if moved.outcome == "guard" else guard.note
     if request.guard_m == 0:
-        return "Obstacles were not looked at: guard_m was 0."
+        return "Obstacles were not checked: guard_m was 0."
     if not request.is_turn and request.length > BLIND_M:
         return "It drove blind: the robot has no laser scan and no point cloud."
-    return "Obstacles were not looked at: the robot has no laser scan and no point cloud."
+    return "Obstacles were not checked: the robot has no laser scan and no point cloud."
 
 
 def _fastest(request: DriveRequest, type_name: str, base: str) -> Mapping[str, Any]:

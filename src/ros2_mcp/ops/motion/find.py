@@ -96,8 +96,11 @@ async def located_on(robot: Robot, frame: str, base_frame: str) -> Located | Non
     try:
         return await pose_in(Live(robot), base_frame, frame)
     except RobotError as error:
-        problem = f"The position of {named(frame)} on the robot is unknown, so what it shows cannot guard: {error}"
-        raise NotFound(problem, "ros2_tf_tree shows the frames. guard_m=0 drives without looking.") from error
+        useless = "so the sensor cannot be used to detect obstacles"
+        problem = f"The position of {named(frame)} on the robot is unknown, {useless}: {error}"
+        raise NotFound(
+            problem, "ros2_tf_tree shows the frames. guard_m=0 drives without checking for obstacles."
+        ) from error
 
 
 async def base_frame_of(robot: Robot, odometry: Found) -> str:

@@ -53,8 +53,8 @@ async def _past_a_monitor(robot: Robot, topic: str, publishers: Sequence[str]) -
             inputs = [one.name for one in (await robot.graph.node(node)).subscribers if _is_velocity(one.types)]
         except RobotError:
             return ""
-        where = f" What comes on {listed(inputs, 2)} is: drive there to be held by it." if inputs else ""
-        return f"{named(topic)} is the output of {named(node)}: what is published there is not held by it.{where}"
+        where = f" It does check commands on {listed(inputs, 2)}." if inputs else ""
+        return f"{named(topic)} is the output of {named(node)}: it does not check commands published there.{where}"
     return ""
 
 

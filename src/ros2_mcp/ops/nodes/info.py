@@ -74,7 +74,7 @@ class NodeInfo:
         has = "" if self.parameters is None else f" It has {self.parameters} parameters."
         state = f" Its lifecycle state is {named(self.lifecycle_state)}." if self.lifecycle_state else ""
         services = counted(self.omitted, "service")
-        hidden = f" Left out: {services} for its parameters and actions; ros2_service_list lists them."
+        hidden = f" Not shown: {services} for its parameters and actions; ros2_service_list lists them."
         unsettled = " Discovery had not settled: the lists may be incomplete. Ask again."
         who = f"{self.node} (this server)" if self.from_this_server else self.node
         return (

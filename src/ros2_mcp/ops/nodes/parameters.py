@@ -250,7 +250,7 @@ async def describe(robot: Robot, nodes: Sequence[str], pattern: str = "", limit:
     notes += [f"Too long to show: {counted(len(long), 'value')}; {_LONG_HINT}"] if long else []
     if omitted:
         usual = ", ".join((*(f"{name} at its default" for name in _OF_EVERY_NODE), f"{_OVERRIDES}*"))
-        notes.append(f"Left out: {omitted} standard parameters ({usual}); give a pattern to show them.")
+        notes.append(f"Not shown: {omitted} standard parameters ({usual}); give a pattern to show them.")
     return ParameterList(shown, " ".join(filter(None, notes)))
 
 

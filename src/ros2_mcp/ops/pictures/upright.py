@@ -63,4 +63,6 @@ async def upright_of(source: Source, frame: str, at_ns: int) -> Upright:
 def _shown(frame: str, upright: str, pose: Pose) -> Upright:
     if rotated(pose.rotation, (0.0, 0.0, 1.0))[2] >= _UP:
         return Upright(frame)
-    return Upright(upright, pose, f"Shown in {named(upright)}, whose z is up: that of {named(frame)} is not.")
+    return Upright(
+        upright, pose, f"Shown in {named(upright)}, whose z axis points up; that of {named(frame)} does not."
+    )

@@ -36,7 +36,7 @@ _OURS = frozenset(
 )
 """Fields whose texts this server has written, with the robot's texts quoted already: shown unchanged."""
 _LAST = ("note", "notes")
-_NOTHING_FOUND = "There is nothing."
+_NOTHING_FOUND = "Nothing was found."
 """The text of a result without a line of its own, such as an empty list."""
 
 Beside: TypeAlias = "tuple[str, Sequence[Any]] | None"

@@ -116,7 +116,7 @@ async def call(
         hint = "The server may still be working on it; give a longer timeout_sec."
         raise TimedOut(error.message, error.hint or hint) from error
     shown = await robot.values.render(answer.type, answer.body)
-    notes = [f"{in_words_of(service, servers)}: this is the first answer of them." if servers else ""]
+    notes = [f"{in_words_of(service, servers)}: this is the first answer." if servers else ""]
     notes += [left_at_default(robot.values.definitions, f"{service_type}_Request", request)]
     if flights.is_order(service, service_type, request):
         notes.append(await flights.outcome(robot, service, service_type, request, shown.value, sent_ns))

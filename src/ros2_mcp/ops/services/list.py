@@ -66,9 +66,9 @@ async def list_services(robot: Robot, pattern: str = "", include_hidden: bool = 
     entries = [ServiceEntry(name, kind, fields[kind], providers.get(name, [])) for name, kind in chosen]
     note, left_out = "", len(matching) - len(visible)
     if left_out and pattern:
-        note = f"Left out: {left_out} services of actions; include_hidden=true lists them. "
+        note = f"Not shown: {left_out} services of actions; include_hidden=true lists them. "
     elif left_out:
-        note = f"Left out: {left_out} standard services of nodes and actions; include_hidden=true lists them. "
+        note = f"Not shown: {left_out} standard services of nodes and actions; include_hidden=true lists them. "
     note += list_note(len(visible), limit, found.settled, absence)
     return ServiceList(entries, len(types), found.settled, " ".join(filter(None, (note.rstrip(), unknown))))
 

@@ -182,7 +182,7 @@ class Stream:
 
     async def why_no_more(self, last: Sample | None) -> str:
         """Return a sentence on why no sample came after `last`, which is None if there was no sample at all."""
-        return f"The recording has {'no more' if last else 'nothing'} of it in that part."
+        return f"The recording has {'no more messages' if last else 'no message'} of it in that part."
 
 
 @dataclass(frozen=True, slots=True)

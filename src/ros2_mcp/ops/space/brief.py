@@ -77,7 +77,7 @@ class RobotInBrief:
         """Return the first lines of the text; the values hold the rest."""
         health = "" if self.unhealthy else " Nothing unhealthy seen."
         not_read = f" Not read: {', '.join(self.not_read)}." if self.not_read else ""
-        omitted = f" {self.omitted} lines are left out: part shows all of one part." if self.omitted else ""
+        omitted = f" {self.omitted} lines are omitted: part returns one part in full." if self.omitted else ""
         return f"{quoted(self.name)}: {self.kind}. {self.place}{health}{not_read}{omitted}"
 
 

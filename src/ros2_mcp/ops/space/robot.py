@@ -405,7 +405,7 @@ async def _published_footprint(source: Source, seen: _Seen) -> None:
             continue
         if message := await _message(source, seen, one.topic, "geometry_msgs/msg/PolygonStamped"):
             if why := not_finite(message, "polygon"):
-                seen.senseless.append(f"{named(one.topic)} is no outline: {why}.")
+                seen.senseless.append(f"{named(one.topic)} is not a valid footprint: {why}.")
                 return
             seen.footprint = [(float(at.x), float(at.y), float(at.z)) for at in message.polygon.points[:_MOST_CORNERS]]
             seen.footprint_frame = message.header.frame_id.lstrip("/")
@@ -514,7 +514,7 @@ def _frames_in_words(seen: _Seen, base: str) -> str:
     trees = f", {len(roots)} trees" if len(roots) > 1 else ""
     apart = [root for root in tree.roots if root not in roots and root not in disputed_roots(tree)]
     copies = f" ({', '.join(map(named, apart))} with its copies apart)" if apart else ""
-    return f"{way}{len(tree.frames)} in all{trees}{copies}"
+    return f"{way}{len(tree.frames)} frames in total{trees}{copies}"
 
 
 def _misses_frames(seen: _Seen) -> bool:
@@ -538,7 +538,7 @@ def _unhealthy(source: Source, seen: _Seen) -> list[str]:
             found.append(in_words(row))
     missed = {one.topic for one, kind in ranked(seen.graph) if kind in MISSED}
     silent_ones = (topic for topic, head in seen.heads.items() if not head.count and topic in missed)
-    found += [f"{named(topic)} is published, but silent." for topic in silent_ones]
+    found += [f"{named(topic)} has a publisher, but no message was received." for topic in silent_ones]
     return [*found, *_of_the_robot(seen), *idle_movers(seen.graph, seen.managed), *seen.reports]
 
 

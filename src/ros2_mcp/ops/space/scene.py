@@ -176,7 +176,7 @@ class Gathered:
             return message
         if layer == "goal":  # the robot may have reached it since
             return found
-        self.missing.append(f"The path {named(topic)} was sent {ago_s:.0f} s ago, and nothing since.")
+        self.missing.append(f"The path {named(topic)} was published {ago_s:.0f} s ago, and not since.")
         return message
 
     async def _read_grid(self, type_name: str) -> RobotError | None:
@@ -460,7 +460,7 @@ _PLACERS: dict[str, Callable[[Gathered, str, Any, Pose, float | None], None]] = 
 async def _picture(gathered: Gathered, request: SceneRequest) -> ScenePicture:
     source, at = gathered.source, gathered.robot
     if request.radius_m is not None and at is None:
-        raise BadInput(f"Without the robot's place in {named(gathered.frame)} nothing can be shown around it.")
+        raise BadInput(f"The robot's pose in {named(gathered.frame)} is unknown, so its surroundings cannot be shown.")
     try:
         drawing, scene, picture = await asyncio.to_thread(_drawn, gathered, request)
     except BadData as error:  # there is nothing to show

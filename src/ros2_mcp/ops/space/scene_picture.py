@@ -94,11 +94,11 @@ class ScenePicture(WithPictures):
         width, height = self.x_max_m - self.x_min_m, self.y_max_m - self.y_min_m
         where = ""
         if self.robot_x_m is not None and self.robot_yaw_deg is not None:
-            old = ", fixed there" if self.robot_age_s is None else f", {self.robot_age_s:.2f} s ago"
+            old = ", static" if self.robot_age_s is None else f", {self.robot_age_s:.2f} s ago"
             high = f", {self.robot_z_m:.2f} m high" if abs(self.robot_z_m or 0.0) >= _FLAT_M else ""
             at = f"({self.robot_x_m:.2f}, {self.robot_y_m:.2f}) m{high}"
             where = f" Robot at {at}, heading {round(self.robot_yaw_deg)}°{old}."
-        shown = ", ".join(_in_words(layer) for layer in self.layers) or "nothing but lines"
+        shown = ", ".join(_in_words(layer) for layer in self.layers) or "only grid lines"
         grid = f"grid lines every {self.grid_spacing_m:g} m"
         line = f"Scene in {named(self.frame_id)}, {width:.4g} m × {height:.4g} m, {grid}.{where} Shown: {shown}."
         return [line, *([str(self.meaning)] if self.meaning else []), *self.missing]

@@ -144,8 +144,8 @@ class Lookup:
         if self.spread:
             one = self.spread
             lines.append(
-                f"Mean of {one.count}: spread x {one.std_x_m:.2g}, y {one.std_y_m:.2g}, z {one.std_z_m:.2g} m, "
-                f"{one.std_deg:.2g} deg; moved {one.moved_m:.3g} m, turned {one.turned_deg:.3g} deg."
+                f"Mean of {one.count} poses: standard deviation x {one.std_x_m:.2g}, y {one.std_y_m:.2g}, "
+                f"z {one.std_z_m:.2g} m, {one.std_deg:.2g} deg; moved {one.moved_m:.3g} m, turned {one.turned_deg:.3g} deg."
             )
         if self.transformed:
             shown = ["(" + ", ".join(f"{part:.4f}" for part in one) + ")" for one in self.transformed[:_MOST_SHOWN]]
@@ -153,7 +153,7 @@ class Lookup:
             lines.append(f"In {named(self.target)}: {', '.join(shown)}{more}.")
         if self.edges:
             steps = [f"{named(row.parent)} → {named(row.child)} ({row.words()})" for row in self.edges]
-            lines.append(f"By {'; '.join(steps)}.")
+            lines.append(f"Chain: {'; '.join(steps)}.")
         return [*lines, *([self.note] if self.note else [])]
 
 

@@ -253,7 +253,7 @@ def _gaps(source: Source, tree: FrameTree, walk: Sequence[tuple[str, int]]) -> l
 def _note(tree: FrameTree) -> list[str]:
     notes = [undecodable(tree.damaged, tree.trouble)] if tree.damaged else []
     if tree.left_out:
-        notes.append(f"Left out: {counted(tree.left_out, 'transform')} of further frames or frames without a name.")
+        notes.append(f"Not shown: {counted(tree.left_out, 'transform')} of further frames or frames without a name.")
     return notes
 
 

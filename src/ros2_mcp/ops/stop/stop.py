@@ -153,7 +153,7 @@ class Stopped:
             (unheard, f"no receiver for the zero on {counted(unheard, 'topic')}"),
             (cancelled, f"{counted(cancelled, 'goal')} cancelled"),
             (over, f"{counted(over, 'goal')} had ended already"),
-            (len(self.flights), f"{counted(len(self.flights), 'flight')} made to stand"),
+            (len(self.flights), f"{counted(len(self.flights), 'vehicle')} commanded to hold position"),
         )
         told = ", ".join(words for count, words in parts if count)
         if self.confirmed and unheard and not any((*ended[:2], len(self.topics) - unheard, *ended[3:])):
@@ -198,7 +198,7 @@ def is_out_of_reach(robot: Robot) -> bool:
 def unreached(robot: Robot) -> str:
     """Return the note for a robot whose stop continues in the background."""
     silent_s = robot.graph.unheard_s
-    since = f"nothing has come from it for {silent_s:.1f} s" if math.isfinite(silent_s) else "its link is lost"
+    since = f"no data from it for {silent_s:.1f} s" if math.isfinite(silent_s) else "its link is lost"
     return (
         f"The robot is out of reach ({since}). What this server drives there stops when the link lease lapses. The "
         "stop continues in the background: call ros2_stop again to see what is confirmed."
@@ -379,7 +379,7 @@ async def _judged(robot: Robot, topic: str, zero: Zero | None, missing: str) -> 
         unseen = f"Other publishers on {topic} could not be looked up: {error}"
         return StoppedTopic(topic, zero["matched"], zero["acked"], error=unseen)
     others = sorted({publisher.node for publisher in present.publishers} - {*robot.graph.own_nodes})
-    unseen = "" if present.settled else f"Discovery is under way: more may listen to {topic}, or publish on it."
+    unseen = "" if present.settled else f"Discovery is under way: {topic} may have more subscribers or publishers."
     unreached = max(0, present.subscribers_of(zero["type"]) - zero["matched"])
     gone, is_deserted = _gone(robot, topic, zero, present)
     return StoppedTopic(topic, zero["matched"], zero["acked"], others, unseen, unreached, gone, is_deserted)
@@ -442,7 +442,7 @@ async def _cancel(robot: Robot, goal: Goal) -> StoppedGoal | None:
         goal.is_unanswered = True
         told = str(error) or f"The server of {goal.action} did not answer within {within_s:g} s"
         return StoppedGoal(
-            goal.action, goal.id, "UNKNOWN", False, error=f"{told.rstrip('.')}: goal {goal.id} may go on."
+            goal.action, goal.id, "UNKNOWN", False, error=f"{told.rstrip('.')}: goal {goal.id} may continue."
         )
     cancelled = cancelled or result.status == "CANCELED"  # cancelled by the bridge, which saw the latch first
     confirmed = (is_unknown and result.status == STATUS[0]) or result.status_code in TERMINAL
@@ -476,7 +476,7 @@ def _doubts(topics: Sequence[StoppedTopic], goals: Sequence[StoppedGoal], seen: 
             doubts.append(f"Not every subscriber of {topic.topic_name} has acknowledged the zero.")
         if topic.is_deserted or (topic.lost_subscribers and not (seen.stands and seen.has_base)):
             who = listed(topic.lost_subscribers, _MOST_GONE) or "A subscriber"
-            doubts.append(f"{who} took commands on {topic.topic_name} and is gone: it may move until it is seen again.")
+            doubts.append(f"{who} received commands on {topic.topic_name} and has left the graph: it may still move.")
     doubts += [goal.error for goal in goals if goal.error]
     doubts += [f"Goal {goal.goal_id} has not ended yet." for goal in goals if not goal.confirmed and not goal.error]
     return doubts

@@ -73,7 +73,7 @@ async def list_topics(
     if len(internals) > _FEW and not (pattern or include_hidden):
         chosen = [name for name in chosen if name not in internals]
         note = (
-            f"Left out: {len(internals)} internal topics (bonds, transition events, costmaps' raw forms, updates and "
+            f"Not shown: {len(internals)} internal topics (bonds, transition events, costmaps' raw forms, updates and "
             "debug clouds); a pattern or include_hidden=true lists them. "
         )
     note += list_note(len(chosen), limit, found.settled, absence)

@@ -252,7 +252,7 @@ def _measured(source: Source, capture: Capture[AgedArrivals], publishers: Sequen
     if not publishers and not kept.count:
         notes = ["It has no publisher."]
     elif not kept.count:
-        notes = [f"{publishers[0].who} publishes it, but sent nothing for {source.duration_s:g} s."]
+        notes = [f"{publishers[0].who} publishes it, but sent no message for {source.duration_s:g} s."]
     else:
         notes = [_in_words(silence, capture.zero_ns)] if silence else []
         if kept.of_other_clock:

@@ -219,7 +219,8 @@ async def collect(
         samples = list(collector.samples)
         counts, further = stream.counts, stream.further
         if kept.left_out:
-            stream.note = f"{stream.note} Not shown: {counted(kept.left_out, 'older message')} from before.".lstrip()
+            older = counted(kept.left_out, "older message")
+            stream.note = f"{stream.note} Not shown: {older} published before this call.".lstrip()
         if others:
             stream.note = f"{stream.note} No such element in {counted(others, 'other message')}.".lstrip()
         was_limited = filtered and not source.is_live and len(samples) == limit

@@ -91,7 +91,7 @@ async def test_everything_is_told_of_a_cart_with_a_laser(window: Make, robot: Ro
     assert found.state_topics == [JOINTS]
     assert found.joints[0] == "left_wheel_joint continuous 1.5 rad"
     assert found.place == "In map at x 6.00 y 0.00 m, yaw 0° (TF, localised)."
-    assert found.frames == "map → odom → base_link; 3 in all"
+    assert found.frames == "map → odom → base_link; 3 frames in total"
     assert found.unhealthy == []
     assert "differential drive" in found.summary() and "Nothing unhealthy" in found.summary()
 
@@ -272,7 +272,7 @@ async def test_an_arm_that_its_description_fixes_in_the_world_is_there(window: M
     )
     described = window("/robot_description", "std_msgs/msg/String", [(0.0, {"data": urdf})])
     found = await in_brief(robot, source([described]))
-    assert found.place == "In world at x 0.50 y 0.00 z 1.00 m, yaw 90° (URDF, fixed there)."
+    assert found.place == "In world at x 0.50 y 0.00 z 1.00 m, yaw 90° (URDF, static)."
     assert (found.frames, found.unhealthy) == ("none", [])
     free = urdf.replace('type="fixed"', 'type="floating"')
     described = window("/robot_description", "std_msgs/msg/String", [(0.0, {"data": free})])
@@ -289,7 +289,7 @@ async def test_a_base_with_a_name_of_its_own_is_told_in_its_chain_of_frames(wind
         window("/tf", TF, [(4.9, {"transforms": [told]})]),
     ]
     found = await in_brief(robot, source(made))
-    assert (found.base_frame, found.frames) == ("base", "odom → base; 2 in all")
+    assert (found.base_frame, found.frames) == ("base", "odom → base; 2 frames in total")
 
 
 async def test_frames_that_did_not_come_are_not_said_to_be_none(window: Make, robot: Robot) -> None:
