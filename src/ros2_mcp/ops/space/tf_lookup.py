@@ -145,7 +145,8 @@ class Lookup:
             one = self.spread
             lines.append(
                 f"Mean of {one.count} poses: standard deviation x {one.std_x_m:.2g}, y {one.std_y_m:.2g}, "
-                f"z {one.std_z_m:.2g} m, {one.std_deg:.2g} deg; moved {one.moved_m:.3g} m, turned {one.turned_deg:.3g} deg."
+                f"z {one.std_z_m:.2g} m, {one.std_deg:.2g} deg; "
+                f"moved {one.moved_m:.3g} m, turned {one.turned_deg:.3g} deg."
             )
         if self.transformed:
             shown = ["(" + ", ".join(f"{part:.4f}" for part in one) + ")" for one in self.transformed[:_MOST_SHOWN]]
