@@ -1,4 +1,4 @@
-"""The link lease: how long the bridge goes on without a sign of life from its server."""
+"""The link lease: the time that the bridge continues without a sign of life from its server."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ MOST_VALUE = 12_000
 
 @dataclass(frozen=True, slots=True)
 class ProgramError:
-    """What ended a program: its line and the text of it, what was wrong, and what would be right."""
+    """The error that ended a program: its line and the text of that line, the problem, and a hint."""
 
     line: int
     source: str

@@ -47,7 +47,9 @@ MOST_STREAMS = 16
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FollowRequest:
-    """What to follow: `fields` as in `ros2_topic_subscribe`; at most `count` messages; every `every_n`-th message."""
+    """The settings of a stream: `fields` as in `ros2_topic_subscribe`; at most `count` messages; every `every_n`-th
+    message.
+    """
 
     topics: Sequence[str]
     fields: Sequence[str] = ()

@@ -1,4 +1,4 @@
-"""What a latched topic replays to a new subscriber: of the messages sent before, only the newest counts. Needs no ROS.
+"""The newest of the messages that a latched topic replays to a new subscriber; older ones are dropped. Needs no ROS.
 
 A transient_local publisher with a depth above 1 sends a new subscriber the messages that it kept, oldest first. A
 condition evaluated on them would be true of the past.

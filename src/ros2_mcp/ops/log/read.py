@@ -90,7 +90,7 @@ class Log:
 
 @dataclass(frozen=True, slots=True)
 class LogRequest:
-    """The requested lines: since and up to when (seconds ago or ISO 8601), of which node, level and text."""
+    """The filters of the lines: a time span (seconds ago or ISO 8601), a node, a minimum level and a text."""
 
     since: str = ""
     until: str = ""

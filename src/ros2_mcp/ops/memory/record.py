@@ -80,7 +80,8 @@ _logger = logging.getLogger(__name__)
 class RecordRequest:
     """The settings of a recording; without topics and patterns, everything that is not hidden is recorded.
 
-    A topic is left out as soon as it has a message larger than `largest` bytes (0: never), unless it is latched.
+    A topic is dropped from the recording as soon as it has a message larger than `largest` bytes (0: never), unless it
+    is latched.
     """
 
     topics: Sequence[str] = ()
@@ -223,7 +224,7 @@ class Recording(Job):
         return self._folder.name if self._folder else self._request.name
 
     async def run(self) -> None:
-        """Record until a limit is reached or it is told to end. However it ends, the files are closed."""
+        """Record until a limit is reached or the recording is stopped. The files are closed in any case."""
         calls = ExitStack()
         try:
             # A thread cannot be cancelled: anyio waits for it, so that what it has opened is always closed again.

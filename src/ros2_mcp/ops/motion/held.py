@@ -63,10 +63,10 @@ def _is_velocity(types: Sequence[str]) -> bool:
 
 
 async def why_it_stands(robot: Robot, topic: str, odometry: Found, scan: str = "") -> Sequence[str]:
-    """Return sentences on what may hold a robot that was commanded on a topic: the nearest obstacle by its
+    """Return sentences on what may keep a robot from moving that was commanded on a topic: the nearest obstacle in its
     scan, and velocity limits of 0.
 
-    `scan` is the topic of a scan; if it is empty, one is found. Anything that cannot be determined is left out.
+    `scan` is the topic of a scan; if it is empty, one is found. What cannot be determined is omitted.
     """
     told = await asyncio.gather(_near(robot, topic, odometry, scan), _limits(robot, topic))
     return [each for each in told if each]

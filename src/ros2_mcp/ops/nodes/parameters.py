@@ -185,7 +185,7 @@ def _before(value: Any) -> str:
 
 
 class _Room:
-    """The bytes of an answer that are left for long values of parameters. Values that do not fit are left out."""
+    """The bytes of an answer that remain for long values of parameters. Values that do not fit are omitted."""
 
     def __init__(self, max_bytes: int) -> None:
         self._left = max_bytes
@@ -219,11 +219,10 @@ def _cut(text: str) -> str:
 
 
 async def describe(robot: Robot, nodes: Sequence[str], pattern: str = "", limit: int = 200) -> ParameterList:
-    """Return parameters with values and descriptors, of several nodes at once; the `error`
-    of one does not stop the others.
+    """Return the parameters of several nodes with values and descriptors; an `error` concerns one node only.
 
-    Without nodes: of every node. Without a pattern, the parameters that every node has are left out if they are at
-    their defaults, and all `qos_overrides.`.
+    Without nodes, those of every node. Without a pattern, parameters that every node has are omitted if they are at
+    their defaults, and so are all `qos_overrides.`.
     """
     omitted = 0
 
@@ -360,10 +359,10 @@ async def set_values(
 
 
 async def _set(robot: Robot, session: Session, command: SetParameters) -> dict[str, Mapping[str, Any]]:
-    """What the node answers for each parameter of the request.
+    """Set the parameters, and return the node's answer for each.
 
-    One that answers for fewer than it is asked to set (micro-ROS with little memory takes one at a time, and answers
-    nothing to a list) is asked for each in turn.
+    A node that answers for fewer parameters than it was asked to set (micro-ROS with little memory takes one at a time,
+    and answers nothing to a list) is asked again for each in turn.
     """
     messages = cast("Mapping[str, Any]", command.value)["parameters"]
     answering = robot.do(command, session)

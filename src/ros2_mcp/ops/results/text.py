@@ -45,7 +45,7 @@ Beside: TypeAlias = "tuple[str, Sequence[Any]] | None"
 
 @dataclass(eq=False)
 class _Part:
-    """Lines that belong together. The last `rows` of them may be left out; `name` says what they contain."""
+    """Lines that belong together. The last `rows` of them may be omitted; `name` says what they contain."""
 
     lines: list[str]
     name: str = ""
@@ -268,7 +268,7 @@ def _flat(name: str, rows: Sequence[Mapping[str, Any]]) -> _Part:
 
 def _grouped(name: str, values: Sequence[Any], inner: str, said: str) -> _Part:
     """Return objects that each have a list of flat objects as one table: a line for each object, then its rows. Objects
-    without rows, of which everything is `said` already, are left out.
+    without rows are omitted if the summary (`said`) already contains all of their values.
     """
     groups = [[_row(one) for one in _items(getattr(value, inner))] for value in values]
     rows = [row for group in groups for row in group]
@@ -286,7 +286,7 @@ def _in_all(row: Mapping[str, Any], shared: Sequence[str]) -> str:
 
 
 def _with(beside: Beside, rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """Return the rows with the values of the list beside them as their first column."""
+    """Return the rows with the values of the accompanying list as their first column."""
     if not beside or len(beside[1]) != len(rows):
         return list(rows)
     return [{beside[0]: at, **row} for at, row in zip(beside[1], rows, strict=True)]

@@ -138,7 +138,7 @@ def _waiting(topic: TopicEndpoints, published: TopicEndpoints | None) -> Named:
 
 
 def orders_by_service(graph: GraphSnapshot) -> list[Named]:
-    """Return the services that command the robot, such as to stand up, to arm, to reset."""
+    """Return the services that command the robot, for example to stand up, to arm or to reset."""
     return [
         Named(name, types[0].rpartition("/")[2])
         for name, types in sorted((graph.services or {}).items(), key=lambda one: (one[0].count("/"), one[0]))

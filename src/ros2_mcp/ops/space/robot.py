@@ -134,12 +134,12 @@ class _Seen:
 
     @property
     def listen_s(self) -> float:
-        """How much longer to wait for messages, in s."""
+        """The remaining time to wait for messages, in s."""
         return max(self.asked_at + _ANSWERED_S - monotonic(), _LEAST_S)
 
     @property
     def first_s(self) -> float:
-        """How much longer to wait for the first message of frames, odometry and diagnostics, in s."""
+        """The remaining time to wait for the first message of frames, odometry and diagnostics, in s."""
         return max(self.waits_until - monotonic(), self.listen_s)
 
 

@@ -23,8 +23,8 @@ _AHEAD_NS = 1_000_000_000
 
 
 async def standing_time(source: Source, tree: FrameTree, at_ns: int) -> str:
-    """Report that the time by which all transforms are stamped has stopped: since when, at which time, and the state of
-    /clock. Empty if it goes on, or if silent publishers leave that open.
+    """Report that the clock by which all transforms are stamped has stopped: since when, at which time, and the state
+    of /clock. Empty if it still runs, or if that is unknown because publishers are silent.
     """
     stood_ns = tree.stood_ns(at_ns)
     if not stood_ns:

@@ -146,7 +146,7 @@ NOTHING_CAME = "nothing was published on it since the stop"
 
 
 class BaseJudge:
-    """Judges a topic by its velocities, and by the poses beside them: some odometry never fills in a velocity."""
+    """Judges a topic by its velocities and by its poses, because some odometry never sets a velocity."""
 
     def __init__(self, freshness: Freshness, still: Still) -> None:
         self._freshness = freshness

@@ -207,8 +207,8 @@ async def _account(robot: Robot, source: _Source, began_ns: int) -> Account:
 
 
 def reading_of(message: Mapping[str, Any], sample: Sample, path: str | None) -> Reading:
-    """Return the motion that a message reports: the velocity at a path and the pose beside it, or
-    the joints if the path is None.
+    """Return the motion that a message reports: the velocity at a path with its pose, or the joints if the path is
+    None.
     """
     seconds, nanoseconds = _at(message, "header.stamp.sec") or 0, _at(message, "header.stamp.nanosec") or 0
     is_base = path is not None

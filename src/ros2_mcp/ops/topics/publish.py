@@ -31,8 +31,8 @@ just started within this time, so that it does not miss the message."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PublishRequest:
-    """What to publish, and where: once, or at `frequency` in Hz for `duration` in seconds.
-    An empty type means the topic's.
+    """A message and its topic: to publish once, or at `frequency` in Hz for `duration` in seconds. An empty type means
+    that of the topic.
     """
 
     topic_name: str
@@ -207,7 +207,7 @@ class Repetition(Job):
 
 
 async def _repeat(robot: Robot, session: Session, command: Repeat, report: Report) -> tuple[Sent, str]:
-    """Publish repeatedly. Return what was sent, and what ended it early."""
+    """Publish repeatedly. Return the counts, and the reason if it ended early."""
     repetition = Repetition(robot, session, command)
     topic, duration_s = command.name, command.duration_s
 

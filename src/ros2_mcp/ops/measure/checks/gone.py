@@ -13,9 +13,9 @@ _STEADY = STREAM_TYPES | ONCE_A_SECOND
 
 
 def _find(evidence: Evidence) -> Iterator[Finding]:
-    """Report what has left. It is critical for sensors and expected names; other nodes (a display, a remote control,
-    one of several localisations) may have been closed on purpose. While discovery goes on, all of them may still
-    appear.
+    """Report nodes and publishers that have left. This is critical for sensors and expected names; other nodes (a
+    display, a remote control, one of several localisations) may have been closed on purpose. While discovery is under
+    way, all of them may still appear.
     """
     graph, expected = evidence.graph, evidence.expected
     if graph.absence:
