@@ -8,6 +8,7 @@ from typing import Any
 
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadName
+from ros2_mcp.model.text import counted_of
 from ros2_mcp.ops.results.results import IF_ANY, LINES, SAID, list_note
 from ros2_mcp.robot import Robot
 
@@ -22,7 +23,7 @@ class InterfaceList:
 
     def summary(self) -> str:
         """Return the result in one line."""
-        return f"{len(self.interfaces)} of {self.total} interfaces. {self.note}".rstrip()
+        return f"{counted_of(len(self.interfaces), self.total, 'interface')}. {self.note}".rstrip()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.meanings import Meaning
-from ros2_mcp.model.text import counted, named
+from ros2_mcp.model.text import counted, counted_of, named
 from ros2_mcp.model.times import recorded_time
 from ros2_mcp.model.values import summarised
 from ros2_mcp.ops.memory.bag_store import BagStore
@@ -55,7 +55,7 @@ class BagList:
 
     def summary(self) -> str:
         """Return the result in one line."""
-        return f"{len(self.bags)} of {self.total} bags in {self.folder}. {self.note}".rstrip()
+        return f"{counted_of(len(self.bags), self.total, 'bag')} in {self.folder}. {self.note}".rstrip()
 
 
 @dataclass(frozen=True, slots=True)

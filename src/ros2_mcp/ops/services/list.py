@@ -9,6 +9,7 @@ from typing import Any
 
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadName, NotFound
+from ros2_mcp.model.text import counted_of
 from ros2_mcp.ops.results.results import IF_ANY, SAID, list_note
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.resolution import is_infrastructure
@@ -38,7 +39,7 @@ class ServiceList:
 
     def summary(self) -> str:
         """Return the result in one line."""
-        return f"{len(self.services)} of {self.total} services. {self.note}".rstrip()
+        return f"{counted_of(len(self.services), self.total, 'service')}. {self.note}".rstrip()
 
 
 async def list_services(robot: Robot, pattern: str = "", include_hidden: bool = False, limit: int = 200) -> ServiceList:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ros2_mcp.model import names
+from ros2_mcp.model.text import counted_of
 from ros2_mcp.ops.results.results import IF_ANY, ON_REQUEST, SAID, list_note
 from ros2_mcp.robot import Robot
 
@@ -51,7 +52,7 @@ class TopicList:
 
     def summary(self) -> str:
         """Return the result in one line."""
-        return f"{len(self.topics)} of {self.total} topics. {self.note}".rstrip()
+        return f"{counted_of(len(self.topics), self.total, 'topic')}. {self.note}".rstrip()
 
 
 def is_internal(name: str, types: Sequence[str]) -> bool:
