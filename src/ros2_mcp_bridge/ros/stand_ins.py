@@ -41,7 +41,7 @@ class _TypeSupport(ctypes.Structure):
 
 
 class _Callbacks(ctypes.Structure):
-    """`message_type_support_callbacks_t`: the name of a type, and functions that raw bytes never reach."""
+    """`message_type_support_callbacks_t`: the name of a type, and functions that are never called for raw bytes."""
 
     _fields_ = (
         ("namespace", ctypes.c_char_p),
