@@ -87,7 +87,7 @@ class KnownGoals:
     note: str = field(metadata=IF_ANY)
 
     def summary(self) -> str:
-        """One line."""
+        """Return the counts in one line."""
         return f"{counted(len(self.goals), 'goal')}; {counted(len(self.actions), 'action')} known. {self.note}".rstrip()
 
 

@@ -70,7 +70,7 @@ class AuditExcerpt:
     shown: Sequence[str] = field(default=(), metadata=HIDDEN)
 
     def summary(self) -> list[str]:
-        """A line for each of the newest."""
+        """Return the count, and a line for each of the newest entries."""
         entries = counted(len(self.entries), "audit entry", "audit entries")
         return [f"{entries} for this client; last hash of the chain: {self.head}.", *self.shown]
 

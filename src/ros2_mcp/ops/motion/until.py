@@ -92,7 +92,7 @@ class MovedUntil:
         return self.outcome in ("silent", "no_subscriber", "refused")
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         way = (
             ""
             if self.distance_m is None
