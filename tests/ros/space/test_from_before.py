@@ -12,12 +12,23 @@ from support.agent import Agent, until
 from support.processes import peer_command, running
 
 OLD = "s old, from before"
-TOPICS = ("/count", "/armed", "/steady", "/battery", "/odom", "/goal_pose", "/map", "/joint_states")
+TOPICS = (
+    "/count",
+    "/armed",
+    "/steady",
+    "/turn_read",
+    "/turn_judged",
+    "/battery",
+    "/odom",
+    "/goal_pose",
+    "/map",
+    "/joint_states",
+)
 
 
 @pytest.fixture(scope="module", autouse=True)
 def latched(ros_environment: dict[str, str], agent: Agent) -> Iterator[subprocess.Popen[str]]:
-    """A robot that was done talking before the server came to know of it, but for `/steady`."""
+    """A robot that was done talking before the server came to know of it, but for `/steady` and the turns."""
     with running(ros_environment, *peer_command("latched_peer")) as process:
         agent.knows(*TOPICS)
         yield process
@@ -42,9 +53,16 @@ def test_three_of_ten_are_the_newest_three_and_what_is_left_out_is_counted(agent
 
 
 def test_what_is_from_before_is_told_apart_from_what_came(agent: Agent) -> None:
-    read = agent.call("ros2_topic_subscribe", topic_name="/steady", message_limit=15)
+    read = agent.call("ros2_topic_subscribe", topic_name="/turn_read", message_limit=15)
+    assert [one["data"] for one in read["messages"]] == [True] * 10 + [False] * 5
     assert read["source"].startswith("live") and f"{OLD})" in read["source"]
     assert read["from_before"].startswith("10 messages")
+
+
+def test_a_condition_is_not_met_by_what_was_true_before(agent: Agent) -> None:
+    waited = agent.call("ros2_wait_until", topic_name="/turn_judged", condition="data == true", timeout=1.0)
+    assert (waited["met"], waited["from_before"], waited["values"]) == (False, "", {"data": False})
+    assert agent.call("ros2_wait_until", topic_name="/turn_judged", condition="data == false", timeout=5.0)["met"]
 
 
 def test_the_next_message_the_map_and_the_scene_say_how_old_they_are(agent: Agent) -> None:
@@ -79,12 +97,6 @@ def test_the_robot_in_brief_says_of_each_value_that_it_is_old(agent: Agent) -> N
         )
 
     until(says)
-
-
-def test_a_condition_is_not_met_by_what_was_true_before(agent: Agent) -> None:
-    waited = agent.call("ros2_wait_until", topic_name="/steady", condition="data == true", timeout=1.0)
-    assert (waited["met"], waited["from_before"]) == (False, "")
-    assert agent.call("ros2_wait_until", topic_name="/steady", condition="data == false", timeout=5.0)["met"]
 
 
 def test_a_condition_that_only_an_old_message_meets_says_so(agent: Agent) -> None:
