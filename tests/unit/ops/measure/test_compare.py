@@ -49,6 +49,14 @@ def test_a_copy_is_identical(window: Make) -> None:
     assert (field.max_difference, field.correlation) == (0.0, pytest.approx(1.0))
 
 
+def test_messages_from_before_are_told_with_their_number_and_age(window: Make) -> None:
+    times = [-8.0, *TIMES]
+    found = evaluate(floats(window, "/a", times, np.ones(len(times))), floats(window, "/b", times, np.ones(len(times))))
+    assert found.verdict == "IDENTICAL" and found.reasons[1].endswith("s old, from before.")
+    assert found.reasons[1].startswith("/a: 1 message, ") and found.reasons[2].startswith("/b: 1 message, ")
+    assert "from before" not in " ".join(evaluate(*(floats(window, one, TIMES, TIMES) for one in ("/a", "/b"))).reasons)
+
+
 @pytest.mark.promise(
     "ros2_topic_compare", "Compare two topics over the same time, field by field: differences, correlation, delay"
 )
