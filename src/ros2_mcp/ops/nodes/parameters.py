@@ -29,10 +29,7 @@ _SHORT_BYTES = 1000
 values, as many are shown as fit."""
 _MAX_NAMED = 5
 """Parameters that are named in a summary, which is one line."""
-_LONG_HINT = (
-    "omitted gives the length; ros2_parameter_get with its name and whole=true returns it, "
-    'or a part of it, such as names=["robot_description[0:8000]"].'
-)
+_LONG_HINT = "omitted gives the length; ros2_parameter_get with its name and whole=true returns it, or a part of it,"
 _WHOLE_HINT = "Call again with that parameter's name and whole=true"
 _PART_OF = re.compile(r"(?P<name>.+)\[(?P<start>\d*):(?P<end>\d*)\]")
 """A part of a long text or list, as in a path to a field."""
@@ -246,7 +243,7 @@ async def describe(robot: Robot, nodes: Sequence[str], pattern: str = "", limit:
         left = max(left - len(node.parameters), 0)
     long = [one.name for node in shown for one in node.parameters if one.omitted]
     notes = [await shared_names(robot, [node.node for node in shown]), list_note(total, limit)]
-    notes += [f"Too long to show: {counted(len(long), 'value')}; {_LONG_HINT}"] if long else []
+    notes += [f"Too long to show: {counted(len(long), 'value')}; {_LONG_HINT} {_part_hint(long[0])}."] if long else []
     if omitted:
         usual = ", ".join((*(f"{name} at its default" for name in _OF_EVERY_NODE), f"{_OVERRIDES}*"))
         notes.append(f"Not shown: {omitted} standard parameters ({usual}); give a pattern to show them.")
