@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import json
 import subprocess
+import time
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
 from support.agent import Agent, until
 from support.processes import peer_command, running
+from support.viewing import Asked, viewing
 
 OLD = "s old, from before"
 TOPICS = (
     "/count",
+    "/last_count",
     "/armed",
     "/steady",
     "/turn_read",
@@ -65,6 +69,13 @@ def test_a_condition_is_not_met_by_what_was_true_before(agent: Agent) -> None:
     assert agent.call("ros2_wait_until", topic_name="/turn_judged", condition="data == false", timeout=5.0)["met"]
 
 
+def test_a_comparison_tells_of_each_topic_what_is_from_before(agent: Agent) -> None:
+    found = agent.call("ros2_topic_compare", topic1_name="/count", topic2_name="/last_count", duration=0.5)
+    reasons = " ".join(found["reasons"])
+    assert "/count: 10 messages, " in reasons and "/last_count: 1 message, " in reasons and reasons.count(OLD) == 2
+    assert found["source"].endswith(OLD) and "live" not in found["source"]
+
+
 def test_the_next_message_the_map_and_the_scene_say_how_old_they_are(agent: Agent) -> None:
     for tool, arguments in (
         ("ros2_topic_echo_wait", {"topic_name": "/armed"}),
@@ -111,6 +122,27 @@ def test_a_program_and_a_resource_get_the_newest_with_its_age(agent: Agent) -> N
     assert "9 True True" in told(agent, "ros2_program_run", program=program)
     sample = json.loads(agent.ask("read_resource", "ros2://topic//count").contents[0].text)["sample"]
     assert sample["message"] == {"data": 9} and OLD in sample["from_before"]
+
+
+def test_each_panel_of_the_page_says_what_is_from_before(ros_environment: dict[str, str], agent: Agent) -> None:
+    with viewing(ros_environment) as address:
+        page = Asked(address)
+        for panel, topic in (("values", "/battery"), ("image", "/still"), ("plot", "/count")):
+            told = until(lambda panel=panel, topic=topic: shown(page, panel, topic))
+            assert told["from_before"] and time.time() - told["at_s"] > 1.5, panel
+        until(lambda: (told := shown(page, "values", "/steady")) and not told["from_before"])
+        for panel, which in (("map", ("grid /map", "goal /goal_pose")), ("space", ("/signs",))):
+            until(lambda panel=panel, which=which: all(one in old(page, panel) for one in which))
+            assert old(page, panel).count(OLD) >= len(which), panel
+
+
+def shown(page: Asked, panel: str, topic: str) -> dict[str, Any] | None:
+    told = page.shown(**{panel: topic}).get(panel, {})
+    return told if told.get("topic") == topic and "at_s" in told else None
+
+
+def old(page: Asked, panel: str) -> str:
+    return "; ".join(page.shown(**{panel: ""}).get(panel, {}).get("old", ()))
 
 
 def test_positions_of_joints_from_before_are_told_as_old(agent: Agent) -> None:

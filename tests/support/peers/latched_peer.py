@@ -16,8 +16,9 @@ from nav_msgs.msg import OccupancyGrid, Odometry
 from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from sensor_msgs.msg import BatteryState, JointState
+from sensor_msgs.msg import BatteryState, Image, JointState
 from std_msgs.msg import Bool, Int32
+from visualization_msgs.msg import Marker
 
 from support.leaving import leave_on_sigterm
 
@@ -49,6 +50,8 @@ def main() -> None:
     for turn in turns:
         for _ in range(KEPT):
             turn.publish(Bool(data=True))
+    last = publisher(Int32, "/last_count")
+    last.publish(Int32(data=KEPT - 1))
     armed.publish(Bool(data=True))
     battery.publish(BatteryState(percentage=0.15))
     placed = Odometry()
@@ -63,6 +66,13 @@ def main() -> None:
     grid.publish(room)
     joints = publisher(JointState, "/joint_states")
     joints.publish(JointState(name=["lift"], position=[0.25]))
+    picture = publisher(Image, "/still")
+    picture.publish(Image(width=2, height=2, encoding="mono8", step=2, data=[0, 80, 160, 240]))
+    marker = Marker(type=Marker.CUBE)
+    marker.header.frame_id, marker.pose.orientation.w, marker.color.a = "map", 1.0, 1.0
+    marker.scale.x = marker.scale.y = marker.scale.z = 0.5
+    signs = publisher(Marker, "/signs")
+    signs.publish(marker)
     time.sleep(2.0)  # they are old before anybody is told that they are there
 
     def go_on() -> None:
