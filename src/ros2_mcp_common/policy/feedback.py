@@ -15,7 +15,7 @@ from typing import Any, cast
 from ros2_mcp_common.geometry import yaw_rad
 from ros2_mcp_common.policy.checks import Zone, outside
 from ros2_mcp_common.policy.field_values import Unfit
-from ros2_mcp_common.policy.keep_out import Entry, KeepOut, Pose, Way, arc, keep_out_of, path_of, poses_of, standing
+from ros2_mcp_common.policy.keep_out import Entry, KeepOut, Near, Pose, Way, arc, keep_out_of, path_of, poses_of
 from ros2_mcp_common.policy.transform_chain import TransformChain
 
 # The time from a message of the robot to a zero at its driver: a check every 0.02 s, and both transmissions, with a
@@ -39,6 +39,8 @@ KEPT_OUT_AGAIN_S = 0.1
 # A robot whose outline is nearer to a keep-out zone than this share of its margin was not stopped in time: the latch is
 # set, and only an operator may drive it.
 LATCHED_SHARE = 0.5
+# A zone that is farther away is measured less precisely, and only told to be nearer than it is.
+NEAR_M = 0.5
 # The longest way to stop that is judged (m or rad): a robot that tells such a speed is near to every zone.
 FARTHEST_STOP = 1000.0
 # A robot within the margin may leave: it may come this much nearer, which covers the noise of its pose.
@@ -171,6 +173,8 @@ class Watchdog:
         self._speed = self._speed_before = Seen()
         self._place: Pose | None = None
         self._chain = TransformChain(pose.frame_id, pose.base) if pose and pose.base else None
+        self._near_at: Pose | None = None
+        self._nearest: Sequence[tuple[KeepOut, Near]] = ()
         self._plan_problem = ""
         self._too_fast, self._faster = 0, ""
         self._no_speed, self._no_place = (
@@ -255,14 +259,12 @@ class Watchdog:
 
     def heard_plan(self, message: Any) -> None:
         """Record the path that the robot's own software follows now. A path in another frame cannot be judged."""
-        rule = self.pose_rule
-        assert rule
         self._plan_problem = ""
-        for keep_out in rule.keep_out:
+        for keep_out, here in self._near():
             try:
                 poses = poses_of(keep_out, message)
                 way = path_of(poses, keep_out.swing_m, self._place) if poses else None
-                entered = way and self._enters(keep_out, way)
+                entered = way and _enters(keep_out, way, here)
             except Unfit:
                 continue
             if entered:
@@ -315,35 +317,36 @@ class Watchdog:
 
     def _too_near(self) -> str:
         """Return why the robot may not be driven at all: its outline is in a keep-out zone, or near to its edge."""
-        rule = self.pose_rule
-        if rule is None or self._place is None or self._driven_since is None:
+        if self._place is None or self._driven_since is None:
             return ""
-        for keep_out in rule.keep_out:
-            if entered := keep_out.entry(standing(self._place), keep_out.needed_m * LATCHED_SHARE):
-                return f"{entered.told('is')}: only an operator may drive it from there"
+        for keep_out, here in self._near():
+            if here.distance_m < keep_out.needed_m * LATCHED_SHARE:
+                told = Entry(here.zone, self._place, here.distance_m).told("is")
+                return f"{told}: only an operator may drive it from there"
         return ""
 
     def _of_keep_out(self, now: float) -> str:
         """Return why what drives the robot has to end: it could not stop before a keep-out zone, or its path enters."""
-        rule = self.pose_rule
-        if rule is None or self._place is None or self._driven_since is None:
+        if self._place is None or self._driven_since is None:
             return ""
-        for keep_out in rule.keep_out:
+        for keep_out, here in self._near():
             try:
                 for way in self._ways_to_stop(keep_out, self._place, now):
-                    if entered := self._enters(keep_out, way):
+                    if entered := _enters(keep_out, way, here):
                         return f"before it could stop, {entered}"
             except Unfit as unfit:
                 return str(unfit)
         problem, self._plan_problem = self._plan_problem if now <= self._goal_until else "", ""
         return problem
 
-    def _enters(self, keep_out: KeepOut, way: Way) -> Entry | None:
-        """Return where the outline comes too near on a way. A robot that is nearer than the margin may only leave."""
-        here_m = keep_out.nearest(self._place).distance_m if self._place else math.inf
-        if here_m - way.travel_m >= keep_out.needed_m:
-            return None
-        return keep_out.entry(way, min(keep_out.needed_m, here_m - LEAVES_M))
+    def _near(self) -> Sequence[tuple[KeepOut, Near]]:
+        """Return each policy's keep-out zones with the nearest of them; computed once for each pose."""
+        rule, place = self.pose_rule, self._place
+        if rule is None or place is None:
+            return ()
+        if self._near_at != place:
+            self._nearest, self._near_at = [(each, each.nearest(place, NEAR_M)) for each in rule.keep_out], place
+        return self._nearest
 
     def _ways_to_stop(self, keep_out: KeepOut, place: Pose, now: float) -> Sequence[Way]:
         """Return how the robot may move until it stands, if it was stopped now: it may also go straight on while it no
@@ -397,6 +400,13 @@ class Watchdog:
 
     def _shown(self) -> str:
         return " and ".join(f"{speed:.2f} {UNITS[part]}" for part, speed in self._speed.speed.items())
+
+
+def _enters(keep_out: KeepOut, way: Way, here: Near) -> Entry | None:
+    """Return where the outline comes too near on a way. A robot that is nearer than the margin may only leave."""
+    if here.distance_m - way.travel_m >= keep_out.needed_m:
+        return None
+    return keep_out.entry(way, min(keep_out.needed_m, here.distance_m - LEAVES_M))
 
 
 def _way_to_stop(speed: float, wait_s: float, brake: float, still: float) -> float:

@@ -110,15 +110,20 @@ class KeepOut:
         """The distance that the outline has to keep."""
         return max(self.margin_m, TOUCHING_M)
 
-    def nearest(self, pose: Pose) -> Near:
-        """Return the zone nearest to the outline of a robot at this pose. Zones beyond the nearest are not measured."""
+    def nearest(self, pose: Pose, enough_m: float = math.inf) -> Near:
+        """Return the zone nearest to the outline of a robot at this pose, and how near it is.
+
+        A distance of more than `enough_m` may be told too small, which is quicker.
+        """
         found = Near("", math.inf)
         corners: Polygon | None = None
         for name, polygon in self.zones.items():
             away_m = 0.0 if is_inside(pose.x, pose.y, polygon) else distance(pose.x, pose.y, polygon)
             if away_m - self.reach_m >= found.distance_m:
                 continue
-            if self.footprint:
+            if away_m - self.reach_m >= enough_m:
+                away_m -= self.reach_m
+            elif self.footprint:
                 corners = corners or moved(self.footprint, *pose)
                 away_m = 0.0 if not away_m else between(corners, polygon)
             else:
@@ -138,7 +143,8 @@ class KeepOut:
         while pending:
             start, end = pending.pop()
             pose = way.at((start + end) / 2)
-            near, slack_m = self.nearest(pose), way.travel_m * (end - start) / 2
+            slack_m = way.travel_m * (end - start) / 2
+            near = self.nearest(pose, needed_m + slack_m)
             judged += 1
             if near.distance_m - slack_m >= needed_m:
                 continue

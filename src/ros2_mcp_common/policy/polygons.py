@@ -81,6 +81,10 @@ def edges(polygon: Sequence[Point]) -> Iterator[tuple[Point, Point]]:
 def _cross(edge: tuple[Point, Point], other: tuple[Point, Point]) -> bool:
     """Return whether two line segments meet, be it only in a point."""
     (a, b), (c, d) = edge, other
+    if max(a[0], b[0]) < min(c[0], d[0]) or max(c[0], d[0]) < min(a[0], b[0]):
+        return False
+    if max(a[1], b[1]) < min(c[1], d[1]) or max(c[1], d[1]) < min(a[1], b[1]):
+        return False
     sides = [_side(a, b, c), _side(a, b, d), _side(c, d, a), _side(c, d, b)]
     if sides[0] * sides[1] < 0 and sides[2] * sides[3] < 0:
         return True
