@@ -171,7 +171,12 @@ class Operations:
             }
         )
         watching = Watching(
-            node, self._graph, latch=stops.latch, stop=self.failsafes.carry_out, keep_out=self._keep_out
+            node,
+            self._graph,
+            latch=stops.latch,
+            stop=self.failsafes.carry_out,
+            keep_out=self._keep_out,
+            began=limiter.watched_by,
         )
         for steps in (
             self._graph.settle(),

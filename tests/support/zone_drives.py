@@ -55,11 +55,13 @@ def random_keep_out(rng: random.Random) -> KeepOut:
         if not what_is_wrong(zone):
             zones[str(number)] = zone
     zones = zones or {"0": ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))}
-    return KeepOut("simulated", "map", zones, margin_m=0.1, **rng.choice(OUTLINES))  # pyright: ignore[reportArgumentType]
+    return KeepOut("simulated", "map", zones, margin_m=0.2, **rng.choice(OUTLINES))  # pyright: ignore[reportArgumentType]
 
 
 def drive(rng: random.Random, *, is_judged: bool = True) -> Drive:
-    """One goal, a path or a motion straight at a zone, from a random place beside the zones.
+    """A goal, a path, a goal that is not judged, or velocities, of which the last two lead straight at a zone.
+
+    It begins at a random place beside the zones.
 
     Without `is_judged` nothing is refused and nothing ended, which shows what the observer sees.
     """
@@ -68,16 +70,17 @@ def drive(rng: random.Random, *, is_judged: bool = True) -> Drive:
         not keep_out.needed_m < keep_out.nearest(start).distance_m < 0.6
     ):
         pass
-    kind, result = rng.choice(("goal", "path", "hostile")), Drive()
+    kind, result = rng.choice(("goal", "path", "hostile", "velocity")), Drive()
     corners = [rng.choice(list(keep_out.zones.values()))[0]]
-    if kind != "hostile":
+    if kind in ("goal", "path"):
         corners = [(rng.uniform(-2, 2), rng.uniform(-2, 2)) for _ in range(1 if kind == "goal" else rng.randint(1, 3))]
     poses = [Pose(x, y, rng.uniform(-3.1, 3.1) if (x, y) == corners[-1] else 0.0) for x, y in corners]
-    if kind != "hostile" and is_judged:
+    if kind in ("goal", "path") and is_judged:
         result.refused = is_refused(keep_out, start, poses)
     if result.refused:
         return result
     simulation = _Simulation(rng, keep_out, start, poses, result)
+    simulation.by_goal = kind != "velocity"
     poses_seen = simulation.run(rng.uniform(2.0, 4.0), is_watched=is_judged)
     result.entries = int(entered(keep_out, np.array(poses_seen)).sum())
     return result
@@ -105,18 +108,19 @@ class _Simulation:
         self.fastest, self.turning = rng.uniform(0.1, 1.0), rng.uniform(0.5, 1.5)
         self.pull = rng.uniform(-0.3, 0.3)  # a controller that is drawn to one side
         self.late: deque[tuple[float, Any]] = deque()
-        self.stop_at, self.again_at = math.inf, -math.inf
+        self.stop_at, self.again_at = math.inf, 100.2  # it has heard the robot by then
+        self.has_begun, self.is_watched, self.by_goal = False, True, True
 
     def run(self, seconds: float, *, is_watched: bool) -> list[Pose]:
         """Drive, and return the true poses."""
-        seen, now = [self.pose], 100.0
+        seen, now, self.is_watched = [self.pose], 100.0, is_watched
         until = now + seconds
         for number in range(int(seconds / STEP_S)):
             now += STEP_S
             self._tell(number, now)
-            is_driven = now < self.stop_at and now >= self.again_at
-            self._move(is_driven=is_driven)
-            self.watchdog.told(is_driven or abs(self.v) > 0.01, now, by_goal=True)
+            is_driven = now < self.stop_at and now >= self.again_at and self._may_start(now)
+            self._move(now, is_driven=is_driven)
+            self.watchdog.told(is_driven or abs(self.v) > 0.01, now, by_goal=self.by_goal)
             if is_watched and self.watchdog.look(now):
                 self.result.ended = True
                 self.result.latched = self.result.latched or self.watchdog.latches
@@ -124,12 +128,24 @@ class _Simulation:
             if self.result.latched and now > self.stop_at and not self.v:
                 break
             if now > self.stop_at and not self.v and not self.w and not self.result.latched and now < until - 0.5:
-                self.stop_at, self.again_at = math.inf, now + 0.1  # it is sent again, as a stubborn client does
+                self.stop_at, self.again_at, self.has_begun = (
+                    math.inf,
+                    now + 0.1,
+                    False,
+                )  # it is sent again, as a stubborn client does
             seen.append(self.pose)
             if not self.poses:
                 self.result.reached = True
                 break
         return seen
+
+    def _may_start(self, now: float) -> bool:
+        """Whether the bridge lets a goal, or one that is sent again, leave: asked once before each motion."""
+        if not self.has_begun and self.is_watched and self.by_goal and self.watchdog.problem_of_start(now):
+            self.stop_at = self.again_at = math.inf
+            return False
+        self.has_begun = True
+        return True
 
     def _tell(self, number: int, now: float) -> None:
         noise = self.rng.gauss
@@ -146,8 +162,11 @@ class _Simulation:
             else:
                 self.watchdog.heard_pose(message, "map", now)
 
-    def _move(self, *, is_driven: bool) -> None:
+    def _move(self, now: float, *, is_driven: bool) -> None:
         v, w = self._wanted() if is_driven else (0.0, 0.0)
+        if not self.by_goal and self.is_watched and (v or w) and self.watchdog.problem_of_velocity((v, 0.0, w), now):
+            v, w = 0.0, 0.0  # the bridge holds it back
+            self.result.ended = True
         self.v += min(BRAKE * STEP_S, max(-BRAKE * STEP_S, v - self.v))
         self.w += min(BRAKE_TURN * STEP_S, max(-BRAKE_TURN * STEP_S, w - self.w))
         x, y, yaw = self.pose

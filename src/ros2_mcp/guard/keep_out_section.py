@@ -11,8 +11,7 @@ from ros2_mcp_common.policy.keep_out import GOAL_TOPICS, GOALS, MOST_ZONES, POSE
 from ros2_mcp_common.policy.polygons import Polygon, what_is_wrong
 from ros2_mcp_common.policy.rules import Limit
 
-_LEAST_MARGIN_M, _MARGIN_M = 0.05, 0.1
-"""A robot is stopped at the margin, and the latch set at half of it: less than 5 cm is within the noise of a pose."""
+_MARGIN_M = 0.2
 _PLAN = "/plan"
 
 
@@ -36,7 +35,7 @@ def keep_out_of(section: Section | None, policy: str) -> KeepOut | None:
         rule=f"{policy} line {section.line}: keep_out",
         frame_id=section.text("frame", "map"),
         zones=polygons,
-        margin_m=section.needed_number("margin_m", _MARGIN_M, low=_LEAST_MARGIN_M, high=10.0),
+        margin_m=section.needed_number("margin_m", _MARGIN_M, low=0.05, high=10.0),
         radius_m=section.needed_number("radius_m", 0.0, low=0.01, high=100.0),
         footprint=polygon(section, "footprint") if section.has("footprint") else (),
         plan=plan,

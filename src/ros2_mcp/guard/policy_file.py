@@ -7,6 +7,7 @@ from __future__ import annotations
 import errno
 import hashlib
 import json
+import math
 import os
 import re
 import stat
@@ -100,6 +101,11 @@ def _check_watched(document: Document, documents: Sequence[Document]) -> None:
             f"keep_out is in the frame {frame_id!r}, and pose in {pose.frame_id!r}: neither says where the other is."
         )
         raise PolicyFileError(document.origin, 0, problem, f"Write frame: {pose.frame_id} in both.")
+    least_m = document.keep_out.least_margin_m(pose.brake_mps2, pose.brake_radps2)
+    if document.keep_out.margin_m < least_m:
+        speeds = f"brake_mps2 {pose.brake_mps2:g} and brake_radps2 {pose.brake_radps2:g}"
+        problem = f"the margin_m of keep_out is too small for this outline with {speeds}: it would be stopped too late."
+        raise PolicyFileError(document.origin, 0, problem, f"Write margin_m: {math.ceil(least_m * 100) / 100:g}.")
 
 
 def _check_said_once(key: str, documents: Sequence[Document]) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 from ros2_mcp.guard.document import Document
 from ros2_mcp_common.policy.checks import Checks, Zone
-from ros2_mcp_common.policy.feedback import LATCHED_SHARE, UNITS
+from ros2_mcp_common.policy.feedback import UNITS
 from ros2_mcp_common.policy.keep_out import KeepOut
 from ros2_mcp_common.policy.polygons import Polygon
 from ros2_mcp_common.policy.rules import Allowance, Forbidden, Limit, RuleSet, Ruling
@@ -89,11 +89,11 @@ def _keep_out(keep_out: KeepOut) -> Iterable[str]:
         yield f"The keep-out zone {name} in the frame {keep_out.frame_id} has the corners {_corners(corners)} m."
     round_m = f"a circle of {keep_out.radius_m:g} m"
     outline = f"the polygon {_corners(keep_out.footprint)} m" if keep_out.footprint else round_m
-    latched_m = keep_out.needed_m * LATCHED_SHARE
     yield (
-        f"The robot's outline, {outline}, keeps {keep_out.margin_m:g} m from keep-out zones: goals and paths that lead "
-        "nearer are refused; what drives the robot is ended before it comes nearer, or when the path on "
-        f"{keep_out.plan} does. The latch is set where it is nearer than {latched_m:g} m: an operator drives it out."
+        f"The robot's outline, {outline}, keeps {keep_out.margin_m:g} m from keep-out zones: goals and planned paths "
+        f"that lead nearer are refused, and a drive is ended when the path on {keep_out.plan} does, or before it "
+        f"comes nearer than {keep_out.watched_m:g} m. From there only velocities that lead away may drive it; nearer "
+        f"than {keep_out.latched_m:g} m the latch is set, and the operator drives it out."
     )
 
 

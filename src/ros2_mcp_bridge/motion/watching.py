@@ -122,7 +122,8 @@ class Watching:
     """The watchdog of one bridge: receives feedback, judges it, and if it finds something stops the
     robot and sets the latch.
 
-    Before a keep-out zone `keep_out` is called instead, which ends what drives the robot, without the latch.
+    Before a keep-out zone `keep_out` is called instead, which ends what drives the robot, without the latch. `began`
+    gets the watchdog when it begins.
     """
 
     def __init__(
@@ -133,12 +134,14 @@ class Watching:
         latch: Latch,
         stop: Callable[[], object],
         keep_out: Callable[[str], object] = lambda _: None,
+        began: Callable[[Watchdog], object] = lambda _: None,
     ) -> None:
         self._node = node
         self._graph = graph
         self._latch = latch
         self._stop = stop
         self._keep_out = keep_out
+        self._began = began
 
     def watch(
         self,
@@ -153,6 +156,7 @@ class Watching:
         if speed is None and pose is None:
             return
         watchdog = Watchdog(speed, pose)
+        self._began(watchdog)
         plans = {keep_out.plan for keep_out in pose.keep_out if keep_out.plan} if pose else set[str]()
         sources = [(speed, _speed_to), (pose, _pose_to), *((_Plan(topic), _plan_to) for topic in sorted(plans))]
         try:

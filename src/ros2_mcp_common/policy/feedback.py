@@ -15,7 +15,17 @@ from typing import Any, cast
 from ros2_mcp_common.geometry import yaw_rad
 from ros2_mcp_common.policy.checks import Zone, outside
 from ros2_mcp_common.policy.field_values import Unfit
-from ros2_mcp_common.policy.keep_out import Entry, KeepOut, Near, Pose, Way, arc, keep_out_of, path_of, poses_of
+from ros2_mcp_common.policy.keep_out import (
+    Entry,
+    KeepOut,
+    Near,
+    Pose,
+    Way,
+    arc,
+    keep_out_of,
+    path_of,
+    poses_of,
+)
 from ros2_mcp_common.policy.transform_chain import TransformChain
 
 # The time from a message of the robot to a zero at its driver: a check every 0.02 s, and both transmissions, with a
@@ -36,15 +46,12 @@ TOO_FAST_MESSAGES = 3
 MAX_NAME = 40
 # After a finding about a keep-out zone, the next comes after this time: a cancellation takes as long to arrive.
 KEPT_OUT_AGAIN_S = 0.1
-# A robot whose outline is nearer to a keep-out zone than this share of its margin was not stopped in time: the latch is
-# set, and only an operator may drive it.
-LATCHED_SHARE = 0.5
+# A path that begins farther from the robot is a preview of another one.
+FOLLOWED_M = 1.0
 # A zone that is farther away is measured less precisely, and only told to be nearer than it is.
 NEAR_M = 0.5
 # The longest way to stop that is judged (m or rad): a robot that tells such a speed is near to every zone.
 FARTHEST_STOP = 1000.0
-# A robot within the margin may leave: it may come this much nearer, which covers the noise of its pose.
-LEAVES_M = 0.01
 PARTS = ("linear", "angular")
 UNITS = {"linear": "m/s", "angular": "rad/s"}
 
@@ -101,8 +108,8 @@ def rules_of(value: Mapping[str, Any]) -> tuple[SpeedRule | None, PoseRule | Non
         made: Any = (
             Zone(zone["frame_id"], tuple((x, y) for x, y in zone["polygon"]), zone["margin_m"]) if zone else None
         )
-        keep_out = [keep_out_of(each) for each in pose.get("keep_out", ())]
-        pose = PoseRule(**{**pose, "zone": made, "keep_out": keep_out})
+        more: dict[str, Any] = {"zone": made, "keep_out": [keep_out_of(each) for each in pose.get("keep_out", ())]}
+        pose = PoseRule(**{**pose, **more})
     return None if speed is None else SpeedRule(**speed), pose
 
 
@@ -173,6 +180,7 @@ class Watchdog:
         self._speed = self._speed_before = Seen()
         self._place: Pose | None = None
         self._chain = TransformChain(pose.frame_id, pose.base) if pose and pose.base else None
+        self._placed_at = -math.inf
         self._near_at: Pose | None = None
         self._nearest: Sequence[tuple[KeepOut, Near]] = ()
         self._plan_problem = ""
@@ -255,16 +263,23 @@ class Watchdog:
         except Unfit as unfit:
             silence.heard(now, str(unfit))
         else:
-            silence.heard(now - age_s, "")
+            self._placed_at = now - age_s
+            silence.heard(self._placed_at, "")
 
     def heard_plan(self, message: Any) -> None:
-        """Record the path that the robot's own software follows now. A path in another frame cannot be judged."""
+        """Record a path that the robot's own software has planned; it counts as followed if it begins at the robot.
+
+        A path in another frame cannot be judged, and is left out.
+        """
         self._plan_problem = ""
+        if self._place is None or self._driven_since is None:
+            return
         for keep_out, here in self._near():
             try:
                 poses = poses_of(keep_out, message)
-                way = path_of(poses, keep_out.swing_m, self._place) if poses else None
-                entered = way and _enters(keep_out, way, here)
+                if not poses or math.dist(poses[0][:2], self._place[:2]) > FOLLOWED_M:
+                    continue
+                entered = keep_out.entered_from(here, path_of(poses, keep_out.swing_m, self._place))
             except Unfit:
                 continue
             if entered:
@@ -320,7 +335,7 @@ class Watchdog:
         if self._place is None or self._driven_since is None:
             return ""
         for keep_out, here in self._near():
-            if here.distance_m < keep_out.needed_m * LATCHED_SHARE:
+            if here.distance_m < keep_out.latched_m:
                 told = Entry(here.zone, self._place, here.distance_m).told("is")
                 return f"{told}: only an operator may drive it from there"
         return ""
@@ -329,15 +344,46 @@ class Watchdog:
         """Return why what drives the robot has to end: it could not stop before a keep-out zone, or its path enters."""
         if self._place is None or self._driven_since is None:
             return ""
+        problem, self._plan_problem = self._plan_problem if now <= self._goal_until else "", ""
+        velocity = (*self._speed.velocity, self._speed.turn)
+        return self._of_velocity(velocity, now, "before it could stop") or problem
+
+    def problem_of_velocity(self, velocity: tuple[float, float, float], now: float) -> str:
+        """Return why this velocity (m/s, m/s, rad/s) may not be commanded, by the keep-out zones; "" if it may."""
+        return self._unplaced(now) or self._of_velocity(velocity, now, "with this velocity")
+
+    def problem_of_start(self, now: float) -> str:
+        """Return why no goal may drive the robot from where it is, by the keep-out zones; "" if one may."""
+        if problem := self._unplaced(now):
+            return problem
+        for keep_out, here in self._near():
+            if self._place and here.distance_m < keep_out.watched_m:
+                told = Entry(here.zone, self._place, here.distance_m).told("is")
+                return f"{told}: only a velocity that leads away from it may drive it"
+        return ""
+
+    def _unplaced(self, now: float) -> str:
+        """Return why the place of the robot is not known, if there are keep-out zones."""
+        rule = self.pose_rule
+        if rule is None or not rule.keep_out:
+            return ""
+        if self._place is None:
+            why = self._no_place.why if self._no_place else ""
+            return f"{rule.topic} has told no pose{why} yet, and there are keep-out zones"
+        if self._chain and now - self._placed_at > rule.max_age_s:
+            return f"{rule.topic} has told no pose for {now - self._placed_at:.1f} s, and there are keep-out zones"
+        return ""
+
+    def _of_velocity(self, velocity: tuple[float, float, float], now: float, when: str) -> str:
+        """Return which keep-out zone the robot would come too near to until it stands, if it moves so now."""
         for keep_out, here in self._near():
             try:
-                for way in self._ways_to_stop(keep_out, self._place, now):
-                    if entered := _enters(keep_out, way, here):
-                        return f"before it could stop, {entered}"
+                for way in self._ways_to_stop(keep_out, velocity, now):
+                    if entered := keep_out.entered_from(here, way, keep_out.watched_m):
+                        return f"{when}, {entered}"
             except Unfit as unfit:
                 return str(unfit)
-        problem, self._plan_problem = self._plan_problem if now <= self._goal_until else "", ""
-        return problem
+        return ""
 
     def _near(self) -> Sequence[tuple[KeepOut, Near]]:
         """Return each policy's keep-out zones with the nearest of them; computed once for each pose."""
@@ -348,17 +394,17 @@ class Watchdog:
             self._nearest, self._near_at = [(each, each.nearest(place, NEAR_M)) for each in rule.keep_out], place
         return self._nearest
 
-    def _ways_to_stop(self, keep_out: KeepOut, place: Pose, now: float) -> Sequence[Way]:
-        """Return how the robot may move until it stands, if it was stopped now: it may also go straight on while it no
-        longer turns, or turn on the spot.
+    def _ways_to_stop(self, keep_out: KeepOut, velocity: tuple[float, float, float], now: float) -> Sequence[Way]:
+        """Return how a robot with this velocity may move until it stands, if it is stopped now: it may also go straight
+        on while it no longer turns, or turn on the spot.
         """
-        rule, silences = self.pose_rule, filter(None, (self._no_speed, self._no_place))
-        assert rule
-        forward, left = self._speed.velocity
+        rule, place, silences = self.pose_rule, self._place, filter(None, (self._no_speed, self._no_place))
+        assert rule and place
+        forward, left, turning = velocity
         wait_s = max(silence.length_s(now) for silence in silences) + REACTION_S
         length_m = _way_to_stop(math.hypot(forward, left), wait_s, rule.brake_mps2, self._still("linear"))
-        turned_rad = _way_to_stop(abs(self._speed.turn), wait_s, rule.brake_radps2, self._still("angular"))
-        turn_rad = math.copysign(min(turned_rad, 2 * math.pi), self._speed.turn)
+        turned_rad = _way_to_stop(abs(turning), wait_s, rule.brake_radps2, self._still("angular"))
+        turn_rad = math.copysign(min(turned_rad, 2 * math.pi), turning)
         heading = place.yaw + math.atan2(left, forward)
         lengths = {(length_m, turn_rad), (length_m, 0.0), (0.0, turn_rad)}
         return [arc(place, heading, length, turn, keep_out.swing_m) for length, turn in lengths]
@@ -400,13 +446,6 @@ class Watchdog:
 
     def _shown(self) -> str:
         return " and ".join(f"{speed:.2f} {UNITS[part]}" for part, speed in self._speed.speed.items())
-
-
-def _enters(keep_out: KeepOut, way: Way, here: Near) -> Entry | None:
-    """Return where the outline comes too near on a way. A robot that is nearer than the margin may only leave."""
-    if here.distance_m - way.travel_m >= keep_out.needed_m:
-        return None
-    return keep_out.entry(way, min(keep_out.needed_m, here.distance_m - LEAVES_M))
 
 
 def _way_to_stop(speed: float, wait_s: float, brake: float, still: float) -> float:

@@ -24,6 +24,15 @@ from ros2_mcp_common.wire.limits import MAX_JUDGED_ELEMENTS
 RESOLUTION_M = 0.005
 # Outlines that touch a zone count as inside it, also if a policy asks for no margin.
 TOUCHING_M = 0.001
+# Goals and paths keep the whole margin. What drives the robot is ended so that it comes to a stand at this share of it:
+# the rest is for a pose that is not exact.
+WATCHED_SHARE = 0.5
+# A robot that is nearer than this share was not stopped in time: nothing may drive it but an operator.
+LATCHED_SHARE = 0.25
+# A robot nearer than the watched share may leave: it may come this much nearer, which covers the noise of its pose.
+LEAVES_M = 0.01
+# From when a robot begins to move until it is told to stop: the watchdog's reaction, and the period of what it hears.
+STARTS_S = 0.2
 # The most poses judged for one value or one look, so that the bridge is not held up: 0.1 to 0.3 s. A path of 25 m that
 # runs along the margin of a zone all the time needs so many; one that keeps 0.1 m more needs 250.
 MOST_POSES = 5_000
@@ -40,6 +49,16 @@ GOALS = (
     "opennav_docking_msgs/action/DockRobot",
 )
 """The goals that send a robot to places. Those of FollowGPSWaypoints are in no frame of a zone, so they are refused."""
+STANDING_GOALS = (
+    "nav2_msgs/action/ComputePathToPose",
+    "nav2_msgs/action/ComputePathThroughPoses",
+    "nav2_msgs/action/ComputeRoute",
+    "nav2_msgs/action/SmoothPath",
+    "nav2_msgs/action/Wait",
+    "control_msgs/action/*",
+    "moveit_msgs/action/*",
+)
+"""The goals that do not move a robot's base."""
 GOAL_TOPICS = ("/**/goal_pose", "/**/move_base_simple/goal")
 POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
 """A message of this type on one of these topics is a goal for Nav2."""
@@ -110,6 +129,22 @@ class KeepOut:
         """The distance that the outline has to keep."""
         return max(self.margin_m, TOUCHING_M)
 
+    @property
+    def watched_m(self) -> float:
+        """The distance at which the robot has come to a stand when what drives it was ended."""
+        return self.needed_m * WATCHED_SHARE
+
+    @property
+    def latched_m(self) -> float:
+        """The distance below which only an operator may drive the robot."""
+        return self.needed_m * LATCHED_SHARE
+
+    def least_margin_m(self, brake_mps2: float, brake_radps2: float) -> float:
+        """Return the least margin for a robot that starts and brakes so fast: half of it is how far its outline comes
+        until it is stopped again.
+        """
+        return (brake_mps2 + brake_radps2 * self.swing_m) * STARTS_S**2 / WATCHED_SHARE
+
     def nearest(self, pose: Pose, enough_m: float = math.inf) -> Near:
         """Return the zone nearest to the outline of a robot at this pose, and how near it is.
 
@@ -155,6 +190,16 @@ class KeepOut:
             pending += [((start + end) / 2, end), (start, (start + end) / 2)]
         return None
 
+    def entered_from(self, here: Near, way: Way, needed_m: float | None = None) -> Entry | None:
+        """Return where the outline comes nearer than `needed_m` on a way, for a robot that is as near as `here` now.
+
+        One that is nearer already may only leave.
+        """
+        needed_m = self.needed_m if needed_m is None else needed_m
+        if here.distance_m - way.travel_m >= needed_m:
+            return None
+        return self.entry(way, min(needed_m, here.distance_m - LEAVES_M))
+
 
 class Way(NamedTuple):
     """A motion of the robot: `at` gives the pose for each share from 0 to 1 of it.
@@ -168,7 +213,11 @@ class Way(NamedTuple):
 
 def standing(pose: Pose) -> Way:
     """Return the way of a robot that stays at a pose."""
-    return Way(lambda _: pose, 0.0)
+
+    def at(_share: float) -> Pose:
+        return pose
+
+    return Way(at, 0.0)
 
 
 def along(poses: Sequence[Pose], reach_m: float) -> Way:
@@ -297,7 +346,8 @@ def path_of(poses: Sequence[Pose], reach_m: float, start: Pose | None = None) ->
 def keep_out_of(value: Mapping[str, Any]) -> KeepOut:
     """Return keep-out zones from JSON. Raise `KeyError`, `TypeError` or `ValueError` if it has another structure."""
     zones = {name: _polygon(corners) for name, corners in value["zones"].items()}
-    return KeepOut(**{**value, "zones": zones, "footprint": _polygon(value["footprint"])})
+    more: dict[str, Any] = {"zones": zones, "footprint": _polygon(value["footprint"])}
+    return KeepOut(**{**value, **more})
 
 
 def _polygon(corners: Any) -> Polygon:

@@ -10,7 +10,7 @@ import pytest
 from support.agent import FULL
 from support.zone_drives import drive
 
-ROUNDS = 100_000 if FULL else 200
+ROUNDS = 100_000 if FULL else 150
 pytestmark = pytest.mark.timeout(3600 if FULL else 120)
 
 
