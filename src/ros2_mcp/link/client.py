@@ -40,6 +40,8 @@ _DRAIN_S = 0.005
 _KEPT_REASONS = 100
 # The most repeats whose start is remembered: as many as may run at once (`Repetition.most_running`).
 _KEPT_REPEATS = 256
+_MOST_REASON = 300
+"""The characters that are shown of a reason of the bridge, which names a zone and places."""
 _logger = logging.getLogger(__name__)
 
 
@@ -385,7 +387,7 @@ class Bridge:
             _logger.warning("%s", event["message"])
             return
         if event["event"] == "kept_out":
-            self.kept_out, self.kept_out_at = quoted(event["reason"]), time.monotonic()
+            self.kept_out, self.kept_out_at = quoted(event["reason"], _MOST_REASON), time.monotonic()
             _logger.warning("what drove the robot was ended: %s", self.kept_out)
             return
         if event["event"] == "begun":
