@@ -38,6 +38,7 @@ from ros2_mcp_bridge.topics.subscriptions import Subscriptions
 from ros2_mcp_common.policy.velocity import VELOCITY_TYPES
 from ros2_mcp_common.wire.protocol import (
     Empty,
+    KeptOut,
     LatchSet,
     RelayStopReply,
     ServicesReply,
@@ -109,6 +110,7 @@ class Operations:
         self._requests: dict[int | None, Request] = {}
         self._stops = stops
         self._told_latch: tuple[str, str, float] | None = None
+        self._kept_out = ""
         self._graph = Graph(node)
         self._clock = RobotClock(node, self._graph)
         self._lifeline = lifeline
@@ -168,7 +170,14 @@ class Operations:
                 "stats": self._stats,
             }
         )
-        watching = Watching(node, self._graph, latch=stops.latch, stop=self.failsafes.carry_out)
+        watching = Watching(
+            node,
+            self._graph,
+            latch=stops.latch,
+            stop=self.failsafes.carry_out,
+            keep_out=self._keep_out,
+            began=limiter.watched_by,
+        )
         for steps in (
             self._graph.settle(),
             self._expire(),
@@ -236,6 +245,16 @@ class Operations:
         """End what the server moves, after the fail-safes: it was silent for longer than its link lease."""
         for acting in self._acting():
             acting.end("lease")
+
+    def _keep_out(self, reason: str) -> None:
+        """End what drives the robot, because it is about to enter a keep-out zone. Later commands may drive it away."""
+        self.failsafes.carry_out()
+        for acting in self._acting():
+            acting.end("keep_out")
+        if reason != self._kept_out:
+            sys.stderr.write(f"the watchdog ends what drives the robot: {reason}\n")
+        self._outbox.send(KeptOut(event="kept_out", reason=reason))
+        self._kept_out = reason
 
     def end_lasting(self) -> None:
         """End repeats, relays and motions, after the zeros, because a stopper has died.
