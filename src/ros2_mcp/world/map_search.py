@@ -100,7 +100,7 @@ def search(
     """
     began_at = monotonic()
     field = _Field(grid, area)
-    chosen = hits[np.linspace(0, len(hits) - 1, min(_BEAMS, len(hits))).astype(int)]
+    chosen = _some(hits)
     reach_m = float(np.quantile(np.hypot(hits[:, 0], hits[:, 1]), _FAR))
     turn = min(_MOST_TURN_RAD, max(_LEAST_TURN_RAD, 2 * NEAR_M / max(reach_m, 0.1)))
     yaws = _headings(area, turn)
@@ -113,20 +113,25 @@ def search(
     return MapSearch(poses[:MOST_POSES], rivals, searched, monotonic() - began_at)
 
 
+def _some(hits: Any) -> Any:
+    return hits[np.linspace(0, len(hits) - 1, min(_BEAMS, len(hits))).astype(int)]
+
+
 class _Field:
     """The map as arrays; poses on it are (row, column, heading) in cells and radians, along the grid's own axes."""
 
     def __init__(self, grid: OccupancyGrid, area: Area | None) -> None:
         together = max(1, math.ceil(math.sqrt(grid.cells.size / _MOST_CELLS)))
-        cells = grid.percentages()
-        free = ((cells >= 0) & (cells < OCCUPIED)).astype(np.int8)
+        cells: Any = grid.percentages()
+        free: Any = ((cells >= 0) & (cells < OCCUPIED)).astype(np.int8)
         if together > 1:
             free, cells = largest_of(free, together), largest_of(cells, together)
-        self.free, self.occupied = free > 0, cells >= OCCUPIED
+        self.free: Any = free > 0
+        self.occupied: Any = cells >= OCCUPIED
         self.cell_m = grid.resolution_m * together
         self.corner = grid.corner
         self.fit = MapFit(grid)
-        self.distance = _distances(self.occupied, math.ceil(_WIDE_M / self.cell_m)) * self.cell_m
+        self.distance: Any = _distances(self.occupied, math.ceil(_WIDE_M / self.cell_m)) * self.cell_m
         if area:
             row, column = self.place(area.x_m, area.y_m)
             rows, columns = np.ogrid[: self.free.shape[0], : self.free.shape[1]]
@@ -143,7 +148,7 @@ class _Field:
         cos, sin = math.cos(self.corner.yaw_rad), math.sin(self.corner.yaw_rad)
         return self.corner.x_m + cos * x - sin * y, self.corner.y_m + sin * x + cos * y
 
-    def ends(self, poses: NDArray[np.float64], hits: NDArray[np.float64]) -> tuple[Any, Any]:
+    def ends(self, poses: Any, hits: Any) -> tuple[Any, Any]:
         """Return the rows and columns (n × beams, in cells) of beams' ends for n poses."""
         cos, sin = np.cos(poses[:, 2:3]), np.sin(poses[:, 2:3])
         x, y = hits[:, 0] / self.cell_m, hits[:, 1] / self.cell_m
@@ -154,19 +159,17 @@ class _Field:
         r, c = np.floor(rows).astype(np.int32), np.floor(columns).astype(np.int32)
         height, width = values.shape
         inside = (r >= 0) & (r < height) & (c >= 0) & (c < width)
-        return np.where(inside, values[np.clip(r, 0, height - 1), np.clip(c, 0, width - 1)], outside)
+        return np.where(inside, values[np.where(inside, r, 0), np.where(inside, c, 0)], outside)
 
 
-def _headings(area: Area | None, turn: float) -> NDArray[np.float64]:
+def _headings(area: Area | None, turn: float) -> Any:
     if area is None or area.yaw_rad is None or area.turn_rad >= math.pi:
         return np.arange(math.ceil(2 * math.pi / turn)) * turn
     count = max(1, math.ceil(2 * area.turn_rad / turn))
     return area.yaw_rad + np.linspace(-area.turn_rad, area.turn_rad, count + 1)
 
 
-def _coarse(
-    field: _Field, hits: NDArray[np.float64], yaws: NDArray[np.float64], deadline: float
-) -> tuple[NDArray[np.float64], float]:
+def _coarse(field: _Field, hits: Any, yaws: Any, deadline: float) -> tuple[Any, float]:
     """Return the best poses on a coarse lattice, n × 3, and the share of the headings that was searched.
 
     A square of `step` × `step` cells counts a beam as fitting if it fits from any of its cells, so no pose is lost
@@ -185,7 +188,7 @@ def _coarse(
     reach = math.ceil(float(np.hypot(hits[:, 0], hits[:, 1]).max()) / field.cell_m) + 1
     phases = _phases(field, top, left, (height, width), reach, step)
     free = _any_in_squares(field.free[top:, left:], height, width, step)
-    found: list[NDArray[np.float64]] = []
+    found: list[Any] = []
     middle = (step - 1) / 2 + 0.5
     for yaw in yaws - field.corner.yaw_rad:
         ends_y, ends_x = field.ends(np.array([[0.0, 0.0, yaw]]), hits)
@@ -206,7 +209,7 @@ def _coarse(
     return _apart(np.concatenate(found), _SPOTS, _APART_M / field.cell_m), len(found) / len(yaws)
 
 
-def _phases(field: _Field, top: int, left: int, size: tuple[int, int], reach: int, step: int) -> NDArray[np.uint8]:
+def _phases(field: _Field, top: int, left: int, size: tuple[int, int], reach: int, step: int) -> Any:
     """Return which cells are near an occupied one from anywhere in a square, split by the place in the square: step ×
     step × rows × columns. So the ends of one beam for all squares are a slice of contiguous rows.
     """
@@ -216,7 +219,7 @@ def _phases(field: _Field, top: int, left: int, size: tuple[int, int], reach: in
         windows = np.lib.stride_tricks.sliding_window_view(np.pad(near, room), step, axis=axis)
         near = windows.max(axis=-1)
     high, wide = ((count + 2 * reach // step + 2) * step for count in size)
-    around = np.zeros((high, wide), np.uint8)
+    around: Any = np.zeros((high, wide), np.uint8)
     first_row, first_column = top - reach, left - reach
     from_row, from_column = max(first_row, 0), max(first_column, 0)
     part = near[from_row : first_row + high, from_column : first_column + wide]
@@ -226,14 +229,14 @@ def _phases(field: _Field, top: int, left: int, size: tuple[int, int], reach: in
     return np.ascontiguousarray(split.transpose(1, 3, 0, 2))
 
 
-def _any_in_squares(cells: NDArray[np.bool_], height: int, width: int, step: int) -> NDArray[np.bool_]:
-    whole = np.zeros((height * step, width * step), np.bool_)
+def _any_in_squares(cells: Any, height: int, width: int, step: int) -> Any:
+    whole: Any = np.zeros((height * step, width * step), np.bool_)
     part = cells[: height * step, : width * step]
     whole[: part.shape[0], : part.shape[1]] = part
     return whole.reshape(height, step, width, step).any(axis=(1, 3))
 
 
-def _is_peak(score: NDArray[np.uint8]) -> NDArray[np.bool_]:
+def _is_peak(score: Any) -> Any:
     """Return which values are not less than those around them."""
     most = score
     for axis in (0, 1):
@@ -242,24 +245,25 @@ def _is_peak(score: NDArray[np.uint8]) -> NDArray[np.bool_]:
     return score == most
 
 
-def _apart(spots: NDArray[np.float64], most: int, apart: float) -> NDArray[np.float64]:
+def _apart(spots: Any, most: int, apart: float) -> Any:
     """Return the best of poses with a score (n × 4) that are apart from each other, as n × 3."""
     spots = spots[np.argsort(spots[:, 3])[::-1]]
-    kept: list[NDArray[np.float64]] = []
+    kept: list[Any] = []
     while len(spots) and len(kept) < most:
         first = spots[0]
         kept.append(first[:3])
         spots = spots[~_is_same(spots, first, apart)]
-    return np.array(kept).reshape(-1, 3)
+    found: Any = np.array(kept)
+    return found.reshape(-1, 3)
 
 
-def _is_same(poses: NDArray[np.float64], one: NDArray[np.float64], apart: float) -> NDArray[np.bool_]:
+def _is_same(poses: Any, one: Any, apart: float) -> Any:
     away = np.hypot(poses[:, 0] - one[0], poses[:, 1] - one[1])
     turned = np.abs(np.remainder(poses[:, 2] - one[2] + math.pi, 2 * math.pi) - math.pi)
     return (away < apart) & (turned < _APART_RAD)
 
 
-def _refined(field: _Field, hits: NDArray[np.float64], spots: NDArray[np.float64], turn: float) -> NDArray[np.float64]:
+def _refined(field: _Field, hits: Any, spots: Any, turn: float) -> Any:
     """Return poses moved to where the scan fits best around them, n × 4, with their score."""
     steps: list[tuple[float, float]] = []
     cells, angle = NEAR_M / 2 / field.cell_m, turn / 2
@@ -267,7 +271,7 @@ def _refined(field: _Field, hits: NDArray[np.float64], spots: NDArray[np.float64
         steps += [(cells, angle)] * 2
         cells, angle = cells / 2, angle / 2
     moves = np.array([(y, x, t) for y in (-1, 0, 1) for x in (-1, 0, 1) for t in (-1, 0, 1)], float)
-    wide = np.clip(1 - field.distance / _WIDE_M, 0, 1).astype(np.float32)
+    wide: Any = np.maximum(1 - field.distance / _WIDE_M, 0).astype(np.float32)
     sharp = np.exp(-0.5 * (field.distance / _SHARP_M) ** 2).astype(np.float32)
     score = np.zeros(len(spots))
     for index, (cells, angle) in enumerate(steps):
@@ -286,11 +290,11 @@ def _refined(field: _Field, hits: NDArray[np.float64], spots: NDArray[np.float64
     return np.column_stack((spots, score))
 
 
-def _ranked(field: _Field, hits: NDArray[np.float64], refined: NDArray[np.float64]) -> Sequence[FoundPose]:
+def _ranked(field: _Field, hits: Any, refined: Any) -> Sequence[FoundPose]:
     kept = _apart(refined, 4 * MOST_POSES, _APART_M / field.cell_m)
     kept = kept[field.at(field.free, kept[:, 0], kept[:, 1], False)]
     found: list[FoundPose] = []
-    few = hits[np.linspace(0, len(hits) - 1, min(_BEAMS, len(hits))).astype(int)]
+    few = _some(hits)
     for pose in kept:
         x_m, y_m = field.point(pose[0], pose[1])
         yaw = math.remainder(float(pose[2]) + field.corner.yaw_rad, 2 * math.pi)
@@ -301,7 +305,7 @@ def _ranked(field: _Field, hits: NDArray[np.float64], refined: NDArray[np.float6
     return sorted(found, key=lambda one: -one.rank)
 
 
-def _through(field: _Field, pose: NDArray[np.float64], hits: NDArray[np.float64]) -> float:
+def _through(field: _Field, pose: Any, hits: Any) -> float:
     """Return the share of beams that would pass through an occupied cell well before their end."""
     lengths = np.hypot(hits[:, 0], hits[:, 1])
     samples = np.arange(0.0, max(lengths.max() - _END_M, field.cell_m), field.cell_m * 0.7)
@@ -313,11 +317,11 @@ def _through(field: _Field, pose: NDArray[np.float64], hits: NDArray[np.float64]
     return float((crossed.sum(axis=1) > 0).mean())
 
 
-def _distances(occupied: NDArray[np.bool_], most: int) -> NDArray[np.float32]:
+def _distances(occupied: Any, most: int) -> Any:
     """Return the distance in cells from each cell to the nearest occupied one, at most `most`."""
-    within: NDArray[np.float32] = np.where(occupied, 0, most).astype(np.float32)
+    within: Any = np.where(occupied, 0, most).astype(np.float32)
     for axis in (0, 1):
-        square = within**2
+        square: Any = within**2
         nearest = square.copy()
         for shift in range(1, most):
             ahead, behind = [slice(None)] * 2, [slice(None)] * 2
