@@ -311,8 +311,8 @@ class Operations:
     def end_at_once(self, request: Request) -> None:
         """Carry out a request that ends something, without waiting for the imports of other requests.
 
-        It is carried out again, and answered, in its turn. Then it also ends requests that were accepted
-        before it and come only then.
+        It is carried out again, and answered, in its turn. It then also ends requests that were accepted before it but
+        begin only then.
         """
         with suppress(OperationError):  # the error is answered in its turn
             if request.op == "zero":
@@ -360,9 +360,9 @@ class Operations:
         return self._velocities.have_moved(since) or self.failsafes.has_goals
 
     def _obey_latch(self) -> Steps[None]:
-        """Steps that end what moves here when the latch is set: zeros first, then the rest.
+        """Steps that end all motion here when the latch is set: zeros first, then the rest.
 
-        They do so also if the latch was reset again before they looked. Requests accepted after the reset go on.
+        They do so even if the latch was reset before this check. Requests accepted after the reset continue.
         """
         latch, before = self._stops.latch, None
         while True:

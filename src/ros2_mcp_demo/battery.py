@@ -17,8 +17,8 @@ _CURVE_VOLTAGE = (3.0, 3.3, 3.45, 3.55, 3.65, 3.78, 3.95, 4.05, 4.2)  # of one c
 
 
 class Battery:
-    """`charge` is the remaining share (0 to 1), `current` the present discharge current in A, negative while it
-    charges."""
+    """A battery: `charge` is the remaining share (0 to 1), `current` the present discharge current in A, negative while
+    it charges."""
 
     def __init__(self, charge=0.87):
         self.charge = charge

@@ -48,7 +48,8 @@ def entries_of(settings: Settings) -> Sequence[Entry]:
         return [Entry(name="", settings=settings)]
     if settings.robot_command:
         raise BadInput(
-            "--robot-command says where the one robot is, and several are named.", "Write it into the file: command."
+            "--robot-command is for a server with one robot; several robots are configured.",
+            "In the robots file, give each robot its own `command:`.",
         )
     origins = {name: origin for name, origin in settings.origins.items() if name != "robots_file"}
     common = replace(settings, robots_file=None, origins=origins)

@@ -102,9 +102,11 @@ class Approvals:
         epoch: Callable[[], str] = str,
         changed: Callable[[str, Mapping[str, Any]], None] = lambda _, __: None,
     ) -> None:
-        """`changed` is called for the audit at each change, with a kind and the fields of the audit line. `epoch`
-        returns the present epoch. Requests, approvals and grants lapse when it changes, so that after a stop each
-        command needs a new approval.
+        """Create an empty store of approvals.
+
+        `changed` is called for the audit at each change, with a kind and the fields of the audit line. `epoch` returns
+        the present epoch. Requests, approvals and grants lapse when it changes, so that after a stop each command needs
+        a new approval.
         """
         self._valid_s = valid_s
         self._most_grant_s = most_grant_s
@@ -142,7 +144,7 @@ class Approvals:
         raise ApprovalNeeded(
             f"needs_approval {request.id}: this waits for a person; nothing was sent.",
             "Tell the operator, who runs `ros2-mcp operate`. Once approved, repeat the same call within "
-            f"{self._valid_s:g} s, without what was already done; it is carried out once.",
+            f"{self._valid_s:g} s, leaving out any part that already succeeded. The approval is valid for one call.",
             request_id=request.id,
         )
 

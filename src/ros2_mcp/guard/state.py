@@ -1,4 +1,4 @@
-"""The state of a robot beyond the life of one server: a folder for each robot, with its latch and lock.
+"""The state of a robot that outlives a server: a folder for each robot, with its latch and lock.
 
 The folder is `XDG_STATE_HOME/ros2-mcp/<robot>` (mode 0700), or `<robot>` in the folder that the policy names. It is
 created at the first write. See docs/decisions/0029-latch-and-state.md.

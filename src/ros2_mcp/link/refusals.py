@@ -19,7 +19,9 @@ _FAILED = 255
 
 @dataclass(frozen=True, slots=True)
 class _Refusal:
-    """`sign` matches ssh's message, `message` is the explanation; `is_lasting`: another attempt would fail as well."""
+    """An explanation of one of ssh's messages: `sign` matches ssh's text, `message` explains it; `is_lasting`: another
+    attempt would fail as well.
+    """
 
     sign: re.Pattern[str]
     message: str

@@ -79,7 +79,7 @@ class Mistake:
 
 
 class KeptPrograms(Kept):
-    """The programs of one folder. Files are read anew each time, because people and other servers write there, too."""
+    """The programs of one folder. Files are read at each call, because people and other servers write there, too."""
 
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder.expanduser() if folder else None

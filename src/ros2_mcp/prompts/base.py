@@ -155,7 +155,7 @@ async def _write_relay(values: Mapping[str, Any]) -> Sequence[Message]:
         start,
         step(2, "ros2_topic_stats", topic_names=[source, destination], duration_s=_check_s(duration_s)),
         step(3, "ros2_relay_list"),
-        "Then report: both rates, how many messages were passed and dropped, and any error. "
+        "Then report: both rates, how many messages were published and filtered out, and any error. "
         f"{sooner} with ros2_relay_stop; stop it only if asked to. If it is refused, say why: ros2_policy shows what "
         "is allowed.",
         _TRUTH,
@@ -182,7 +182,7 @@ _RELAY = Prompt(
         ),
         Argument(
             "transform",
-            "What is passed on; filter passes only changes",
+            "What is published; filter: only changes",
             default="identity",
             choices=("identity", "rate_limit", "filter"),
             other_choices={"on_change": "filter"},

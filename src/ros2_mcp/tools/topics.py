@@ -193,7 +193,7 @@ async def ros2_topic_stats(
     ] = None,
     duration_s: Annotated[
         Number | None,
-        Field(gt=0, le=MAX_MEASURE_S, description="Measuring time in seconds. Default: 3; of a bag, all."),
+        Field(gt=0, le=MAX_MEASURE_S, description="Measuring time in seconds. Default: 3, or the whole bag."),
     ] = None,
     *,
     source: Source,

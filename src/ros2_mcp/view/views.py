@@ -187,7 +187,7 @@ class View:
         for pick in picks:
             old = next((one for one in self.picks if one.is_same_box(pick)), None)
             if pick.kind == "box" and not old:
-                old = pick.with_depth(*await self._images.depth_within(pick.topic, pick.time, pick.pixels))
+                old = pick.with_depth(*await self._images.depth_within(pick.topic, pick.time, pick.box_px))
             found.append(old or pick)
         self.picks = found
 

@@ -147,7 +147,7 @@ class Standing:
 class Drive:
     """A controller (`controller.py`) that drives along a course.
 
-    `outcome` is `reached`, `guard`, `silent`, `stuck`, `jumped`, `missed` or `time_out`.
+    `outcome` is `reached`, `guard`, `silent`, `stuck`, `jumped`, `missed` or `timeout`.
 
     It is made from the server's JSON: `distance_m` (m), or `angle` (rad) with or without `radius_m`; `speed` (m/s, for
     a turn in place rad/s); `time_limit_s`, and optionally `pauses_s`, by which pauses may prolong it; `odometry` with
@@ -249,7 +249,7 @@ class Drive:
         if self._standing:
             return self._look_where(self._standing, now)
         if now - self._began_at - min(self._paused_s, self._pauses_s) > self._time_limit_s:
-            return self._stand("time_out", f"The time limit of {self._time_limit_s:.0f} s was reached.", now)
+            return self._stand("timeout", f"The time limit of {self._time_limit_s:.0f} s was reached.", now)
         if self._is_stuck(now):
             topic = self._beats["odometry"].topic
             return self._stand("stuck", _stuck(topic), now)
@@ -428,7 +428,7 @@ class Drive:
         assert self._course
         if self._ending:
             self.outcome = self._ending
-            if self._ending == "time_out" and self._is_there(self._course.place(pose), BAR_M, BAR_RAD):
+            if self._ending == "timeout" and self._is_there(self._course.place(pose), BAR_M, BAR_RAD):
                 self.outcome, self.why = "reached", ""
             return None
         course = self._squaring or self._course

@@ -39,7 +39,7 @@ FIRST_HEARD_S = 5.0
 TELL_EVERY_S = 0.5
 # The path of the velocity in types with a header.
 _INNER = {"geometry_msgs/msg/TwistStamped": "twist.", "ackermann_msgs/msg/AckermannDriveStamped": "drive."}
-NOBODY = "Nobody listens to this command input: nothing was sent."
+NOBODY = "This command input has no subscriber: nothing was sent."
 
 
 class Motion:
@@ -78,7 +78,7 @@ class Motion:
         The first command that moves, and the zero after it, are sent at once.
         """
         if not publisher.matched():
-            self._end("nobody_listens", NOBODY)
+            self._end("no_subscriber", NOBODY)
             return
         self.started = due = told_at = time.monotonic()
         moves = False
@@ -90,7 +90,7 @@ class Motion:
                 self._end(self.controller.outcome, self.controller.why)
                 return
             if now - self.started > self._for_s:
-                self._end("time_out", f"The duration of {self._for_s:g} s is over.")
+                self._end("timeout", f"The duration of {self._for_s:g} s is over.")
                 return
             if now >= due or moves != any(velocity.values()):
                 self.late += int((now - due) / self._period_s) if now > due else 0

@@ -65,7 +65,7 @@ _ALL_ELEMENTS = re.compile(r"""('(?:\\.|[^'\\])*'|"(?:\\.|[^"\\])*")|\[\s*\*\s*\
 
 
 class ConditionError(ValueError):
-    """Raised for a text that is no condition; the hint says what is allowed.
+    """Raised for a text that is not a valid condition; the hint says what is allowed.
 
     A missing field raises `PathError` instead.
     """
@@ -191,7 +191,7 @@ class _Term:
 
     @property
     def hint(self) -> str:
-        """How to use the term if it cannot be compared or computed with as it is."""
+        """A hint on how to write the term if it cannot be compared or computed with as it is."""
         hints = {
             "message": "Name one of its fields.",
             "list": "Pick an element, such as [0], or use min(), max(), len(), any() or all().",

@@ -68,7 +68,7 @@ class Step:
 
     @property
     def is_several(self) -> bool:
-        """Whether it stands for several values; a part of a text is one."""
+        """Whether the step selects several values; a part of a text counts as one."""
         return isinstance(self.pick, (slice, Where)) and self.field.type.arity != "single"
 
 

@@ -32,7 +32,7 @@ class NoRange(Exception):
 
 
 def no_bearings(scan: Any) -> str:
-    """Why the beams of a scan have no bearings, in words; empty where they have."""
+    """Return why the beams of a scan have no bearings, as a sentence; empty if they have."""
     count, step = len(scan.ranges), scan.angle_increment
     if why := not_finite(scan, "angle_min", "angle_increment"):
         return why
@@ -55,8 +55,8 @@ def _contradiction(first: float, last: float, step: float, count: int) -> str:
 
 
 def limits_of(scan: Any) -> tuple[float, float]:
-    """The least and the greatest range (m) that a scan says it can measure; 0 and infinite where it has none that is a
-    positive number: some drivers leave them at 0.
+    """Return the minimum and maximum range (m) of a scan; 0 and infinity for a limit that is not a positive number:
+    some drivers leave them at 0.
     """
     least, most = float(scan.range_min), float(scan.range_max)
     return (

@@ -152,4 +152,4 @@ def test_a_sensor_that_has_left_while_others_stay_is_critical(agent: Agent, ros_
         found = agent.call("ros2_health_check", check_rates=False)
         missed = found["findings"][0]
         assert (found["verdict"], missed["severity"], missed["subject"]) == ("CRITICAL", "critical", "/stranger")
-        assert missed["problem"].startswith("/stranger has left: nobody publishes any longer on /range")
+        assert missed["problem"].startswith("/stranger has left: no publisher is left on /range")

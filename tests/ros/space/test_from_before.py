@@ -38,7 +38,7 @@ def test_one_message_of_a_topic_that_keeps_ten_is_the_newest(agent: Agent) -> No
 def test_three_of_ten_are_the_newest_three_and_what_is_left_out_is_counted(agent: Agent) -> None:
     read = agent.call("ros2_topic_subscribe", topic_name="/count", message_limit=3)
     assert [one["data"] for one in read["messages"]] == [7, 8, 9]
-    assert "7 older messages from before" in read["note"]
+    assert "7 older messages published before this call" in read["note"]
 
 
 def test_what_is_from_before_is_told_apart_from_what_came(agent: Agent) -> None:

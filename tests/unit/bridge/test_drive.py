@@ -197,7 +197,7 @@ def test_odometry_that_jumps_ends_it() -> None:
 
 def test_its_time_limit_ends_it() -> None:
     run = Run(asked=asked(distance_m=5.0, time_limit_s=2.0), base=Base())
-    assert run.go().outcome == "time_out"
+    assert run.go().outcome == "timeout"
     assert run.seconds < 5
 
 
@@ -208,7 +208,7 @@ def test_pauses_for_what_is_late_do_not_count_towards_its_time_limit() -> None:
     late = Run(asked=asked(**given, pauses_s=30.0), base=Base(), pauses_s=pauses)
     assert late.go().outcome == "reached"
     assert late.seconds > 10.0
-    assert Run(asked=asked(**given), base=Base(), pauses_s=pauses).go().outcome == "time_out"
+    assert Run(asked=asked(**given), base=Base(), pauses_s=pauses).go().outcome == "timeout"
 
 
 @pytest.mark.parametrize("ramp", [0.1, 0.3, 10.0])

@@ -53,16 +53,18 @@ class UntilRequest:
     odometry_topic: str = ""
 
 
-UntilEnd = Literal["met", "distance", "time_out", "silent", "nobody_listens", "refused", "ended"]
+UntilEnd = Literal["met", "distance", "timeout", "silent", "no_subscriber", "refused", "interrupted"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MovedUntil:
-    """What ended a motion: `outcome` is `met`, `distance`, `time_out`, `silent`, `nobody_listens`, `refused`, or
-    `ended` by something else, which `note` names.
+    """The result of a motion. `outcome` says what ended it: `met`, `distance` (max_distance_m), `timeout`, `silent` (a
+    topic or odometry stopped publishing), `no_subscriber`, `refused` (by the policy), or `interrupted` (`note` says by
+    what).
 
-    `values` are those of the last message that was looked at, which met the condition if one did; of `undecided` ones
-    it could not be said. `distance_m` is the way by odometry until the end of the commands, null without odometry.
+    `values` has the fields of the condition from the last message checked. For `not_evaluable` of the
+    `messages_checked` the condition had no value. `distance_m` is the distance by odometry until the last command; null
+    without odometry.
     """
 
     outcome: UntilEnd
@@ -71,8 +73,8 @@ class MovedUntil:
     topic_type: str
     condition: str = field(metadata=SAID)
     values: Mapping[str, Any] = field(metadata=SAID)
-    looked_at: int
-    undecided: int
+    messages_checked: int
+    not_evaluable: int
     command_topic: str
     velocity: Mapping[str, float]
     sent: int
@@ -87,10 +89,10 @@ class MovedUntil:
         """Return whether something went wrong. A limit of time or distance that the caller
         gave, and a stop, are no failures.
         """
-        return self.outcome in ("silent", "nobody_listens", "refused")
+        return self.outcome in ("silent", "no_subscriber", "refused")
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         way = (
             ""
             if self.distance_m is None
@@ -222,14 +224,14 @@ def _result(command: Move, moved: Moved, reason: str, known: str) -> MovedUntil:
         notes.append("A zero command was sent at the end.")
     odometry = asked["odometry"]
     return MovedUntil(
-        outcome="ended" if reason else cast("UntilEnd", moved.outcome),
+        outcome="interrupted" if reason else cast("UntilEnd", moved.outcome),
         met=told["met"],
         topic_name=asked["topic"],
         topic_type=asked["type"],
         condition=asked["condition"],
         values=told["values"],
-        looked_at=told["looked_at"],
-        undecided=told["undecided"],
+        messages_checked=told["looked_at"],
+        not_evaluable=told["undecided"],
         command_topic=command.name,
         velocity=asked["velocity"],
         sent=sent.sent,

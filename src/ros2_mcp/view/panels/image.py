@@ -115,6 +115,6 @@ def _preferred(topics: list[str]) -> str:
 
 def _silent(look: Look, topic: str, topics: list[str]) -> str:
     if topic not in topics:
-        return f"Nobody publishes on {named(topic)} now."
+        return f"{named(topic)} has no publisher now."
     failure = look.robot.graph.failure
     return failure or f"{named(topic)} has a publisher, but no picture has come yet."

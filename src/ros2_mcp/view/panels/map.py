@@ -110,7 +110,7 @@ class MapPanel(Panel):
             where = f"({at['x']:.2f}, {at['y']:.2f}) m in {named(str(content.get('frame')))}"
             parts.append(f"the robot at {where}, heading {round(math.degrees(at['yaw']))}°")
         elif content.get("frame"):
-            parts.append("nobody says where the robot is")
+            parts.append("the robot's pose is unknown")
         for kind in ("goals", "places", "paths"):
             if names := [str(one["name"]) for one in content.get(kind) or ()]:
                 parts.append(f"{kind} {listed(names, MOST_NAMED)}")

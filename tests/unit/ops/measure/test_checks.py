@@ -180,7 +180,7 @@ def test_nodes_whose_clock_differs_are_named() -> None:
     (finding,) = found_in(clock, parameters=clocks(nav=True, map=True, lidar=False))
     assert (finding.subject, "false, unlike that of 2 others: /lidar" in finding.problem) == ("/lidar", True)
     (finding,) = found_in(parameters=clocks(nav=True, map=False))
-    assert "nobody publishes /clock: /nav" in finding.problem
+    assert "/clock has no publisher: /nav" in finding.problem
 
 
 # ── lifecycle, servers, remappings, joint states ─────────────────────────────────────────────────────────────────
@@ -233,7 +233,7 @@ def test_what_is_silent_because_of_a_remapping_is_told_with_it_and_once() -> Non
     row = TopicRow("/clean", scan, 1, 0, "SILENT", None, None, expected=False)
     (finding,) = joined(found_in(graph, rows=[row], flows={"/clean": Flow(0, None, 0.0)}))
     assert (finding.subject, "/front/scan:=/scan/front" in finding.recommendation) == ("/scan/front", True)
-    assert "/front/scan, which nobody hears" in finding.problem and "/clean is silent" in finding.problem
+    assert "/front/scan, which has no subscriber" in finding.problem and "/clean has no messages" in finding.problem
 
 
 @pytest.mark.parametrize(

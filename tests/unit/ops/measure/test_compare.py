@@ -80,7 +80,7 @@ def test_a_known_delay_is_found_between_different_rates_and_under_an_offset(wind
         floats(window, "/a", TIMES, wave(TIMES)), floats(window, "/b", slow, 3 + wave(slow - 0.25) + noise)
     )
     assert found.delay_s == pytest.approx(0.25, abs=0.02)
-    assert "200 messages without a partner (250 and 50 received)." in found.reasons
+    assert "200 messages have no partner (250 and 50 received)." in found.reasons
 
 
 def test_a_known_offset_is_the_mean_difference(window: Make) -> None:
@@ -133,7 +133,7 @@ def test_a_tolerance_widens_identical(window: Make) -> None:
 def test_lost_messages_are_no_identity(window: Make) -> None:
     found = evaluate(floats(window, "/a", TIMES, wave(TIMES)), floats(window, "/b", TIMES[::2], wave(TIMES[::2])))
     assert found.verdict == "SIMILAR"
-    assert found.reasons == ["125 messages without a partner (250 and 125 received)."]
+    assert found.reasons == ["125 messages have no partner (250 and 125 received)."]
 
 
 def test_nan_in_both_is_equal_and_in_one_is_told(window: Make) -> None:
@@ -147,7 +147,7 @@ def test_nan_in_both_is_equal_and_in_one_is_told(window: Make) -> None:
 
 def test_a_silent_topic_is_very_different(window: Make) -> None:
     found = evaluate(floats(window, "/a", TIMES, TIMES), floats(window, "/b", [], []))
-    assert (found.verdict, found.reasons) == ("VERY DIFFERENT", ["/b sent nothing."])
+    assert (found.verdict, found.reasons) == ("VERY DIFFERENT", ["No message was received on /b."])
 
 
 def test_arrays_are_compared_element_by_element(window: Make) -> None:
@@ -318,13 +318,13 @@ def joints(window: Make, topic: str, **lists):
 def test_fields_of_which_there_is_nothing_agree_in_nothing(window: Make) -> None:
     a, b = joints(window, "/a", position=[1.0]), joints(window, "/b", position=[1.0], effort=[5.0])
     found = evaluate(a, a, ["effort"])
-    assert (found.verdict, found.reasons) == ("VERY DIFFERENT", ["Nothing to compare in either: effort."])
+    assert (found.verdict, found.reasons) == ("VERY DIFFERENT", ["No value on either topic: effort."])
     found = evaluate(a, b, ["effort"])
     assert (found.verdict, len(found.reasons)) == ("VERY DIFFERENT", 1)
     assert evaluate(a, b, ["position", "effort"]).verdict == "DIFFERENT"
     found = evaluate(a, a, ["position", "effort"])
     assert found.reasons[0].startswith("All 1 fields of")
-    assert (found.verdict, found.reasons[1:]) == ("IDENTICAL", ["Nothing to compare in either: effort."])
+    assert (found.verdict, found.reasons[1:]) == ("IDENTICAL", ["No value on either topic: effort."])
 
 
 def test_a_rotation_that_was_never_set_is_not_said_to_be_missing(window: Make) -> None:
