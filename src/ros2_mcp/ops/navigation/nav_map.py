@@ -178,7 +178,7 @@ async def nav_map(robot: Robot, session: Session, request: MapRequest, report: R
             note=" ".join(filter(None, notes)),
         )
     if request.what == "save":
-        verified, now, fit = _files(robot, request.path, kind, called_at), before, ""
+        verified, now, fit = written(robot, request.path, kind, called_at), before, ""
     else:
         verified, now = await _published(robot, topic, before)
         fit = _fit(await scan_fit(robot))
@@ -340,7 +340,7 @@ async def _known(robot: Robot, topic: str, kind: str, sample: Any) -> _Known:
     return seen, MapMark.of(topic, grid), sent_ns(sample)
 
 
-def _files(robot: Robot, given: str, kind: str, called_at: float) -> str:
+def written(robot: Robot, given: str, kind: str, called_at: float) -> str:
     """Say whether the files are there, if that can be seen from here."""
     path = given.strip().removeprefix("file://").removesuffix(".yaml")
     names = [f"{path}{ending}" for ending in _ENDINGS[kind]]
