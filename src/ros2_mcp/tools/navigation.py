@@ -164,7 +164,7 @@ async def ros2_nav_preview(
     does={"publish": (POSE_ESTIMATE,)},
     group="navigation",
     by_default=False,
-    finds="initial pose, relocalize, AMCL is lost, where is the robot, set its position on the map",
+    finds="initial pose, relocalize, AMCL is lost, find the robot on the map",
 )
 async def ros2_nav_localize(
     robot: Robot,
