@@ -95,6 +95,14 @@ class Beat:
         return max(self._periods, default=LONGEST_PERIOD_S)
 
     @property
+    def awaited(self) -> str:
+        """In words, that no message came from it, or too few, or none that can be used."""
+        if self.problem:
+            return f"messages came from {self.topic}, but {'too few' if self.count else 'none'}{self.unusable}"
+        few = f"{self.count} of the {FIRST_MESSAGES} messages that tell its rate"
+        return f"{few if self.count else 'no message'} came from {self.topic}"
+
+    @property
     def unusable(self) -> str:
         """In words, behind "nothing", that what came could not be used; empty where nothing came."""
         return f" that can be used ({self.problem})" if self.problem else ""
@@ -198,15 +206,14 @@ class Drive:
         return self._standing is not None
 
     def awaits(self) -> str:
-        """Topics of which too little has come to know how often they do."""
-        awaited = [beat for beat in self._beats.values() if beat.count < FIRST_MESSAGES]
-        return " and ".join(f"{beat.topic}{beat.unusable}" for beat in awaited)
+        """From which topics too little has come to know how often they send."""
+        return " and ".join(beat.awaited for beat in self._beats.values() if beat.count < FIRST_MESSAGES)
 
     def late_in_s(self, now: float) -> float:
         """See `controller.Controller`."""
         return late_in_s(self._beats.values(), now)
 
-    def hear(self, role: str, message: Any, now: float) -> None:
+    def hear(self, role: str, message: Any, now: float, from_before_s: float | None = None) -> None:  # noqa: ARG002
         """Odometry (whatever has a pose), or a message of a sensor."""
         try:
             if role == "odometry":

@@ -68,7 +68,7 @@ class Motion:
             if not awaited and not any(ear.is_settling for _, ear in self._ears):
                 return True
             if time.monotonic() > deadline:
-                self._end("silent", f"No message from {awaited} within {FIRST_HEARD_S:g} s: nothing was sent.")
+                self._end("silent", f"In {FIRST_HEARD_S:g} s {awaited}: nothing was sent.")
                 return False
             yield LOOK_S
 
@@ -110,7 +110,11 @@ class Motion:
 
     def _hear(self) -> None:
         for role, ear in self._ears:
-            ear.hear(lambda message, role=role, ear=ear: self.controller.hear(role, message, ear.received_at))
+
+            def take_in(message: Any, role: str = role, ear: Ear = ear) -> None:
+                self.controller.hear(role, message, ear.received_at, ear.from_before_s)
+
+            ear.hear(take_in)
 
     def _publish(self, publisher: Publisher, velocity: Velocity) -> bool:
         """Publish one command. Return False if the policy refuses it; if it refuses the first one, raise."""

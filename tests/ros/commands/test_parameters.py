@@ -271,7 +271,9 @@ def test_a_part_of_a_long_parameter_is_read_by_its_place_in_it(agent, robot) -> 
     text = "".join(f"<{number}>" for number in range(5000))
     assert put(agent, robot, label=text)["successful"]
     dump = get(agent, robot)
-    assert 'names=["label[0:8000]"]' in agent.whole("ros2_parameter_get", {"node_name": dump["node"]}).content[0].text
+    hint = agent.whole("ros2_parameter_get", {"node_name": dump["node"]}).content[0].text
+    assert 'names=["label[0:8000]"]' in hint and "with whole=true neither" in hint
+    assert 'names=["label[0:8000]"]' in agent.call("ros2_parameter_list", node_names=[dump["node"]])["note"]
     found = get(agent, robot, "label[0:8000]", "label[20000:]", "counts[:1]", "steps")
     assert found["parts"] == {"label[0:8000]": text[:8000], "label[20000:]": text[20000:], "counts[:1]": [1]}
     assert found["parameters"] == {"steps": 5}

@@ -47,4 +47,6 @@ def test_what_was_true_long_ago_is_neither_echoed_nor_meets_a_condition(agent: A
         timeout=0.5,
         command_topic="/again/cmd_vel",
     )
-    assert (still["met"], still["values"]) == (True, {"data": 0.0}), still["note"]
+    assert (still["met"], still["values"], still["sent"]) == (True, {"data": 0.0}, 0), still["note"]
+    assert still["from_before"].startswith("1 message, ") and still["from_before"].endswith("s old, from before")
+    assert moved["from_before"].endswith("s old, from before")  # what did not meet it is as old

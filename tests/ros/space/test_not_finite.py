@@ -73,7 +73,7 @@ def test_a_health_check_names_every_source_of_such_numbers(agent: Agent) -> None
 def test_a_drive_by_such_odometry_or_such_a_scan_moves_nothing_and_says_why(agent: Agent) -> None:
     by_odometry = agent.call("ros2_drive", distance_m=0.3, guard_m=0)
     assert (by_odometry["outcome"], by_odometry["measured"]) == ("silent", None)
-    assert "/odom that can be used (pose.pose.position.x is NaN)" in by_odometry["note"]
+    assert "messages came from /odom, but none that can be used (pose.pose.position.x is NaN)" in by_odometry["note"]
     said = agent.refusal("ros2_drive", distance_m=0.3, scan="/scan_step")
     assert "/scan_step has no bearings, so it cannot be used to detect obstacles: angle_increment is 0" in said
 

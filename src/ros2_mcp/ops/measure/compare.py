@@ -12,6 +12,7 @@ from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.model.text import counted, listed
 from ros2_mcp.ops.results.results import SAID, Report, silent
+from ros2_mcp.ops.sources.from_before import FromBefore
 from ros2_mcp.ops.sources.source import Capture, Missing, Source, Stream
 
 if TYPE_CHECKING:
@@ -121,7 +122,8 @@ async def compare(
         if isinstance(capture, Missing):
             raise capture.error
         captures.append(capture)
-    return await asyncio.to_thread(evaluate, *captures, tolerance_percent=tolerance_percent, by_stamp=by_stamp)
+    found = await asyncio.to_thread(evaluate, *captures, tolerance_percent=tolerance_percent, by_stamp=by_stamp)
+    return replace(found, source=_from_before(*captures).beside(found.source)) if source.is_live else found
 
 
 def keeping(types: Sequence[str], fields: Sequence[str]) -> Callable[[Stream], Paired]:
@@ -136,7 +138,7 @@ def keeping(types: Sequence[str], fields: Sequence[str]) -> Callable[[Stream], P
     def keep(stream: Stream) -> Paired:
         side = 0 if stream.type == types[0] else 1
         common = [pair[side] for pair in common_fields(stream.codec.definitions, types, fields)]
-        return Paired(stream.codec, stream.type, common, room, whole_lists=True)
+        return Paired(stream.codec, stream.type, common, room, whole_lists=True, is_replayed=stream.is_replayed)
 
     return keep
 
@@ -182,7 +184,13 @@ def evaluate(
         earlier, later = (first, second) if delay_s > 0 else (second, first)
         reasons.append(f"By its values, {later.topic} is {1000 * abs(delay_s):.3g} ms behind {earlier.topic}.")
     for capture in (first, second):
-        troubles = (capture.mixed, capture.kept.skipped, capture.kept.bounds("The comparison covers", capture.began_ns))
+        old = _from_before(capture)
+        troubles = (
+            f"{old}." if old.count else "",
+            capture.mixed,
+            capture.kept.skipped,
+            capture.kept.bounds("The comparison covers", capture.began_ns),
+        )
         reasons += [f"{capture.topic}: {trouble}" for trouble in troubles if trouble]
     return Comparison(
         topic1=first.topic,
@@ -200,6 +208,13 @@ def evaluate(
         fields=compared,
         source=first.source,
     )
+
+
+def _from_before(*captures: Capture[Paired]) -> FromBefore:
+    """Return which of the messages of these topics were sent before the subscriptions."""
+    kept = [capture.kept for capture in captures]
+    found = FromBefore.of(sum(one.replayed for one in kept), max(one.replayed_ns for one in kept), captures[0].end_ns)
+    return replace(found, all_of=sum(one.seen for one in kept))
 
 
 def _period_s(capture: Capture[Paired]) -> float:

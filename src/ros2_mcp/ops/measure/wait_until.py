@@ -16,7 +16,7 @@ from ros2_mcp.model.text import counted, in_quotes
 from ros2_mcp.model.times import recorded_time, seconds_in
 from ros2_mcp.model.values import NOT_FINITE
 from ros2_mcp.ops.results.results import HIDDEN, IF_ANY, SAID, Report, iso_time, reporting, silent
-from ros2_mcp.ops.sources.from_before import from_before
+from ros2_mcp.ops.sources.from_before import from_before, told_as_met
 from ros2_mcp.ops.sources.selection import undecodable
 from ros2_mcp.ops.sources.source import Source, Stream
 from ros2_mcp_common.finite import word_for
@@ -70,8 +70,7 @@ class Wait:
         when = f"after {self.waited:.3f} s" if self.is_live else f"in {self.source}{seen}"
         said = {path: self.odd.get(path) or in_quotes(value) for path, value in self.values.items()}
         values = ", ".join(f"{path} = {value}" for path, value in said.items())
-        if self.from_before:
-            when += f" by {self.from_before}; nothing newer came" if self.met else f"; the last: {self.from_before}"
+        when += told_as_met(self.from_before, self.met)
         line = f"{self.topic_name}: {self.condition} {outcome} {when} ({values or 'no message'})."
         return f"{line} {self.note}".rstrip()
 

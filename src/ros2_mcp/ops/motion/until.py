@@ -20,6 +20,7 @@ from ros2_mcp.ops.motion.find import Found, base_frame_of, command_input, first_
 from ros2_mcp.ops.motion.held import others_on, why_it_stands
 from ros2_mcp.ops.motion.job import run_motion
 from ros2_mcp.ops.results.results import SAID, Report, silent, told_values
+from ros2_mcp.ops.sources.from_before import FromBefore, told_as_met
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.session import Session
 from ros2_mcp_common.language.scans import LASER_SCAN
@@ -62,9 +63,9 @@ class MovedUntil:
     topic or odometry stopped publishing), `no_subscriber`, `refused` (by the policy), or `interrupted` (`note` says by
     what).
 
-    `values` has the fields of the condition from the last message checked. For `not_evaluable` of the
-    `messages_checked` the condition had no value. `distance_m` is the distance by odometry until the last command; null
-    without odometry.
+    `values` has the fields of the condition from the last message checked; `from_before` is set if that message had
+    been published before this call, and gives its age. For `not_evaluable` of the `messages_checked` the condition had
+    no value. `distance_m` is the distance by odometry until the last command; null without odometry.
     """
 
     outcome: UntilEnd
@@ -83,6 +84,7 @@ class MovedUntil:
     odometry_topic: str = field(default="", metadata=SAID)
     stopped_with_zero: bool = False
     note: str = ""
+    from_before: str = field(default="", metadata=SAID)
 
     @property
     def has_failed(self) -> bool:
@@ -98,7 +100,8 @@ class MovedUntil:
             if self.distance_m is None
             else f" The robot moved {self.distance_m:.2f} m by {named(self.odometry_topic)}."
         )
-        outcome = f"{'is met' if self.met else 'was not met'} after {self.elapsed:.2f} s ({told_values(self.values)})"
+        outcome = f"{'is met' if self.met else 'was not met'} after {self.elapsed:.2f} s"
+        outcome += f"{told_as_met(self.from_before, self.met)} ({told_values(self.values)})"
         return f"{named(self.topic_name)}: {self.condition} {outcome}.{way} {self.note}".rstrip()
 
 
@@ -240,4 +243,5 @@ def _result(command: Move, moved: Moved, reason: str, known: str) -> MovedUntil:
         odometry_topic=odometry["topic"] if odometry else "",
         stopped_with_zero=sent.stopped_with_zero,
         note=" ".join(filter(None, notes)),
+        from_before=str(FromBefore.one(told["from_before_s"])),
     )

@@ -30,10 +30,11 @@ values, as many are shown as fit."""
 _MAX_NAMED = 5
 """Parameters that are named in a summary, which is one line."""
 _LONG_HINT = (
-    "omitted gives the length; ros2_parameter_get with its name and whole=true returns it, "
-    'or a part of it, such as names=["robot_description[0:8000]"].'
+    "omitted gives the length; ros2_parameter_get with its name and whole=true returns it if it fits in an answer, "
+    "or a part of it,"
 )
-_WHOLE_HINT = "Call again with that parameter's name and whole=true"
+_WHOLE_HINT = "Call again with that parameter's name and whole=true, or a part of it,"
+_PARTS_HINT = "No answer has room for it, with whole=true neither: ask for its parts,"
 _PART_OF = re.compile(r"(?P<name>.+)\[(?P<start>\d*):(?P<end>\d*)\]")
 """A part of a long text or list, as in a path to a field."""
 _PART_LENGTH = 8000
@@ -106,7 +107,8 @@ class Dump:
 
     `omitted` gives the lengths of values that are too long to show: setting the others back does not change these.
     `unset_types` has the declared types of parameters without a value, `empty_list_types` those of empty lists. `parts`
-    has parts of long values that were requested, such as `robot_description[0:8000]`.
+    has parts of long values that were requested, such as `robot_description[0:8000]`. `fits_whole`: an answer has room
+    for each omitted value.
     """
 
     node: str = field(metadata=SAID)
@@ -117,6 +119,7 @@ class Dump:
     unset_types: dict[str, str] = field(default_factory=dict[str, str])
     empty_list_types: dict[str, str] = field(default_factory=dict[str, str])
     parts: dict[str, Any] = field(default_factory=dict[str, Any], metadata=IF_ANY)
+    fits_whole: bool = field(default=True, metadata=HIDDEN)
 
     def summary(self) -> str:
         """Return the result in one line."""
@@ -127,7 +130,8 @@ class Dump:
             return line
         long = ", ".join(f"{named(name)} ({size})" for name, size in list(self.omitted.items())[:_MAX_NAMED])
         return (
-            f"{line} Too long to show: {long}. {_WHOLE_HINT}, or a part of it, {_part_hint(next(iter(self.omitted)))}."
+            f"{line} Too long to show: {long}. {_WHOLE_HINT if self.fits_whole else _PARTS_HINT} "
+            f"{_part_hint(next(iter(self.omitted)))}."
         )
 
 
@@ -192,7 +196,7 @@ class _Room:
 
     def shown(self, parameter: Parameter) -> Parameter:
         """Return the parameter with its texts cut, and without its value if that does not fit."""
-        size = len(json.dumps(parameter.value, ensure_ascii=False).encode("utf-8", "surrogatepass"))
+        size = _bytes_of(parameter)
         omitted = ""
         if size > _SHORT_BYTES:
             if size > self._left:
@@ -206,6 +210,10 @@ class _Room:
             description=_cut(parameter.description),
             constraints=_cut(parameter.constraints),
         )
+
+
+def _bytes_of(parameter: Parameter) -> int:
+    return len(json.dumps(parameter.value, ensure_ascii=False).encode("utf-8", "surrogatepass"))
 
 
 def _size_in_words(value: Any) -> str:
@@ -246,7 +254,7 @@ async def describe(robot: Robot, nodes: Sequence[str], pattern: str = "", limit:
         left = max(left - len(node.parameters), 0)
     long = [one.name for node in shown for one in node.parameters if one.omitted]
     notes = [await shared_names(robot, [node.node for node in shown]), list_note(total, limit)]
-    notes += [f"Too long to show: {counted(len(long), 'value')}; {_LONG_HINT}"] if long else []
+    notes += [f"Too long to show: {counted(len(long), 'value')}; {_LONG_HINT} {_part_hint(long[0])}."] if long else []
     if omitted:
         usual = ", ".join((*(f"{name} at its default" for name in _OF_EVERY_NODE), f"{_OVERRIDES}*"))
         notes.append(f"Not shown: {omitted} standard parameters ({usual}); give a pattern to show them.")
@@ -304,6 +312,7 @@ async def dump(robot: Robot, node: str, asked: Sequence[str] | None = None, *, w
             one.name: one.type for one in found if one.type.endswith("_array") and not (one.value or one.not_set)
         },
         parts={name: _part_of(name, part, read_for_parts[part["name"]]) for name, part in asked_parts.items()},
+        fits_whole=all(_bytes_of(one) < answer_bytes(robot) for one in found if one.name in omitted),
     )
 
 

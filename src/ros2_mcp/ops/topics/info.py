@@ -117,5 +117,5 @@ def _seconds(duration_ns: int | None) -> float | None:
 
 def _of_these_ours(side: Sequence[EndpointInfo]) -> str:
     """Return a phrase with the number of this server's own endpoints; empty if there are none."""
-    count = sum(endpoint.ours for endpoint in side)
+    count = sum(endpoint.from_this_server for endpoint in side)
     return f" ({count} of this server)" if count else ""

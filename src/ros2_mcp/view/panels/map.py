@@ -70,6 +70,7 @@ class MapPanel(Panel):
             "places": [_mark(mark) for mark in found.places],
             "layers": [_told(layer, found) for layer in found.layers],
             "missing": list(found.missing),
+            "old": [f"{one.kind} {named(one.name)} {one.from_before}" for one in found.layers if one.from_before],
             "bulk": [_points(scan) for scan in found.scans],
         }
 

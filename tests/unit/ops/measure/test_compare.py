@@ -49,6 +49,14 @@ def test_a_copy_is_identical(window: Make) -> None:
     assert (field.max_difference, field.correlation) == (0.0, pytest.approx(1.0))
 
 
+def test_messages_from_before_are_told_with_their_number_and_age(window: Make) -> None:
+    times = [-8.0, *TIMES]
+    found = evaluate(floats(window, "/a", times, np.ones(len(times))), floats(window, "/b", times, np.ones(len(times))))
+    assert found.verdict == "IDENTICAL" and found.reasons[1].endswith("s old, from before.")
+    assert found.reasons[1].startswith("/a: 1 message, ") and found.reasons[2].startswith("/b: 1 message, ")
+    assert "from before" not in " ".join(evaluate(*(floats(window, one, TIMES, TIMES) for one in ("/a", "/b"))).reasons)
+
+
 @pytest.mark.promise(
     "ros2_topic_compare", "Compare two topics over the same time, field by field: differences, correlation, delay"
 )
@@ -184,7 +192,7 @@ def test_rotations_differ_by_the_angle_between_them(window: Make) -> None:
     found = evaluate(a, b)
     (field,) = found.fields
     assert [field.mean_difference, field.rms_difference, field.scale] == pytest.approx([0.3, 0.3, math.pi])
-    assert found.reasons == ["quaternion differs by 0.3 rad (9.55 %) RMS, 0.3 at most."]
+    assert found.reasons == ["quaternion differs by 0.3 rad (9.55 %) RMS, at most 0.3."]
     half = evaluate(turned(window, "/a", np.zeros(len(TIMES))), turned(window, "/b", np.full(len(TIMES), math.pi)))
     assert (half.verdict, half.fields[0].max_percent) == ("VERY DIFFERENT", pytest.approx(100.0))
     (z,) = evaluate(a, b, ["quaternion.z"]).fields
@@ -329,7 +337,7 @@ def test_fields_of_which_there_is_nothing_agree_in_nothing(window: Make) -> None
 
 def test_a_rotation_that_was_never_set_is_not_said_to_be_missing(window: Make) -> None:
     found = evaluate(turned(window, "/a", wave(TIMES)), turned(window, "/b", wave(TIMES), 0.0))
-    assert found.reasons == ["250 rotations missing, or never set, on one topic only."]
+    assert found.reasons == ["250 rotations are missing or never set on one topic only."]
     assert found.verdict == "VERY DIFFERENT"
 
 
