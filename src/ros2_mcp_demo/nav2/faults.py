@@ -217,6 +217,8 @@ FAULTS = {
     ),
     "paused": (lambda stack: stack.navigation.pause(), lambda stack: stack.navigation.bring_up()),
     "navigator died": _dies("navigator"),
+    "dock unseen": _attribute("docking", "is_unseen", True, False),
+    "dock unpowered": _attribute("docking", "is_unpowered", True, False),
     "decoy: fresh initial pose": _attribute("amcl", "deviation_m", 0.5, 0.0),
     "decoy: false rate warning": (
         lambda stack: stack.controller.get_logger().warning(

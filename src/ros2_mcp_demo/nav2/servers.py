@@ -46,14 +46,6 @@ class Managed:
         return super().on_configure(state)  # pyright: ignore[reportAttributeAccessIssue]
 
 
-class Server(Managed, LifecyclePart):
-    """A server without a function of its own."""
-
-    def __init__(self, name, robot, namespace, **parameters):
-        super().__init__(name, robot, namespace)
-        declare(self, parameters)
-
-
 class Planner(Managed, PlannerServer):
     """The planner. Its costmap is published by the costmap's own node, and is unknown from x = `unknown_from_m` on."""
 

@@ -28,6 +28,7 @@ from ros2_mcp.ops.navigation.explain import Explanation, Failure, explain
 from ros2_mcp.ops.navigation.follow_drive import follow_drive
 from ros2_mcp.ops.navigation.health import health_of
 from ros2_mcp.ops.navigation.known_places import places_of
+from ros2_mcp.ops.navigation.last_pose import note_last_pose
 from ros2_mcp.ops.navigation.planned_path import check_places, judge_path
 from ros2_mcp.ops.navigation.targets import MAP_FRAME, Target, targets_of
 from ros2_mcp.ops.navigation.whereabouts import in_frame, whereabouts
@@ -314,6 +315,7 @@ class Navigation(Job):
         took_s = monotonic() - self._leg_at
         self._note(duration_s=round(took_s, 2))
         await self._measure(target)
+        await note_last_pose(self._robot)
         if ended.status == "SUCCEEDED":
             away_m = self.legs[self.now].away_m
             far = away_m is not None and away_m > _FAR_M
