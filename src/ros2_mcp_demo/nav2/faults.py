@@ -198,6 +198,7 @@ FAULTS = {
     "20 bond lost": (lambda stack: setattr(stack.navigator, "starved", True), _fed_again),
     "20 server died": _dies("planner"),
     "21 acknowledged too late": _parameter("navigator", "default_server_timeout", 1, 200),
+    "22 rate missed": _attribute("controller", "most_hz", 3.0, math.inf),
     "23 sees itself": _attribute("lidar", "sees_itself", True, False),
     "28 lost": _attribute("amcl", "off", (1.1, 0.8, 0.9), (0.0, 0.0, 0.0)),
     "30 progress": _parameters(
