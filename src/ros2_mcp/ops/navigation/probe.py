@@ -34,7 +34,7 @@ from ros2_mcp_common.geometry import yaw_rad
 What = Literal["both", "drive", "turn"]
 DISTANCE_M, SPEED_MPS = 0.2, 0.1
 ANGLE_DEG, SPEED_DEGPS = 30.0, 25.0
-_DRIVE_S, _TURN_S = 4.0, 3.5
+_DRIVE_S, _TURN_S = 4.0, 2.5
 """Time limits: with odometry that is wrong a drive by it has no other end. At these speeds the robot comes at most
 twice as far as asked."""
 _ROOM_M = 0.5
@@ -118,8 +118,9 @@ async def probe(robot: Robot, session: Session, what: What = "both", report: Rep
                 note = f'The turn was not made: {error} Then: ros2_nav_probe(what="turn").'
                 break
             await asyncio.sleep(_ARRIVES_S)
-            note = _ended(driven) or note
             probes.append(await record.probe(is_turn, since_ns, to.topic))
+            if note := _ended(driven):
+                break
     return _judged(probes, note)
 
 
@@ -274,7 +275,7 @@ class _Record:
 
     async def _by_gyro(self, topic: str, since_ns: int) -> float | None:
         """Return the angle turned about the base's z axis, without the bias that the gyro had while the robot stood."""
-        samples = self._samples[topic]
+        samples = list(self._samples[topic])  # more arrive while they are decoded
         messages = await self._decoded(topic, samples)
         if not messages:
             return None
@@ -291,7 +292,7 @@ class _Record:
 
     async def _sent(self, topic: str, since_ns: int, is_turn: bool) -> float:
         """Return how far the commands since then ask for, in m or rad; 0.0 if none were received."""
-        samples = self._samples[topic]
+        samples = list(self._samples[topic])  # more arrive while they are decoded
         speeds = [speed_of(one) for one in await self._decoded(topic, samples)]
         rates = [speed[2] if is_turn else speed[0] for speed in speeds]
         return _summed([(one.received_ns, rate) for one, rate in zip(samples, rates, strict=True)], since_ns)
@@ -318,8 +319,10 @@ def _pose_of(odometry: Any) -> tuple[float, float, float]:
 async def _recording(robot: Robot, topics: Sequence[Found], base: str) -> AsyncGenerator[_Record, None]:
     """Record these topics as long as the context is open."""
     record = _Record(robot, topics, base)
-    async with anyio.create_task_group() as group:
-        for one in topics:
-            group.start_soon(record.hear, one.topic)
+    hearing = [asyncio.create_task(record.hear(one.topic)) for one in topics]  # a task group would wrap what is raised
+    try:
         yield record
-        group.cancel_scope.cancel()
+    finally:
+        for one in hearing:
+            one.cancel()
+        await asyncio.gather(*hearing, return_exceptions=True)
