@@ -47,6 +47,7 @@ ASKED: dict[str, dict[str, Any]] = {
     "ros2_log_read": {},
     "ros2_move_until": {"topic_name": "/scan", "condition": "range_max > 1", "linear_x": 0.1},
     "ros2_nav_localize": {"at": {"x": 1, "y": 0, "yaw_deg": 0}},
+    "ros2_nav_probe": {},
     "ros2_nav_recover": {"stack": "pause"},
     "ros2_nav_preview": {"to": {"x": 1, "y": 0}},
     "ros2_navigate": {"to": [{"x": 1, "y": 0}]},

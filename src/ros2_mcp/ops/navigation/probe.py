@@ -52,7 +52,7 @@ _STOOD_S = 1.0
 _ARRIVES_S = 0.4
 """Time for the last messages after the robot was seen to stand; the slowest scanners scan five times a second."""
 _MOVES_MPS, _TURNS_RADPS = 0.02, 0.05
-_LONGEST_STEP_S = 0.2
+_LONGEST_STEP_S = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
