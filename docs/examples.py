@@ -175,6 +175,7 @@ NAV2 = (
     Example("ros2_nav_map"),
     Example("ros2_nav_dock", {"dock": "charger", "timeout_s": 55}),
     Example("ros2_nav_recover", {"what": "clear_global"}),
+    Example("ros2_nav_probe"),
 )
 CALLS: Mapping[str, Sequence[Example]] = {"rover": ROVER, "arm": ARM, "nav2": NAV2}
 

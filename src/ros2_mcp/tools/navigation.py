@@ -17,12 +17,15 @@ from ros2_mcp.ops.navigation.nav_map import MAP_SERVICES, MapRequest, MapVerb, N
 from ros2_mcp.ops.navigation.navigate import Navigated, navigate
 from ros2_mcp.ops.navigation.places import PlaceKept, PlaceList, PlaceRequest, list_places, set_place
 from ros2_mcp.ops.navigation.preview import Preview, preview
+from ros2_mcp.ops.navigation.probe import NavProbed, probe
+from ros2_mcp.ops.navigation.probe import What as Probing
 from ros2_mcp.ops.navigation.recover import BACK_UP, CLEAR, DRIVE, SPIN, NavRecovered, StackCommand, What, recover
 from ros2_mcp.ops.results.results import Report
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.session import Session
 from ros2_mcp.tools.arguments import WHOLE_SENTENCE, Flag, Number, Pattern
 from ros2_mcp.tools.declare import tool
+from ros2_mcp_common.policy.velocity import VELOCITY_TYPES
 from ros2_mcp_common.wire.limits import MAX_DURATION_S
 
 PLACE = 95
@@ -130,6 +133,29 @@ async def ros2_nav_check(
     finding has its cause, the proof in numbers and a remedy, the worst first.
     """
     return await check_navigation(robot, to)
+
+
+@tool(
+    title="Try a small move",
+    risk="actuate",
+    does={"publish": tuple(VELOCITY_TYPES)},
+    group="navigation",
+    by_default=False,
+    beside={"ros2_nav_check": "Use it when ros2_nav_check finds nothing."},
+    finds="odometry wrong direction, lidar mounted wrong, wheels swapped, calibration check",
+)
+async def ros2_nav_probe(
+    robot: Robot,
+    session: Session,
+    report: Report,
+    what: Annotated[Probing, Field(description="Only one of both motions.")] = "both",
+) -> NavProbed:
+    """Drive 0.2 m ahead and turn 30° left, and compare odometry, laser scan and gyro with the command. Moves the robot.
+
+    Finds a lidar that is turned against its transform, odometry with a wrong sign or scale, and exchanged wheels. Needs
+    0.5 m free all round the outline.
+    """
+    return await probe(robot, session, what, report)
 
 
 @tool(

@@ -105,13 +105,14 @@ class Navigated:
 
     def summary(self) -> list[str]:
         """Return the outcome, one line per leg, and the cause of a failure."""
-        lines = [f"{self.outcome} after {self.duration_s:.1f} s. {self.note}".strip(), *map(_line, self.legs)]
-        lines += self.health
-        if self.explanation:
-            why = self.explanation
-            lines += [f"Cause: {why.cause}", *([f"Nav2 says: {why.error}"] if why.error else [])]
-            lines += [f"What would help: {' '.join(why.helps)}"]
-        return lines
+        why = self.explanation
+        ended = f"{self.outcome} after {self.duration_s:.1f} s."
+        if why is None:
+            return [f"{ended} {self.note}".strip(), *map(_line, self.legs), *self.health]
+        note = "" if self.note.startswith(why.cause) or not self.note else f" {self.note}"
+        lines = [f"{ended} Cause: {why.cause}{note}", f"What would help: {' '.join(why.helps)}"]
+        lines += [f"Nav2 says: {why.error}"] if why.error else []
+        return [*lines, *map(_line, self.legs), *self.health]
 
 
 def _line(leg: Leg) -> str:
