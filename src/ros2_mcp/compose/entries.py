@@ -188,7 +188,7 @@ def _variables(section: Section) -> tuple[str, ...]:
     given = {name: f"{name}={env.text(name)}" for name in env.all()}
     for name, variable in given.items():
         if not OPTIONS["robot_env"].kind.allows((variable,)):
-            raise env.error_at(name, f"{quoted(name)} is no name of a variable.")
+            raise env.error_at(name, f"{quoted(name)} is not a name of a variable.")
     return tuple(given.values())
 
 

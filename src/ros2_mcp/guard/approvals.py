@@ -241,7 +241,7 @@ class Approvals:
         bounds = dict(most or {})
         for path, value in bounds.items():
             if not (math.isfinite(value) and value >= 0):
-                raise BadInput(f"The bound of {path} is no number from 0 on.")
+                raise BadInput(f"The bound of {path} is not a number from 0 on.")
             if not math.isfinite(_size_at(request.exact.value, path.split("."))):
                 raise BadInput(
                     f"The waiting request has no number at {word(path)}.", "Name a value that operate show has."

@@ -148,7 +148,7 @@ def add_token(path: Path, name: str, scopes: Sequence[str]) -> str:
 def _entry(words: Sequence[str]) -> tuple[bytes, Login]:
     if len(words) != 3 or not _NAME.fullmatch(words[0]):
         raise BadInput(
-            f"{' '.join(words)!r} is no token.",
+            f"{' '.join(words)!r} is not a token.",
             "A line has a name (letters, digits, _ . -), scopes with commas between them, and sha256:… of the token.",
         )
     scopes = words[1].split(",")

@@ -161,7 +161,7 @@ class Clients:
         try:
             message = rcl.deserialize(request.body, request.interface.Request)
         except Exception as error:  # the middlewares raise errors of many kinds
-            problem = f"{request.op}: the body is no request of {type_name}: {error}"
+            problem = f"{request.op}: the body is not a request of {type_name}: {error}"
             raise OperationError("bad_request", problem) from error
         if request.flag("brakes") and not brakes(service, type_name, message):
             raise OperationError("bad_request", f"This request to {service} does not stop a vehicle: it is an order.")

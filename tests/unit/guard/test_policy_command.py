@@ -142,7 +142,7 @@ def test_a_table_is_asked_row_by_row(folder: Path, capsys: pytest.CaptureFixture
         (f"publish,/x,{TWIST},{{,,,,allow,", "Column value is no JSON"),
         ("transition,/x,,activate,,,,allow,", "A text needs quotation marks"),
         (f"publish,/x,{TWIST},,,,7,allow,", "Column facts is no JSON object"),
-        (f"publish,/x,{TWIST},,fast,,,allow,", "Column rate_hz is no number: 'fast'"),
+        (f"publish,/x,{TWIST},,fast,,,allow,", "Column rate_hz is not a number: 'fast'"),
         (f"publish,/x,{TWIST}", "as many columns"),
     ],
 )

@@ -92,7 +92,7 @@ DIGEST = "sha256:" + "0" * 64
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        ("cell observe", "line 2: 'cell observe' is no token"),
+        ("cell observe", "line 2: 'cell observe' is not a token"),
         (f"cell observe {DIGEST} more", "line 2"),
         (f"the/cell observe {DIGEST}", "line 2"),
         (f"cell obsreve {DIGEST}", "Did you mean observe"),

@@ -273,7 +273,7 @@ async def planned_move(
 def _check_limits(joint: Joint, target: float) -> None:
     if not joint.limits.known:
         problem = (
-            f"{named(joint.name)}: its limits are unknown, because they are no numbers in the robot's description."
+            f"{named(joint.name)}: its limits are unknown, because they are not numbers in the robot's description."
         )
         raise BadInput(
             problem, "Correct the limits in the URDF: without them nothing keeps the joint within its range."
