@@ -77,7 +77,7 @@ def test_nothing_is_found_while_it_is_well_and_what_is_latched_tells_its_age(wel
     assert well["findings"] == []
     assert (
         well["other_topics"]["/map_name"].startswith("OK, 1 message, ")
-        and "published earlier" in well["other_topics"]["/map_name"]
+        and "from before" in well["other_topics"]["/map_name"]
     )
 
 

@@ -25,7 +25,7 @@ def test_what_was_true_long_ago_is_neither_echoed_nor_meets_a_condition(agent: A
     assert (found["met"], found["messages_checked"], found["values"]) == (False, 1, {"data": 0.0})
     met = agent.call("ros2_wait_until", topic_name=TOPIC, condition="data < 5", timeout_s=20)
     assert met["messages_checked"] == 1
-    assert "s old, published earlier" in met["from_before"]
+    assert "s old, from before" in met["from_before"]
     moved = agent.call(
         "ros2_move_until",
         topic_name=TOPIC,

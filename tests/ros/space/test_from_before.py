@@ -11,7 +11,7 @@ import pytest
 from support.agent import Agent, until
 from support.processes import peer_command, running
 
-OLD = "s old, published earlier"
+OLD = "s old, from before"
 TOPICS = ("/count", "/armed", "/steady", "/battery", "/odom", "/goal_pose", "/map", "/joint_states")
 
 

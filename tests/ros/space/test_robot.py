@@ -95,7 +95,7 @@ FACTS: dict[str, dict[str, str | list[str]]] = {
             rf"/odom Odometry{RATE}",
             rf"/gripper/joint_states JointState{RATE}",
             r"/heartbeat String «.*»",
-            r"/mode String «manual»( \(\d+(\.\d+)? s old, published earlier\))?",
+            r"/mode String «manual»( \(\d+(\.\d+)? s old, from before\))?",
         ],
         "joints": [
             *(rf"{side}_wheel_joint continuous -?[\d.]+ rad" for side in ("left", "right")),

@@ -32,13 +32,13 @@ class FromBefore:
 
     @property
     def age(self) -> str:
-        """The age in words, `8 s old, published earlier`; empty if there are none."""
+        """The age in words, `8 s old, from before`; empty if there are none."""
         if not self.count:
             return ""
-        return "published earlier" if self.age_s is None else f"{_seconds(self.age_s)} s old, published earlier"
+        return "from before" if self.age_s is None else f"{_seconds(self.age_s)} s old, from before"
 
     def __str__(self) -> str:
-        """Return number and age, `1 message, 8 s old, published earlier`; empty if there are none."""
+        """Return number and age, `1 message, 8 s old, from before`; empty if there are none."""
         return f"{counted(self.count, 'message')}, {self.age}" if self.count else ""
 
     @property

@@ -254,9 +254,9 @@ async def test_a_stream_of_which_only_a_message_from_before_came_is_silent_and_i
     ]
     found = await check([odometry, grid, LIDAR], windows)
     assert [row.problem for row in found.findings] == [
-        "/base publishes it, but nothing new came: 1 message, 8 s old, published earlier."
+        "/base publishes it, but nothing new came: 1 message, 8 s old, from before."
     ]
-    assert found.other_topics["/map"] == "OK, 1 message, 63 s old, published earlier"
+    assert found.other_topics["/map"] == "OK, 1 message, 63 s old, from before"
 
 
 async def test_the_first_in_a_chain_is_named(window: Make) -> None:

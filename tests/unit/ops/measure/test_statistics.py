@@ -85,7 +85,7 @@ def test_what_was_latched_before_is_measured_and_in_no_rate(window: Make) -> Non
     found = evaluate(floats(window, [-60.0, 1.0, 2.0, 3.0, 4.0], [7, 1, 1, 1, 1]))
     assert (found.count, found.rate_hz, found.period_median_s) == (5, pytest.approx(1.0), pytest.approx(1.0))
     assert found.fields[0].max == 7.0
-    assert found.note == "1 message, 65 s old, published earlier: measured, but not counted in the rate."
+    assert found.note == "1 message, 65 s old, from before: measured, but not counted in the rate."
 
 
 def test_a_steady_topic_has_no_gap(window: Make) -> None:

@@ -114,7 +114,7 @@ async def test_replayed_history_is_in_no_rate(window: Make) -> None:
     found = await only(window, [*before, 1.0, 2.0, 3.0, 4.0], 4.5)
     assert (found.count, found.replayed, found.rate_hz) == (4, 100, pytest.approx(1.0))
     assert found.bytes_per_second == 10.67  # 4 * 12 / 4.5
-    assert found.note == "Not counted: 100 messages, 15 s old, published earlier."
+    assert found.note == "Not counted: 100 messages, 15 s old, from before."
 
 
 async def test_of_a_single_moment_no_bytes_per_second_are_told(window: Make) -> None:
