@@ -138,38 +138,7 @@ class Operations:
         cancelling = Cancelling(node=node, graph=self._graph, clients=self._clients, send_event=outbox.send)
         self._relays = Relays(self._velocities, partial(Relay, node=node, graph=self._graph, loop=loop, create=create))
         self._table = table
-        table.update(
-            {
-                "cancel": self._cancel,
-                "topics": self._graph.topics,
-                "counted": self._graph.counted,
-                "services": self._services,
-                "servers": self._graph.servers,
-                "nodes": self._graph.nodes,
-                "node": self._graph.node,
-                "endpoints": self._graph.endpoints,
-                "wait_endpoints": self._graph.wait_endpoints,
-                "subscribe": self._subscriptions.subscribe,
-                "unsubscribe": self._subscriptions.unsubscribe,
-                "counts": self._subscriptions.counts_of,
-                "publish": self._publishers.publish,
-                "repeat": self._publishers.repeat,
-                "repeat_stop": self._repeat_stop,
-                "move": motions.move,
-                "relay": self._relays.relay,
-                "relay_feed": self._relays.feed,
-                "relay_stop": self._relay_stop,
-                "relays": self._relays.counts,
-                "call": self._clients.call,
-                "cancel_when": cancelling.cancel_when,
-                "joint_states": self._joint_states.wait,
-                "failsafe_publish": self._publishers.failsafe,
-                "failsafe_call": self._clients.failsafe,
-                "stop": self._stop,
-                "zero": self._zero,
-                "stats": self._stats,
-            }
-        )
+        table.update(self._operations(motions, cancelling))
         watching = Watching(
             node,
             self._graph,
@@ -187,6 +156,39 @@ class Operations:
             self._leave_when_shared_memory_is_lost(),
         ):
             loop.start(steps, log_failure)
+
+    def _operations(self, motions: Motions, cancelling: Cancelling) -> dict[str, Operation]:
+        """The operations that the server may request, by the name in a request."""
+        return {
+            "cancel": self._cancel,
+            "topics": self._graph.topics,
+            "counted": self._graph.counted,
+            "services": self._services,
+            "servers": self._graph.servers,
+            "nodes": self._graph.nodes,
+            "node": self._graph.node,
+            "endpoints": self._graph.endpoints,
+            "wait_endpoints": self._graph.wait_endpoints,
+            "subscribe": self._subscriptions.subscribe,
+            "unsubscribe": self._subscriptions.unsubscribe,
+            "counts": self._subscriptions.counts_of,
+            "publish": self._publishers.publish,
+            "repeat": self._publishers.repeat,
+            "repeat_stop": self._repeat_stop,
+            "move": motions.move,
+            "relay": self._relays.relay,
+            "relay_feed": self._relays.feed,
+            "relay_stop": self._relay_stop,
+            "relays": self._relays.counts,
+            "call": self._clients.call,
+            "cancel_when": cancelling.cancel_when,
+            "joint_states": self._joint_states.wait,
+            "failsafe_publish": self._publishers.failsafe,
+            "failsafe_call": self._clients.failsafe,
+            "stop": self._stop,
+            "zero": self._zero,
+            "stats": self._stats,
+        }
 
     def is_at_rest(self) -> bool:
         """Return whether no request is in progress and there are no velocity topics. Thread-safe."""
