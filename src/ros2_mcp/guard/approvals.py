@@ -241,12 +241,14 @@ class Approvals:
         bounds = dict(most or {})
         for path, value in bounds.items():
             if not (math.isfinite(value) and value >= 0):
-                raise BadInput(f"The bound of {path} is no number from 0 on.")
+                raise BadInput(f"The bound of {path} is not a number from 0 on.")
             if not math.isfinite(_size_at(request.exact.value, path.split("."))):
-                raise BadInput(f"What waits has no number at {word(path)}.", "Name a value that operate show has.")
+                raise BadInput(
+                    f"The waiting request has no number at {word(path)}.", "Name a value that operate show has."
+                )
         grant = Grant(id=self._fresh_id(), exact=request.exact, until=self._clock() + for_s, by=by, most=bounds)
         if not grant.covers(request.exact):
-            raise BadInput("What waits is beyond that bound.", "Raise it, or deny the request.")
+            raise BadInput("The waiting request exceeds that bound.", "Raise it, or deny the request.")
         del self._requests[request.exact.key]
         self._grants[grant.id] = grant
         self._changed(

@@ -414,11 +414,11 @@ def update_request(arguments: Mapping[str, Any]) -> UpdateRequest:
             at_s=None if at_s is None else _time(at_s),
         )
     except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise BadInput("This is no question of the page.", str(error)) from error
+        raise BadInput("This is not a question of the page.", str(error)) from error
 
 
 def _time(value: Any) -> float:
     at_s = float(value)
     if not 0 <= at_s < 1e11:
-        raise ValueError(f"{at_s} is no time")
+        raise ValueError(f"{at_s} is not a time")
     return at_s

@@ -62,7 +62,7 @@ def test_a_subscriber_that_left_is_a_doubt_unless_another_stays_and_odometry_sho
     assert _doubts([one_left], [], BASE_STANDS) == []
     assert _doubts([replace(one_left, subscribers=0, is_deserted=True)], [], BASE_STANDS) == said
     nameless = StoppedTopic("/cmd_vel", 0, None, is_deserted=True)
-    assert _doubts([nameless], [], BASE_STANDS)[0].startswith("A subscriber took commands on /cmd_vel and is gone")
+    assert _doubts([nameless], [], BASE_STANDS)[0].startswith("A subscriber received commands on /cmd_vel and has left")
 
 
 @pytest.mark.promise("README", "(or nobody listens)")

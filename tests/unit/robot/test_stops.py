@@ -320,7 +320,7 @@ async def test_whoever_took_a_command_and_is_gone_leaves_a_stop_open_until_it_is
     bridge.subscribers = [{**base, "node": "somebody_else"}]
     for _ in range(2):
         stopped = await stop(robot)
-        assert stopped.is_doubted and "/base took commands on /cmd_vel and is gone" in stopped.note
+        assert stopped.is_doubted and "/base received commands on /cmd_vel and has left" in stopped.note
         assert stopped.topics[0].is_deserted
     bridge.subscribers = [{**base, "node": "_NODE_NAME_UNKNOWN_", "namespace": "_NODE_NAMESPACE_UNKNOWN_"}]
     stopped = await stop(robot)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.goals import TERMINAL
-from ros2_mcp.model.nav2 import BELOW, CANNOT_MOVE, FOLLOW_WAYPOINTS, NAVIGATORS
+from ros2_mcp.model.nav2 import BELOW, CANNOT_MOVE, DOCK, FOLLOW_WAYPOINTS, NAVIGATORS
 from ros2_mcp.model.text import listed, named
 from ros2_mcp.ops.actions.status import states_now
 from ros2_mcp.robot import Robot
@@ -105,4 +105,6 @@ def _is_above(one: RunningGoal, goal: RunningGoal) -> bool:
         return False
     if one.action_type == FOLLOW_WAYPOINTS:
         return goal.action_type in NAVIGATORS - {FOLLOW_WAYPOINTS}
-    return one.action_type in NAVIGATORS and goal.action_type in BELOW
+    if one.action_type == DOCK:  # the docking server has the navigator drive to the place before the dock
+        return goal.action_type in NAVIGATORS | BELOW - {DOCK}
+    return goal.action_type != DOCK and one.action_type in NAVIGATORS and goal.action_type in BELOW

@@ -13,21 +13,23 @@ from typing import Any, Literal
 import anyio
 
 from ros2_mcp.guard.policy import bounded
-from ros2_mcp.model import names
-from ros2_mcp.model.errors import BadInput, NotFound, RobotError, TypeConflict
+from ros2_mcp.model.errors import BadInput, NotFound, RobotError
 from ros2_mcp.model.goals import STATUS, TERMINAL
 from ros2_mcp.model.nav2 import NAVIGATE, NO_PROGRESS
-from ros2_mcp.model.text import counted, listed, named, quoted
+from ros2_mcp.model.text import counted, named, quoted
 from ros2_mcp.ops.acting.endings import ended_by
 from ros2_mcp.ops.actions.result import result_of
 from ros2_mcp.ops.actions.running import running_goals
 from ros2_mcp.ops.actions.send_goal import GoalOutcome, follow, send_goal
+from ros2_mcp.ops.navigation.action_names import action_of
 from ros2_mcp.ops.navigation.below import settle, why_lost
 from ros2_mcp.ops.navigation.drive_watch import DriveWatch
 from ros2_mcp.ops.navigation.explain import Explanation, Failure, explain
 from ros2_mcp.ops.navigation.follow_drive import follow_drive
 from ros2_mcp.ops.navigation.health import health_of
 from ros2_mcp.ops.navigation.known_places import places_of
+from ros2_mcp.ops.navigation.last_pose import note_last_pose
+from ros2_mcp.ops.navigation.planned_path import check_places, judge_path
 from ros2_mcp.ops.navigation.targets import MAP_FRAME, Target, targets_of
 from ros2_mcp.ops.navigation.whereabouts import in_frame, whereabouts
 from ros2_mcp.ops.results.results import SAID, Report, silent
@@ -103,13 +105,14 @@ class Navigated:
 
     def summary(self) -> list[str]:
         """Return the outcome, one line per leg, and the cause of a failure."""
-        lines = [f"{self.outcome} after {self.duration_s:.1f} s. {self.note}".strip(), *map(_line, self.legs)]
-        lines += self.health
-        if self.explanation:
-            why = self.explanation
-            lines += [f"Cause: {why.cause}", *([f"Nav2 says: {why.error}"] if why.error else [])]
-            lines += [f"What would help: {' '.join(why.helps)}"]
-        return lines
+        why = self.explanation
+        ended = f"{self.outcome} after {self.duration_s:.1f} s."
+        if why is None:
+            return [f"{ended} {self.note}".strip(), *map(_line, self.legs), *self.health]
+        note = "" if self.note.startswith(why.cause) or not self.note else f" {self.note}"
+        lines = [f"{ended} Cause: {why.cause}{note}", f"What would help: {' '.join(why.helps)}"]
+        lines += [f"Nav2 says: {why.error}"] if why.error else []
+        return [*lines, *map(_line, self.legs), *self.health]
 
 
 def _line(leg: Leg) -> str:
@@ -150,7 +153,7 @@ class Navigation(Job):
         self._leg_at = self._heard_at = monotonic()
         self.ending = ""
         """Text on the end of the goal if the navigator did not end it."""
-        self._lost = self._doing = ""
+        self._lost = self._doing = self._unchecked = ""
         self._stuck_s = math.inf if stuck_s is None else stuck_s
         self._is_stuck = False
         self.watch = DriveWatch(began_at=monotonic())
@@ -161,6 +164,7 @@ class Navigation(Job):
         robot.log.start()  # the log from now on helps to explain a failure
         where, _ = await asyncio.gather(whereabouts(robot, MAP_FRAME), hear_plans(robot))
         x_m, y_m = where.x_m, where.y_m
+        check_places(robot.policy, self._targets)
         for number, target in enumerate(self._targets):
             self.now, self._leg_at = number, monotonic()
             self._goal, self._doing = None, ""
@@ -182,6 +186,7 @@ class Navigation(Job):
 
     async def _drive_to(self, target: Target) -> None:
         robot = self._robot
+        self._unchecked = await judge_path(robot, self._session, self.action, target)
         sent = await send_goal(robot, self._session, self.action, NAVIGATE, {"pose": target.pose()})
         self._note(outcome="under way", goal_id=sent.goal_id)
         if not sent.accepted:
@@ -311,6 +316,7 @@ class Navigation(Job):
         took_s = monotonic() - self._leg_at
         self._note(duration_s=round(took_s, 2))
         await self._measure(target)
+        await note_last_pose(self._robot)
         if ended.status == "SUCCEEDED":
             away_m = self.legs[self.now].away_m
             far = away_m is not None and away_m > _FAR_M
@@ -414,7 +420,7 @@ class Navigation(Job):
             duration_s=round(self.elapsed_s, 2),
             legs=legs,
             explanation=self.explanation,
-            note=note,
+            note=f"{note} {self._unchecked}".strip(),
         )
 
 
@@ -474,28 +480,3 @@ async def navigate(
         return job.so_far()
     seen = job.watch.sees(monotonic())
     return replace(job.so_far(), health=[*([seen] if seen else []), *health])
-
-
-async def action_of(robot: Robot, kind: str, given: str = "") -> str:
-    """Return the name of an action of this type: the given one, or the only one.
-
-    Raises:
-        NotFound: if there is none; names the others, or says that there is no robot.
-        TypeConflict: if the given one has another type, or there are several and none is given.
-    """
-    actions = await robot.types.actions()
-    if given:
-        name = names.absolute(given, "action")
-        await robot.types.action(name, kind)
-        return name
-    found = sorted(name for name, types in actions.items() if kind in types)
-    if len(found) == 1:
-        return found[0]
-    if found:
-        raise TypeConflict(f"Several actions have the type {kind}: {listed(found, 5)}.", "Give action_name.")
-    others = f" Other actions: {listed(sorted(actions), 5)}; ros2_send_action_goal sends them goals." if actions else ""
-    raise await robot.graph.missing(
-        f"There is no action of type {kind}: no server of that type is seen. Nav2 is not running, or not configured."
-        f"{others}",
-        "ros2_lifecycle_state shows whether its servers are configured.",
-    )

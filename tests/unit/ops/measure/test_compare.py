@@ -192,7 +192,7 @@ def test_rotations_differ_by_the_angle_between_them(window: Make) -> None:
     found = evaluate(a, b)
     (field,) = found.fields
     assert [field.mean_difference, field.rms_difference, field.scale] == pytest.approx([0.3, 0.3, math.pi])
-    assert found.reasons == ["quaternion differs by 0.3 rad (9.55 %) RMS, 0.3 at most."]
+    assert found.reasons == ["quaternion differs by 0.3 rad (9.55 %) RMS, at most 0.3."]
     half = evaluate(turned(window, "/a", np.zeros(len(TIMES))), turned(window, "/b", np.full(len(TIMES), math.pi)))
     assert (half.verdict, half.fields[0].max_percent) == ("VERY DIFFERENT", pytest.approx(100.0))
     (z,) = evaluate(a, b, ["quaternion.z"]).fields
@@ -337,7 +337,7 @@ def test_fields_of_which_there_is_nothing_agree_in_nothing(window: Make) -> None
 
 def test_a_rotation_that_was_never_set_is_not_said_to_be_missing(window: Make) -> None:
     found = evaluate(turned(window, "/a", wave(TIMES)), turned(window, "/b", wave(TIMES), 0.0))
-    assert found.reasons == ["250 rotations missing, or never set, on one topic only."]
+    assert found.reasons == ["250 rotations are missing or never set on one topic only."]
     assert found.verdict == "VERY DIFFERENT"
 
 

@@ -274,7 +274,7 @@ async def test_the_first_in_a_chain_is_named(window: Make) -> None:
     [finding] = found.findings
     assert (finding.subject, finding.recommendation) == (
         "/robot_description",
-        "Start what publishes /robot_description.",
+        "Start the node that publishes /robot_description.",
     )
     assert "/joints subscribes to /robot_description, which has no publisher" in finding.problem
     assert "/odom" in finding.problem and "/joint_states" in finding.problem

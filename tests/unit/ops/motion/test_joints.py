@@ -85,7 +85,7 @@ async def test_without_a_velocity_limit_a_time_is_asked_for() -> None:
 
 async def test_joints_of_which_nothing_is_heard_are_named_with_those_that_are() -> None:
     heard = JointStates(["/joint_states"], {"elbow_joint": At(0.0, monotonic())})
-    with pytest.raises(NotFound, match="of wrist_1_joint: reported are elbow_joint on /joint_states"):
+    with pytest.raises(NotFound, match="reports wrist_1_joint: only elbow_joint on /joint_states"):
         await heard.wait_for(["elbow_joint", "wrist_1_joint"], within_s=0.05)
 
 

@@ -122,7 +122,7 @@ async def test_a_recording_is_read_from_its_start_or_without_one_from_its_end(
     selection = Selection(duration_s=duration_s, message_limit=limit)
     values, note = await read_of(store, "count", selection, start, end)
     assert values == expected
-    assert ("has no more of it" in note) == (limit is not None and limit > len(expected))
+    assert ("has no more messages of it" in note) == (limit is not None and limit > len(expected))
 
 
 async def test_a_latched_message_from_before_the_start_is_read(store: BagStore) -> None:

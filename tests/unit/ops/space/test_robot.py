@@ -295,7 +295,7 @@ async def test_a_base_with_a_name_of_its_own_is_told_in_its_chain_of_frames(wind
 async def test_frames_that_did_not_come_are_not_said_to_be_none(window: Make, robot: Robot) -> None:
     made = [one for one in windows(window, CART) if one.topic != "/tf"]
     found = await in_brief(robot, source([*made, window("/tf", TF, [])]))
-    assert (found.frames, found.place) == ("not read", "The robot's place was not read in time."), found
+    assert (found.frames, found.place) == ("not read", "The robot's pose was not read in time."), found
 
 
 async def test_a_localiser_that_tells_no_place_is_told(window: Make, robot: Robot) -> None:
