@@ -99,7 +99,7 @@ async def probe(robot: Robot, session: Session, what: What = "both", report: Rep
     watched = [odometry, *others[: _MOST_OF_KIND - 1], *scans, *imus, Found(to.topic, to.type)]
     radius_m = (await body_of(robot, base, to.topic)).sides["radius"]
     record = _Record(robot, watched, base)
-    outcome: NavProbed | RobotError
+    outcome: NavProbed | RobotError = RobotError("The small move was not made.")
     async with anyio.create_task_group() as group:
         for one in watched:
             group.start_soon(record.hear, one.topic)
