@@ -16,6 +16,7 @@ from ros2_mcp_bridge.epoch import Overtaken, StopEpoch
 from ros2_mcp_bridge.exit.failsafes import FailSafes
 from ros2_mcp_bridge.exit.lifeline import Lifeline
 from ros2_mcp_bridge.exit.limiter import Limiter
+from ros2_mcp_bridge.exit.speed_limit import SpeedLimits
 from ros2_mcp_bridge.exit.trajectories import topic_of
 from ros2_mcp_bridge.exit.velocities import Velocities, VelocityTopic
 from ros2_mcp_bridge.loop import Loop, Seldom, log_failure
@@ -121,7 +122,8 @@ class Operations:
         limiter.look_at_joints = self._joint_states.known
         self.failsafes = FailSafes(self.send_zeros)
         self._subscriptions = Subscriptions(node, self._graph, loop, outbox)
-        self._clients = Clients(node, self.failsafes, limiter, lifeline)
+        self._speed_limits = SpeedLimits(node, self._graph, limiter)
+        self._clients = Clients(node, self.failsafes, limiter, lifeline, self._speed_limits)
         loop.after_turn = self._clients.look
         self._joint_states.relied_on = self._velocities.moving_joints
         limits = {"limiter": limiter, "joint_states": self._joint_states}
@@ -235,6 +237,7 @@ class Operations:
             self._relays,
             self._subscriptions,
             self._clients.pool,
+            self._speed_limits,
             self._clock,
             self._joint_states,
         ):

@@ -230,6 +230,12 @@ class Limiter:
             raise refused(f"The policy of this robot: {ruling.problem} ({ruling.rule}).")
         return ruling
 
+    @property
+    def speed_of_goals(self) -> float:
+        """The speed in m/s beyond which the watchdog ends goals; 0 if it looks at none."""
+        feedback: Any = (self.watch or {}).get("feedback") or {}
+        return float(feedback.get("goals", {}).get("linear", 0.0))
+
     def watched_by(self, watchdog: Watchdog) -> None:
         """Take the watchdog, which knows where the robot is."""
         self.watchdog = watchdog
