@@ -172,19 +172,11 @@ class Operations:
                 "stats": self._stats,
             }
         )
-        watching = Watching(
-            node,
-            self._graph,
-            latch=stops.latch,
-            stop=self.failsafes.carry_out,
-            keep_out=self._keep_out,
-            began=limiter.watched_by,
-        )
         for steps in (
             self._graph.settle(),
             self._expire(),
             self._obey_latch(),
-            watching.watch(lambda: limiter.watch, self._is_driven, lambda: self.failsafes.has_goals),
+            self._watch(),
             self._velocities.watch(),
             self._leave_when_shared_memory_is_lost(),
         ):
@@ -248,6 +240,18 @@ class Operations:
         """End what the server moves, after the fail-safes: it was silent for longer than its link lease."""
         for acting in self._acting():
             acting.end("lease")
+
+    def _watch(self) -> Steps[None]:
+        """Return the steps of the watchdog."""
+        watching = Watching(
+            self._node,
+            self._graph,
+            latch=self._stops.latch,
+            stop=self.failsafes.carry_out,
+            keep_out=self._keep_out,
+            began=self._limiter.watched_by,
+        )
+        return watching.watch(lambda: self._limiter.watch, self._is_driven, lambda: self.failsafes.has_goals)
 
     def _keep_out(self, reason: str) -> None:
         """End what drives the robot, because it is about to enter a keep-out zone. Later commands may drive it away."""

@@ -120,7 +120,8 @@ class Limiter:
             self._resume(given.get("spent", ()))
         except (ValueError, TypeError, KeyError, AttributeError) as error:
             raise OperationError("bad_request", f"These rules cannot be read: {error!r}") from error
-        self._keeps_out = bool((watch.get("pose") or {}).get("keep_out"))
+        pose: Any = watch.get("pose") or {}
+        self._keeps_out = bool(pose.get("keep_out"))
         self.rules, self.is_under_policy, self.watch = rules, True, watch
         return rules.digest
 
