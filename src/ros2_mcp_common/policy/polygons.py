@@ -71,7 +71,7 @@ def between(one: Polygon, other: Polygon) -> float:
     half = max([math.dist(start, end) for start, end in edges(one)]) / 2
     if nearest <= half and any(_cross(edge, beside) for edge in edges(one) for beside in edges(other)):
         return 0.0
-    return min(nearest, min([distance(x, y, one) for x, y in other]))
+    return min(nearest, *[distance(x, y, one) for x, y in other])
 
 
 def moved(polygon: Polygon, x: float, y: float, yaw: float) -> Polygon:
