@@ -140,38 +140,7 @@ class Operations:
         cancelling = Cancelling(node=node, graph=self._graph, clients=self._clients, send_event=outbox.send)
         self._relays = Relays(self._velocities, partial(Relay, node=node, graph=self._graph, loop=loop, create=create))
         self._table = table
-        table.update(
-            {
-                "cancel": self._cancel,
-                "topics": self._graph.topics,
-                "counted": self._graph.counted,
-                "services": self._services,
-                "servers": self._graph.servers,
-                "nodes": self._graph.nodes,
-                "node": self._graph.node,
-                "endpoints": self._graph.endpoints,
-                "wait_endpoints": self._graph.wait_endpoints,
-                "subscribe": self._subscriptions.subscribe,
-                "unsubscribe": self._subscriptions.unsubscribe,
-                "counts": self._subscriptions.counts_of,
-                "publish": self._publishers.publish,
-                "repeat": self._publishers.repeat,
-                "repeat_stop": self._repeat_stop,
-                "move": motions.move,
-                "relay": self._relays.relay,
-                "relay_feed": self._relays.feed,
-                "relay_stop": self._relay_stop,
-                "relays": self._relays.counts,
-                "call": self._clients.call,
-                "cancel_when": cancelling.cancel_when,
-                "joint_states": self._joint_states.wait,
-                "failsafe_publish": self._publishers.failsafe,
-                "failsafe_call": self._clients.failsafe,
-                "stop": self._stop,
-                "zero": self._zero,
-                "stats": self._stats,
-            }
-        )
+        table.update(self._operations(motions, cancelling))
         for steps in (
             self._graph.settle(),
             self._expire(),
@@ -181,6 +150,39 @@ class Operations:
             self._leave_when_shared_memory_is_lost(),
         ):
             loop.start(steps, log_failure)
+
+    def _operations(self, motions: Motions, cancelling: Cancelling) -> dict[str, Operation]:
+        """The operations that the server may request, by the name in a request."""
+        return {
+            "cancel": self._cancel,
+            "topics": self._graph.topics,
+            "counted": self._graph.counted,
+            "services": self._services,
+            "servers": self._graph.servers,
+            "nodes": self._graph.nodes,
+            "node": self._graph.node,
+            "endpoints": self._graph.endpoints,
+            "wait_endpoints": self._graph.wait_endpoints,
+            "subscribe": self._subscriptions.subscribe,
+            "unsubscribe": self._subscriptions.unsubscribe,
+            "counts": self._subscriptions.counts_of,
+            "publish": self._publishers.publish,
+            "repeat": self._publishers.repeat,
+            "repeat_stop": self._repeat_stop,
+            "move": motions.move,
+            "relay": self._relays.relay,
+            "relay_feed": self._relays.feed,
+            "relay_stop": self._relay_stop,
+            "relays": self._relays.counts,
+            "call": self._clients.call,
+            "cancel_when": cancelling.cancel_when,
+            "joint_states": self._joint_states.wait,
+            "failsafe_publish": self._publishers.failsafe,
+            "failsafe_call": self._clients.failsafe,
+            "stop": self._stop,
+            "zero": self._zero,
+            "stats": self._stats,
+        }
 
     def is_at_rest(self) -> bool:
         """Return whether no request is in progress and there are no velocity topics. Thread-safe."""
@@ -337,8 +339,8 @@ class Operations:
     def end_at_once(self, request: Request) -> None:
         """Carry out a request that ends something, without waiting for the imports of other requests.
 
-        It is carried out again, and answered, in its turn. Then it also ends requests that were accepted
-        before it and come only then.
+        It is carried out again, and answered, in its turn. It then also ends requests that were accepted before it but
+        begin only then.
         """
         with suppress(OperationError):  # the error is answered in its turn
             if request.op == "zero":
@@ -386,9 +388,9 @@ class Operations:
         return self._velocities.have_moved(since) or self.failsafes.has_goals
 
     def _obey_latch(self) -> Steps[None]:
-        """Steps that end what moves here when the latch is set: zeros first, then the rest.
+        """Steps that end all motion here when the latch is set: zeros first, then the rest.
 
-        They do so also if the latch was reset again before they looked. Requests accepted after the reset go on.
+        They do so even if the latch was reset before this check. Requests accepted after the reset continue.
         """
         latch, before = self._stops.latch, None
         while True:

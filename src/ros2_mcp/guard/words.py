@@ -48,7 +48,7 @@ def forbidden(rules: RuleSet) -> list[str]:
 
 
 def bounds(ruling: Ruling) -> str:
-    """Return a sentence about the bounds of an allowed command: of all rules that allow it, and of all limits."""
+    """Return a sentence with the bounds on an allowed command, from the rules and limits that apply to it."""
     clauses = [clause for entry in ruling.allowances for clause in _bounds_of(entry) if clause != _APPROVAL]
     clauses += [clause for entry in ruling.limits for clause in _bounds_of_limit(entry)]
     return f"The policy bounds {'; '.join(dict.fromkeys(clauses)) or 'nothing of it'}."

@@ -48,7 +48,7 @@ _logger = logging.getLogger(__name__)
 class Bridge:
     """The connection to one robot: starts a bridge, monitors it, and restarts it.
 
-    `start_carrier` starts a bridge and its carrier. It is called once per life, and raises a `RobotError` with the
+    `start_carrier` starts a bridge and its carrier. It is called once per start, and raises a `RobotError` with the
     reason if there can be no bridge.
 
     State of the bridge: `hello` is the running bridge's introduction, `generation` the number of starts, `losses` the
@@ -113,7 +113,7 @@ class Bridge:
     # ── start and end ──────────────────────────────────────────────────────────────────────────────────────────
 
     def launch(self) -> None:
-        """Start the first life at once, without an event loop. An error is raised by the first request."""
+        """Start the first bridge process at once, without an event loop. An error is raised by the first request."""
         if self._launched is None and self._supervisor is None:
             self._launched = self._start()
 
@@ -314,10 +314,11 @@ class Bridge:
         return self._outcome
 
     async def _supervise(self) -> None:
-        """Run one life after another: at once after a life that had begun, otherwise after a pause or on request.
+        """Run one bridge process after another: at once after one that had begun to work, otherwise after a pause or on
+        request.
 
-        After a failed start further ones follow, because motions of the lost bridge must still be stopped: without end
-        for a remote robot, unless only a person can remove the obstacle.
+        After a failed start there are further ones, because motions of the lost bridge must still be stopped: without
+        limit for a remote robot, unless only a person can remove the obstacle.
         """
         failures = 0
         while True:
@@ -343,7 +344,7 @@ class Bridge:
                 self._outcome = asyncio.get_running_loop().create_future()
 
     async def _live(self) -> tuple[bool, RobotError]:
-        """Run one life of the bridge; return whether it had begun, and why it ended."""
+        """Run one bridge process until it ends; return whether it had begun to work, and why it ended."""
         carrier, self._launched = self._launched or self._start(), None
         if isinstance(carrier, RobotError):
             return False, carrier

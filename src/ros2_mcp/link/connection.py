@@ -1,4 +1,4 @@
-"""The connection to one life of the bridge: requests out, replies and samples in."""
+"""The connection to one bridge process: requests out, replies and samples in."""
 
 from __future__ import annotations
 

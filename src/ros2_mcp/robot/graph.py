@@ -421,7 +421,7 @@ class Graph:
             return NotFound(f"{topic} is not seen yet, but discovery is still under way.", "Ask again in a moment.")
         known = [row.name for row in found]
         hint = await self.near(topic, known, "ros2_topic_list")
-        return NotFound(f"There is no topic {topic}: nobody publishes or subscribes to it.", hint)
+        return NotFound(f"There is no topic {topic}: it has no publisher and no subscriber.", hint)
 
     async def missing(self, message: str, hint: str) -> NotFound:
         """Return the error for a missing part of the robot; if no robot is present at all, the error says that

@@ -60,7 +60,8 @@ class Ear:
     """A subscription to one feedback topic, which follows its publishers as they come and go.
 
     While it passes a message on, `received_at` is when the middleware received it (monotonic, s): it
-    may have waited since then.
+    may have waited since then. `from_before_s` is its age by its publisher's clock if it was sent before the
+    subscription, else None.
     """
 
     def __init__(self, node: Node, graph: Graph, heard: Heard) -> None:
@@ -70,6 +71,7 @@ class Ear:
         self._source = FollowedSource(node, graph, request)
         self._has_failed = False
         self.received_at = 0.0
+        self.from_before_s: float | None = None
         self._subscription: RawSubscription | None = None
         self._old: NewestOfOld[Sample] | None = None
 
@@ -80,7 +82,8 @@ class Ear:
         """
         deadline = time.monotonic() + HEARS_AT_MOST_S
 
-        def decode(sample: Sample) -> None:
+        def decode(sample: Sample, is_old: bool) -> None:
+            self.from_before_s = max((time.time_ns() - sample.source_ns) / 1e9, 0.0) if is_old else None
             waited_s = (time.time_ns() - sample.received_ns) / 1e9  # by a clock that may have been set
             self.received_at = time.monotonic() - min(max(waited_s, 0.0), WAITED_AT_MOST_S)
             with suppress(Exception):  # a message may be broken, and its type may lack fields
@@ -88,14 +91,14 @@ class Ear:
 
         def pass_on(sample: Sample) -> None:
             for one in self._old.passed(sample, time.monotonic()) if self._old else (sample,):
-                decode(one)
+                decode(one, is_old=one is not sample)
 
         try:
             self._resubscribe()
             if self._subscription is not None:
                 self._subscription.drain(pass_on, lambda: time.monotonic() > deadline)
             for one in self._old.due(time.monotonic()) if self._old else ():
-                decode(one)
+                decode(one, is_old=True)
         except rcl.RCLError as error:
             if not self._has_failed:
                 sys.stderr.write(f"{self._topic} cannot be heard: {error}\n")  # once

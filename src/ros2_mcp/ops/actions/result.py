@@ -31,7 +31,7 @@ _AT_LEAST_S = 0.1
 
 @dataclass(frozen=True, slots=True)
 class GoalResult:
-    """The result of a goal, whoever sent it; `TIMEOUT` (code 0) if it had not ended in time."""
+    """The result of a goal from any client; `status` is `TIMEOUT` (code 0) if the goal had not ended in time."""
 
     service: str
     goal_id: str = field(metadata=SAID)

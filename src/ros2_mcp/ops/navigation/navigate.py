@@ -28,6 +28,7 @@ from ros2_mcp.ops.navigation.explain import Explanation, Failure, explain
 from ros2_mcp.ops.navigation.follow_drive import follow_drive
 from ros2_mcp.ops.navigation.health import health_of
 from ros2_mcp.ops.navigation.known_places import places_of
+from ros2_mcp.ops.navigation.last_pose import note_last_pose
 from ros2_mcp.ops.navigation.planned_path import check_places, judge_path
 from ros2_mcp.ops.navigation.targets import MAP_FRAME, Target, targets_of
 from ros2_mcp.ops.navigation.whereabouts import in_frame, whereabouts
@@ -104,13 +105,14 @@ class Navigated:
 
     def summary(self) -> list[str]:
         """Return the outcome, one line per leg, and the cause of a failure."""
-        lines = [f"{self.outcome} after {self.duration_s:.1f} s. {self.note}".strip(), *map(_line, self.legs)]
-        lines += self.health
-        if self.explanation:
-            why = self.explanation
-            lines += [f"Cause: {why.cause}", *([f"Nav2 says: {why.error}"] if why.error else [])]
-            lines += [f"What would help: {' '.join(why.helps)}"]
-        return lines
+        why = self.explanation
+        ended = f"{self.outcome} after {self.duration_s:.1f} s."
+        if why is None:
+            return [f"{ended} {self.note}".strip(), *map(_line, self.legs), *self.health]
+        note = "" if self.note.startswith(why.cause) or not self.note else f" {self.note}"
+        lines = [f"{ended} Cause: {why.cause}{note}", f"What would help: {' '.join(why.helps)}"]
+        lines += [f"Nav2 says: {why.error}"] if why.error else []
+        return [*lines, *map(_line, self.legs), *self.health]
 
 
 def _line(leg: Leg) -> str:
@@ -316,6 +318,7 @@ class Navigation(Job):
         took_s = monotonic() - self._leg_at
         self._note(duration_s=round(took_s, 2))
         await self._measure(target)
+        await note_last_pose(self._robot)
         if ended.status == "SUCCEEDED":
             away_m = self.legs[self.now].away_m
             far = away_m is not None and away_m > _FAR_M
