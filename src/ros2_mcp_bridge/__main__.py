@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn, TypeVar
@@ -20,11 +21,12 @@ from ros2_mcp_bridge.exit.limiter import Limiter
 from ros2_mcp_bridge.exit.spawning import STOPPER_ARGUMENT, STOPPERS, copy_process
 from ros2_mcp_bridge.lease import LinkLease
 from ros2_mcp_bridge.loop import Loop, log_failure
-from ros2_mcp_bridge.request import Request
+from ros2_mcp_bridge.request import OperationError, Request
 from ros2_mcp_bridge.ros import definitions, interfaces
 from ros2_mcp_bridge.stream import Outbox, claim_standard_streams, read_packets
 from ros2_mcp_common.allocation import keep_freed_memory
 from ros2_mcp_common.latch import FILE, Latch, LatchState
+from ros2_mcp_common.policy.velocity import SPEED_LIMIT
 from ros2_mcp_common.policy.verbs import meaning
 from ros2_mcp_common.wire.packets import PacketError
 from ros2_mcp_common.wire.protocol import BRIDGE_NODE, Empty, Lapsed, PingReply, PolicyReply
@@ -281,6 +283,9 @@ class Bridge:
             request.interface = self._loader(request)(request.text("type"))
         for type_name in request.texts("hears") if request.has("hears") else ():
             interfaces.load(type_name)  # it stays loaded
+        if self._limiter.speed_of_goals and request.op == "call" and request.text("type").startswith("nav2_msgs/"):
+            with suppress(OperationError):  # an older Nav2, or a part of it, has no such type
+                interfaces.load(SPEED_LIMIT)
         if self._operations is not None:
             self._loop.submit(partial(self._operations.start, request))
 

@@ -16,6 +16,7 @@ from ros2_mcp_bridge.epoch import Overtaken, StopEpoch
 from ros2_mcp_bridge.exit.failsafes import FailSafes
 from ros2_mcp_bridge.exit.lifeline import Lifeline
 from ros2_mcp_bridge.exit.limiter import Limiter
+from ros2_mcp_bridge.exit.speed_limit import SpeedLimits
 from ros2_mcp_bridge.exit.trajectories import topic_of
 from ros2_mcp_bridge.exit.velocities import Velocities, VelocityTopic
 from ros2_mcp_bridge.loop import Loop, Seldom, log_failure
@@ -121,7 +122,8 @@ class Operations:
         limiter.look_at_joints = self._joint_states.known
         self.failsafes = FailSafes(self.send_zeros)
         self._subscriptions = Subscriptions(node, self._graph, loop, outbox)
-        self._clients = Clients(node, self.failsafes, limiter, lifeline)
+        self._speed_limits = SpeedLimits(node, self._graph, limiter)
+        self._clients = Clients(node, self.failsafes, limiter, lifeline, self._speed_limits)
         loop.after_turn = self._clients.look
         self._joint_states.relied_on = self._velocities.moving_joints
         limits = {"limiter": limiter, "joint_states": self._joint_states}
@@ -139,19 +141,11 @@ class Operations:
         self._relays = Relays(self._velocities, partial(Relay, node=node, graph=self._graph, loop=loop, create=create))
         self._table = table
         table.update(self._operations(motions, cancelling))
-        watching = Watching(
-            node,
-            self._graph,
-            latch=stops.latch,
-            stop=self.failsafes.carry_out,
-            keep_out=self._keep_out,
-            began=limiter.watched_by,
-        )
         for steps in (
             self._graph.settle(),
             self._expire(),
             self._obey_latch(),
-            watching.watch(lambda: limiter.watch, self._is_driven, lambda: self.failsafes.has_goals),
+            self._watch(),
             self._velocities.watch(),
             self._leave_when_shared_memory_is_lost(),
         ):
@@ -237,6 +231,7 @@ class Operations:
             self._relays,
             self._subscriptions,
             self._clients.pool,
+            self._speed_limits,
             self._clock,
             self._joint_states,
         ):
@@ -247,6 +242,18 @@ class Operations:
         """End what the server moves, after the fail-safes: it was silent for longer than its link lease."""
         for acting in self._acting():
             acting.end("lease")
+
+    def _watch(self) -> Steps[None]:
+        """Return the steps of the watchdog."""
+        watching = Watching(
+            self._node,
+            self._graph,
+            latch=self._stops.latch,
+            stop=self.failsafes.carry_out,
+            keep_out=self._keep_out,
+            began=self._limiter.watched_by,
+        )
+        return watching.watch(lambda: self._limiter.watch, self._is_driven, lambda: self.failsafes.has_goals)
 
     def _keep_out(self, reason: str) -> None:
         """End what drives the robot, because it is about to enter a keep-out zone. Later commands may drive it away."""

@@ -24,7 +24,7 @@ from ros2_mcp_common.policy.checks import Checks
 from ros2_mcp_common.policy.feedback import Watchdog, rules_of
 from ros2_mcp_common.policy.fields import QuickCheck, floats_of, put
 from ros2_mcp_common.policy.flight import brakes
-from ros2_mcp_common.policy.keep_out import STANDING_GOALS
+from ros2_mcp_common.policy.keep_out import STANDING_GOALS, STRAIGHT_GOALS
 from ros2_mcp_common.policy.ramp import Bucket, PerMinute, Ramp
 from ros2_mcp_common.policy.rules import Limit, Rules, Ruling, judged_part
 from ros2_mcp_common.policy.trajectory_limits import LookAtJoints, nobody_measures
@@ -120,7 +120,8 @@ class Limiter:
             self._resume(given.get("spent", ()))
         except (ValueError, TypeError, KeyError, AttributeError) as error:
             raise OperationError("bad_request", f"These rules cannot be read: {error!r}") from error
-        self._keeps_out = bool((watch.get("pose") or {}).get("keep_out"))
+        pose: Any = watch.get("pose") or {}
+        self._keeps_out = bool(pose.get("keep_out"))
         self.rules, self.is_under_policy, self.watch = rules, True, watch
         return rules.digest
 
@@ -209,7 +210,7 @@ class Limiter:
                 raise refused(f"The policy of this robot: {error}.") from error
         meant = meaning(*key)
         if meant.verb == "goal" and not matches(STANDING_GOALS, meant.type):
-            self.check_start()
+            self.check_start(meant.type, message)
         if leaves and (most := ruling.most("per_minute")) is not None:
             self.check_minute(key, most)
 
@@ -230,14 +231,25 @@ class Limiter:
             raise refused(f"The policy of this robot: {ruling.problem} ({ruling.rule}).")
         return ruling
 
+    @property
+    def speed_of_goals(self) -> float:
+        """The speed in m/s beyond which the watchdog ends goals; 0 if it looks at none."""
+        feedback: Any = (self.watch or {}).get("feedback") or {}
+        return float(feedback.get("goals", {}).get("linear", 0.0))
+
     def watched_by(self, watchdog: Watchdog) -> None:
         """Take the watchdog, which knows where the robot is."""
         self.watchdog = watchdog
 
-    def check_start(self) -> None:
-        """Raise `OperationError` of kind `refused` if a goal may not drive the robot from where it is now."""
+    def check_start(self, type_name: str = "", request: Any = None) -> None:
+        """Raise `OperationError` of kind `refused` if a goal may not drive the robot from where it is now, or one of
+        `STRAIGHT_GOALS` may not drive as far as this request asks for.
+        """
         if self._keeps_out:
             problem = self.watchdog.problem_of_start(self.now()) if self.watchdog else _NO_WATCHDOG
+            if self.watchdog and not problem and (sign := STRAIGHT_GOALS.get(type_name)):
+                length_m = abs(float(request.goal.target.x))
+                problem = self.watchdog.problem_of_straight(sign * length_m, self.now())
             if problem:
                 raise refused(f"The policy of this robot: {problem} (keep_out).")
 

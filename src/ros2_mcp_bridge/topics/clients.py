@@ -14,6 +14,7 @@ from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from ros2_mcp_bridge.exit.failsafes import FailSafes, Motion, begun_by, ended_by
 from ros2_mcp_bridge.exit.lifeline import Lifeline
 from ros2_mcp_bridge.exit.limiter import Limiter
+from ros2_mcp_bridge.exit.speed_limit import SpeedLimits
 from ros2_mcp_bridge.request import OperationError, Request, Steps
 from ros2_mcp_bridge.ros import interfaces, rcl
 from ros2_mcp_bridge.topics.pace import Pace
@@ -52,11 +53,14 @@ ServiceKey = tuple[str, str]
 class Clients:
     """Pooled clients of services, including those of actions."""
 
-    def __init__(self, node: Node, failsafes: FailSafes, limiter: Limiter, lifeline: Lifeline) -> None:
+    def __init__(
+        self, node: Node, failsafes: FailSafes, limiter: Limiter, lifeline: Lifeline, speed_limits: SpeedLimits
+    ) -> None:
         self._node = node
         self._lifeline = lifeline
         self._failsafes = failsafes
         self._limiter = limiter
+        self._speed_limits = speed_limits
         self.pool: Pool[ServiceKey, Client] = Pool(node.destroy_client)
         self._awaited: dict[Future, tuple[Request, Pace]] = {}
         self._paces: WeakKeyDictionary[Client, Pace] = WeakKeyDictionary()
@@ -77,6 +81,7 @@ class Clients:
         latest = started + request.number("within_s", wait_s + timeout_s)
         with self._use(request) as (client, message):
             yield from _wait_server(client, service, wait_s, latest)
+            yield from self._speed_limits.tell(request)
             pace = self._paces.setdefault(client, Pace())
             yield from pace.wait_turn(request, latest)
             sent_at = time.monotonic()

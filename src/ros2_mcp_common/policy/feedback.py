@@ -362,6 +362,21 @@ class Watchdog:
                 return f"{told}: only a velocity that leads away from it may drive it"
         return ""
 
+    def problem_of_straight(self, length_m: float, now: float) -> str:
+        """Return why the robot may not drive so far straight ahead (below 0: back), by the keep-out zones."""
+        if problem := self._unplaced(now):
+            return problem
+        for keep_out, here in self._near():
+            assert self._place
+            back = math.pi if length_m < 0 else 0.0
+            way = arc(self._place, self._place.yaw + back, min(abs(length_m), FARTHEST_STOP), 0.0, keep_out.swing_m)
+            try:
+                if entered := keep_out.entered_from(here, way):
+                    return f"on the way straight {'back' if back else 'ahead'}, {entered}"
+            except Unfit as unfit:
+                return str(unfit)
+        return ""
+
     def _unplaced(self, now: float) -> str:
         """Return why the place of the robot is not known, if there are keep-out zones."""
         rule = self.pose_rule

@@ -59,6 +59,8 @@ STANDING_GOALS = (
     "moveit_msgs/action/*",
 )
 """The goals that do not move a robot's base."""
+STRAIGHT_GOALS: Mapping[str, int] = {"nav2_msgs/action/DriveOnHeading": 1, "nav2_msgs/action/BackUp": -1}
+"""The goals that drive straight by `target.x` m: ahead (1) or back (-1), whatever its sign."""
 GOAL_TOPICS = ("/**/goal_pose", "/**/move_base_simple/goal")
 POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
 """A message of this type on one of these topics is a goal for Nav2."""

@@ -38,33 +38,40 @@ def what_is_wrong(polygon: Sequence[Point]) -> str:
 def is_inside(x: float, y: float, polygon: Sequence[Point]) -> bool:
     """Return whether a point lies inside a polygon; on its edge, either."""
     inside = False
-    for (x1, y1), (x2, y2) in edges(polygon):
+    x1, y1 = polygon[-1]
+    for x2, y2 in polygon:
         if (y1 > y) != (y2 > y) and x < (x2 - x1) * (y - y1) / (y2 - y1) + x1:
             inside = not inside
+        x1, y1 = x2, y2
     return inside
 
 
 def distance(x: float, y: float, polygon: Sequence[Point]) -> float:
     """Return the distance of a point from the nearest edge of a polygon, in m."""
-    return min(distance_from_edge(x, y, one, other) for one, other in edges(polygon))
-
-
-def distance_from_edge(x: float, y: float, one: Point, other: Point) -> float:
-    """Return the distance from the point (x, y) to the line segment from `one` to `other`."""
-    dx, dy = other[0] - one[0], other[1] - one[1]
-    squared = dx * dx + dy * dy
-    part = ((x - one[0]) * dx + (y - one[1]) * dy) / squared if squared else 0.0
-    part = min(1.0, max(0.0, part))
-    return math.hypot(x - one[0] - part * dx, y - one[1] - part * dy)
+    nearest = math.inf  # squared; one loop without calls, because the watchdog asks this often
+    x1, y1 = polygon[-1]
+    for x2, y2 in polygon:
+        dx, dy = x2 - x1, y2 - y1
+        length = dx * dx + dy * dy
+        part = ((x - x1) * dx + (y - y1) * dy) / length if length else 0.0
+        part = 0.0 if part < 0.0 else 1.0 if part > 1.0 else part
+        to_x, to_y = x - x1 - part * dx, y - y1 - part * dy
+        away = to_x * to_x + to_y * to_y
+        nearest = min(nearest, away)
+        x1, y1 = x2, y2
+    return math.sqrt(nearest)
 
 
 def between(one: Polygon, other: Polygon) -> float:
     """Return the distance between two polygons, in m; 0 if they overlap."""
     if is_inside(*one[0], other) or is_inside(*other[0], one):
         return 0.0
-    if any(_cross(edge, beside) for edge in edges(one) for beside in edges(other)):
+    nearest = min([distance(x, y, other) for x, y in one])
+    # Where an edge crosses another polygon, one of its ends is within half its length of that polygon.
+    half = max([math.dist(start, end) for start, end in edges(one)]) / 2
+    if nearest <= half and any(_cross(edge, beside) for edge in edges(one) for beside in edges(other)):
         return 0.0
-    return min(*(distance(x, y, other) for x, y in one), *(distance(x, y, one) for x, y in other))
+    return min(nearest, *[distance(x, y, one) for x, y in other])
 
 
 def moved(polygon: Polygon, x: float, y: float, yaw: float) -> Polygon:

@@ -18,6 +18,8 @@ VELOCITY_TYPES: Mapping[str, bool] = {
 
 The default value of each is its zero, which stops the robot. True if the type has a header with a stamp and a frame.
 """
+SPEED_LIMIT = "nav2_msgs/msg/SpeedLimit"
+"""By this type Nav2's controllers are told how fast they may drive."""
 HOLD_TYPES: Collection[str] = ("trajectory_msgs/msg/JointTrajectory",)
 """The types of commands that a controller executes to the end, unless a hold at the
 measured joint positions ends it.

@@ -89,6 +89,14 @@ def test_velocities_are_judged_by_where_they_lead() -> None:
     )
 
 
+def test_a_straight_drive_is_judged_to_its_end() -> None:
+    watchdog = seen_at(0.0, driven=False)
+    assert not watchdog.problem_of_straight(1.5, 100.0) and not watchdog.problem_of_straight(-9.0, 100.0)
+    assert "straight ahead, the robot's outline would be" in watchdog.problem_of_straight(1.7, 100.0)
+    assert watchdog.problem_of_straight(math.inf, 100.0)
+    assert "straight back" in seen_at(0.0, driven=False, yaw=math.pi).problem_of_straight(-1.7, 100.0)
+
+
 @pytest.mark.parametrize("velocity", [(1e200, 0.0, 0.0), (0.0, 0.0, 1e200), (1e300, 1e300, -1e300)])
 def test_speeds_without_measure_are_ends_not_errors(velocity: tuple[float, float, float]) -> None:
     watchdog = seen_at(-900.0)

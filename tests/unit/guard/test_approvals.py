@@ -216,7 +216,7 @@ def test_a_grant_covers_its_kind_for_its_time_and_no_more() -> None:
     approvals = Approvals(clock=clock, epoch=lambda: "3")
     with pytest.raises(ApprovalNeeded) as needed:
         approvals.require(drive(0.1))
-    with pytest.raises(BadInput, match="beyond that bound"):
+    with pytest.raises(BadInput, match="exceeds that bound"):
         approvals.grant(needed.value.request_id, 60, {"linear": 0.05}, by="operator ann")
     with pytest.raises(BadInput, match="no number at liner"):
         approvals.grant(needed.value.request_id, 60, {"liner": 0.05}, by="operator ann")
@@ -349,3 +349,55 @@ def test_what_a_client_has_asked_for_leaves_with_it() -> None:
     approvals.leave(gone)
     assert [request.exact.principal for request in approvals.waiting()] == [LOCAL]
     assert told == ["asked", "asked", "withdrawn"]
+
+
+ROUTE = ("(1.0, 2.0) m in map, any heading, door", "(3.0, 0.5) m in map, heading 1.5 rad", "(0.0, 0.0) m in map")
+
+
+def going(leg: int, route: tuple[str, ...] = ROUTE, x: float = 0.0) -> ExactCommand:
+    """The goal for one place of a list: its heading of arrival is known only when it is sent."""
+    command = SendGoal(
+        principal=LOCAL,
+        name="/navigate_to_pose",
+        type="nav2_msgs/action/NavigateToPose",
+        value={"x": x + leg},
+        goal_id="00" * 16,
+        timeout_s=1.0,
+        wait_s=1.0,
+        route=route,
+        leg=leg,
+    )
+    return ExactCommand.of(command, policy="p1", epoch="3")
+
+
+def test_a_list_of_places_is_approved_once_and_each_is_driven_to_once() -> None:
+    clock = Clock()
+    approvals = Approvals(clock=clock, epoch=lambda: "3")
+    with pytest.raises(ApprovalNeeded) as needed:
+        approvals.require(going(0))
+    request = approvals.find(needed.value.request_id)
+    read = " ".join(request.summary())
+    assert "For 3 places, each once, one after the other" in read and all(place in read for place in ROUTE)
+    approvals.approve(request.id, request.nonce, by="ann")
+    assert is_carried_out(approvals, going(0, x=0.001)), "from where the robot is by now"
+    clock.now += 600
+    assert is_carried_out(approvals, going(1)) and is_carried_out(approvals, going(2))
+    assert not is_carried_out(approvals, going(2)) and not is_carried_out(approvals, going(0))
+
+
+def test_an_approved_list_covers_no_other_list_and_no_second_round() -> None:
+    approvals = Approvals(epoch=lambda: "3")
+    approved(approvals, going(0))
+    assert not is_carried_out(approvals, going(0, ROUTE[:2])) and not is_carried_out(approvals, going(0, ROUTE[::-1]))
+    assert is_carried_out(approvals, going(0))
+    assert not is_carried_out(approvals, going(0)), "begun again, it is asked for again"
+    assert not is_carried_out(approvals, going(1)), "and with that the rest is, too"
+
+
+def test_after_a_stop_the_rest_of_a_list_is_asked_for_again() -> None:
+    epoch = ["3"]
+    approvals = Approvals(epoch=lambda: epoch[0])
+    approved(approvals, going(0))
+    assert is_carried_out(approvals, going(0))
+    epoch[0] = "4"
+    assert not is_carried_out(approvals, replace(going(1), epoch="4"))
