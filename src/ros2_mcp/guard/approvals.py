@@ -32,8 +32,6 @@ MOST_PENDING = 8
 request is dropped in its favour."""
 _MOST_PENDING = 64
 """The most waiting requests of all clients together."""
-_ON_THE_WAY_S = 3600.0
-"""The time limit from one place of an approved route to the next, in s: a robot may drive for minutes."""
 _ID_LETTERS = "ABCDEFGHJKMNPQRSTUVWXYZ23456789"
 """Characters of an id: without I, L, O, 0 and 1, which are mistaken for one another when an id is read aloud."""
 _ID_LENGTH = 4
@@ -47,8 +45,7 @@ class Request:
 
     `nonce` identifies the request beyond its short `id`, so that an answer applies only to the request that the
     operator has read. `until` is the expiry time on the clock of `Approvals`, in s. `bounds` is a sentence about how
-    the policy bounds the command. `by` is the operator who answered. `used` are the places of a route for which the
-    approval was used.
+    the policy bounds the command. `by` is the operator who answered.
     """
 
     id: str
@@ -59,7 +56,6 @@ class Request:
     bounds: str = ""
     state: State = "waiting"
     by: str = ""
-    used: set[int] = field(default_factory=set[int])
 
     def summary(self) -> list[str]:
         """Return the lines about the request that an operator reads."""
@@ -137,9 +133,8 @@ class Approvals:
                 return grant.id
         request = self._requests.get(exact.key)
         if request and request.state == "approved":
-            if self._use(request, exact):
-                return request.id
-            request = None  # the list is driven again
+            del self._requests[exact.key]  # before anything is sent, so that no other call can use it as well
+            return request.id
         if request and request.state == "denied":
             raise Refused(
                 "The operator denied this call: nothing was sent.",
@@ -152,19 +147,6 @@ class Approvals:
             f"{self._valid_s:g} s, leaving out any part that already succeeded. The approval is valid for one call.",
             request_id=request.id,
         )
-
-    def _use(self, request: Request, exact: ExactCommand) -> bool:
-        """Use an approval, before anything is sent; return whether it covered this command. That of a route is used
-        once for each place, and remains valid on the way.
-        """
-        if exact.leg in request.used:
-            del self._requests[exact.key]
-            return False
-        request.used.add(exact.leg)
-        request.until = max(request.until, self._clock() + _ON_THE_WAY_S)
-        if len(request.used) >= len(exact.route):
-            del self._requests[exact.key]  # so that no other call can use it as well
-        return True
 
     def _ask(self, exact: ExactCommand, bounds: str) -> Request:
         waiting = [one for one in self._requests.values() if one.state == "waiting"]

@@ -29,9 +29,7 @@ _SENTENCES: Mapping[str, str] = {
     "goal": "Send a goal to {name}",
     "cancel": "Cancel goals of {name}",
 }
-_NOT_BOUND = frozenset(
-    {"principal", "name", "type", "value", "rate_hz", "duration_s", "risk", "choice", "qos", "route", "leg"}
-)
+_NOT_BOUND = frozenset({"principal", "name", "type", "value", "rate_hz", "duration_s", "risk", "choice", "qos"})
 _NOT_SAID = frozenset(
     {"messages", "goal_id", "repeat_id", "motion_id", "relay_id", "wait_match_s", "wait_ack_s", "timeout_s", "wait_s"}
 )
@@ -53,8 +51,6 @@ class ExactCommand:
     `digest` is SHA-256 over the type and the CDR bytes that are sent, or, where `of` got no bytes, over the type and
     the value as canonical JSON. `more` are the other fields of the command that affect its outcome, `policy` is the
     hash of the policies, `epoch` the stop epoch of the request, `told` further sentences for the person who approves.
-    With a `route`, an approval covers the goals for all of its places, each once, instead of this value alone; `leg` is
-    the number of this one.
     """
 
     principal: Principal
@@ -69,8 +65,6 @@ class ExactCommand:
     policy: str = ""
     epoch: str = ""
     told: Sequence[str] = ()
-    route: Sequence[str] = ()
-    leg: int = 0
 
     @classmethod
     def of(
@@ -114,8 +108,6 @@ class ExactCommand:
             policy=policy,
             epoch=epoch,
             told=told,
-            route=getattr(command, "route", ()),
-            leg=getattr(command, "leg", 0),
         )
 
     @property
@@ -137,8 +129,7 @@ class ExactCommand:
     @property
     def key(self) -> str:
         """A hash of all that an approval covers: two commands are the same if their keys are equal."""
-        what = [*self.route] if self.route else self.digest
-        parts = [self.subject, what, self.rate_hz, self.duration_s, self.epoch]
+        parts = [self.subject, self.digest, self.rate_hz, self.duration_s, self.epoch]
         return hashlib.sha256(canonical(parts).encode()).hexdigest()
 
     def line(self, **more: Any) -> dict[str, Any]:
@@ -168,7 +159,6 @@ class ExactCommand:
         return [
             f"{self._effect()}{self._type()}, {self._often()}.",
             *self.told,
-            *self._route(),
             self._values(),
             *self._motion(),
             f"For the client {_text(self.principal.name)} ({word(self.principal.transport)}). "
@@ -209,12 +199,6 @@ class ExactCommand:
         told = ", ".join(f"{_path(path)} {self._leaf(path, leaf)}" for path, leaf in leaves[:_SHOWN])
         rest = len(leaves) - _SHOWN
         return f"{told}, and {rest} more." if rest > 0 else f"{told}; {others}."
-
-    def _route(self) -> list[str]:
-        """Return a sentence with all places that are approved together."""
-        if len(self.route) < 2:
-            return []
-        return [f"For {len(self.route)} places, each once, one after the other: {'; '.join(map(_text, self.route))}."]
 
     def _motion(self) -> list[str]:
         """Return a sentence about a motion by feedback: its values are maxima, and these are its controller's

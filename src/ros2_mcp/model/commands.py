@@ -314,17 +314,11 @@ class ChangeState(_OfNode):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SendGoal(ServiceBorne):
-    """Send a goal to the action `name` of type `type`; `value` is the goal, `goal_id` its 32 hexadecimal digits.
-
-    With a `route`, a list of places in words and exact numbers, this goal is for its place number `leg` (from 0), and
-    an approval covers the whole list, each place once.
-    """
+    """Send a goal to the action `name` of type `type`; `value` is the goal, `goal_id` its 32 hexadecimal digits."""
 
     ACT = "Sending a goal to {0.name}"
 
     goal_id: str
-    route: Sequence[str] = ()
-    leg: int = 0
 
     @property
     def service(self) -> str:

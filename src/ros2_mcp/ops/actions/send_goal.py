@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from time import monotonic
@@ -88,15 +88,13 @@ async def send_goal(
     wait_for_result: bool = False,
     force: bool = False,
     timeout_s: float = 60.0,
-    route: Sequence[str] = (),
-    leg: int = 0,
     report: Report = silent,
 ) -> GoalOutcome:
     """Send a goal, and wait for its result if asked to, reporting its feedback as progress.
 
     If the wait times out, the goal continues; if the wait is cancelled, the goal is cancelled. With `cancel_when` the
     bridge cancels the goal as soon as that condition holds (see `asked_for`), even if no call waits for the result. If
-    several nodes serve the action, the goal is sent only with `force`. `route` and `leg` are those of `SendGoal`.
+    several nodes serve the action, the goal is sent only with `force`.
 
     Raises:
         BadInput: if several nodes serve the action.
@@ -119,8 +117,6 @@ async def send_goal(
         goal_id=new_goal_id(),
         timeout_s=ACCEPT_S,
         wait_s=SERVER_S,
-        route=route,
-        leg=leg,
     )
     watch: ConditionalCancel | None = None
     if cancel_when.strip():

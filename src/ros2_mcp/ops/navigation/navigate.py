@@ -187,9 +187,7 @@ class Navigation(Job):
     async def _drive_to(self, target: Target) -> None:
         robot = self._robot
         self._unchecked = await judge_path(robot, self._session, self.action, target)
-        route = [target.in_words() for target in self._targets]
-        goal = {"pose": target.pose()}
-        sent = await send_goal(robot, self._session, self.action, NAVIGATE, goal, route=route, leg=self.now)
+        sent = await send_goal(robot, self._session, self.action, NAVIGATE, {"pose": target.pose()})
         self._note(outcome="under way", goal_id=sent.goal_id)
         if not sent.accepted:
             self.begun()
