@@ -212,7 +212,7 @@ class Bridge:
         return not self._stops.coming and (self._operations is None or self._operations.is_at_rest())
 
     def _stopper_lost(self) -> None:
-        """Stop what moves, because a stopper that would stop it has died. It may begin anew."""
+        """Stop all motion, because a stopper that could stop it has died. New motion may begin."""
         if self._operations is not None:
             self._do_first(self._operations.send_zeros, self._operations.end_lasting)
 
@@ -286,7 +286,7 @@ class Bridge:
 
     @staticmethod
     def _loader(request: Request) -> Callable[[str], object]:
-        """What loads its type: of what is only read there may be a stand-in."""
+        """Return the loader of a type: a type that is only read here may be a stand-in."""
         if request.op != "subscribe":
             return interfaces.load
         from ros2_mcp_bridge.ros import stand_ins  # with rclpy, which is there by now

@@ -69,8 +69,8 @@ class StopEpoch:
 
 
 class Acceptance:
-    """When a request was accepted: in which epoch of the server, and after how many lapses of the lease
-    and settings of the latch.
+    """The time at which a request was accepted: the server's epoch, and the numbers of lease lapses and latch settings
+    by then.
     """
 
     def __init__(self, stops: StopEpoch, epoch: float) -> None:

@@ -1,4 +1,4 @@
-"""The link lease: how long the bridge goes on without a sign of life from its server."""
+"""The link lease: the time that the bridge continues without a sign of life from its server."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class LinkLease:
         self._is_in_force = False
 
     def renew(self, lease_s: float) -> None:
-        """Renew the lease after a ping: from now on, bytes must not be further apart than this time."""
+        """Renew the lease after a ping: from now on, data must arrive at least this often."""
         if not self._is_in_force:
             self._slept_before_s = self._slept_s()
         self._lease_s = lease_s

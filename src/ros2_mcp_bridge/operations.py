@@ -38,6 +38,7 @@ from ros2_mcp_bridge.topics.subscriptions import Subscriptions
 from ros2_mcp_common.policy.velocity import VELOCITY_TYPES
 from ros2_mcp_common.wire.protocol import (
     Empty,
+    KeptOut,
     LatchSet,
     RelayStopReply,
     ServicesReply,
@@ -109,6 +110,7 @@ class Operations:
         self._requests: dict[int | None, Request] = {}
         self._stops = stops
         self._told_latch: tuple[str, str, float] | None = None
+        self._kept_out = ""
         self._graph = Graph(node)
         self._clock = RobotClock(node, self._graph)
         self._lifeline = lifeline
@@ -136,39 +138,15 @@ class Operations:
         cancelling = Cancelling(node=node, graph=self._graph, clients=self._clients, send_event=outbox.send)
         self._relays = Relays(self._velocities, partial(Relay, node=node, graph=self._graph, loop=loop, create=create))
         self._table = table
-        table.update(
-            {
-                "cancel": self._cancel,
-                "topics": self._graph.topics,
-                "counted": self._graph.counted,
-                "services": self._services,
-                "servers": self._graph.servers,
-                "nodes": self._graph.nodes,
-                "node": self._graph.node,
-                "endpoints": self._graph.endpoints,
-                "wait_endpoints": self._graph.wait_endpoints,
-                "subscribe": self._subscriptions.subscribe,
-                "unsubscribe": self._subscriptions.unsubscribe,
-                "counts": self._subscriptions.counts_of,
-                "publish": self._publishers.publish,
-                "repeat": self._publishers.repeat,
-                "repeat_stop": self._repeat_stop,
-                "move": motions.move,
-                "relay": self._relays.relay,
-                "relay_feed": self._relays.feed,
-                "relay_stop": self._relay_stop,
-                "relays": self._relays.counts,
-                "call": self._clients.call,
-                "cancel_when": cancelling.cancel_when,
-                "joint_states": self._joint_states.wait,
-                "failsafe_publish": self._publishers.failsafe,
-                "failsafe_call": self._clients.failsafe,
-                "stop": self._stop,
-                "zero": self._zero,
-                "stats": self._stats,
-            }
+        table.update(self._operations(motions, cancelling))
+        watching = Watching(
+            node,
+            self._graph,
+            latch=stops.latch,
+            stop=self.failsafes.carry_out,
+            keep_out=self._keep_out,
+            began=limiter.watched_by,
         )
-        watching = Watching(node, self._graph, latch=stops.latch, stop=self.failsafes.carry_out)
         for steps in (
             self._graph.settle(),
             self._expire(),
@@ -178,6 +156,39 @@ class Operations:
             self._leave_when_shared_memory_is_lost(),
         ):
             loop.start(steps, log_failure)
+
+    def _operations(self, motions: Motions, cancelling: Cancelling) -> dict[str, Operation]:
+        """The operations that the server may request, by the name in a request."""
+        return {
+            "cancel": self._cancel,
+            "topics": self._graph.topics,
+            "counted": self._graph.counted,
+            "services": self._services,
+            "servers": self._graph.servers,
+            "nodes": self._graph.nodes,
+            "node": self._graph.node,
+            "endpoints": self._graph.endpoints,
+            "wait_endpoints": self._graph.wait_endpoints,
+            "subscribe": self._subscriptions.subscribe,
+            "unsubscribe": self._subscriptions.unsubscribe,
+            "counts": self._subscriptions.counts_of,
+            "publish": self._publishers.publish,
+            "repeat": self._publishers.repeat,
+            "repeat_stop": self._repeat_stop,
+            "move": motions.move,
+            "relay": self._relays.relay,
+            "relay_feed": self._relays.feed,
+            "relay_stop": self._relay_stop,
+            "relays": self._relays.counts,
+            "call": self._clients.call,
+            "cancel_when": cancelling.cancel_when,
+            "joint_states": self._joint_states.wait,
+            "failsafe_publish": self._publishers.failsafe,
+            "failsafe_call": self._clients.failsafe,
+            "stop": self._stop,
+            "zero": self._zero,
+            "stats": self._stats,
+        }
 
     def is_at_rest(self) -> bool:
         """Return whether no request is in progress and there are no velocity topics. Thread-safe."""
@@ -236,6 +247,16 @@ class Operations:
         """End what the server moves, after the fail-safes: it was silent for longer than its link lease."""
         for acting in self._acting():
             acting.end("lease")
+
+    def _keep_out(self, reason: str) -> None:
+        """End what drives the robot, because it is about to enter a keep-out zone. Later commands may drive it away."""
+        self.failsafes.carry_out()
+        for acting in self._acting():
+            acting.end("keep_out")
+        if reason != self._kept_out:
+            sys.stderr.write(f"the watchdog ends what drives the robot: {reason}\n")
+        self._outbox.send(KeptOut(event="kept_out", reason=reason))
+        self._kept_out = reason
 
     def end_lasting(self) -> None:
         """End repeats, relays and motions, after the zeros, because a stopper has died.
@@ -311,8 +332,8 @@ class Operations:
     def end_at_once(self, request: Request) -> None:
         """Carry out a request that ends something, without waiting for the imports of other requests.
 
-        It is carried out again, and answered, in its turn. Then it also ends requests that were accepted
-        before it and come only then.
+        It is carried out again, and answered, in its turn. It then also ends requests that were accepted before it but
+        begin only then.
         """
         with suppress(OperationError):  # the error is answered in its turn
             if request.op == "zero":
@@ -360,9 +381,9 @@ class Operations:
         return self._velocities.have_moved(since) or self.failsafes.has_goals
 
     def _obey_latch(self) -> Steps[None]:
-        """Steps that end what moves here when the latch is set: zeros first, then the rest.
+        """Steps that end all motion here when the latch is set: zeros first, then the rest.
 
-        They do so also if the latch was reset again before they looked. Requests accepted after the reset go on.
+        They do so even if the latch was reset before this check. Requests accepted after the reset continue.
         """
         latch, before = self._stops.latch, None
         while True:

@@ -134,8 +134,8 @@ class SampleQueue:
         return bool(self.waiting or self.cut)
 
     def leave_at_most(self, most_bytes: int) -> None:
-        """Drop a packet of which more than `most_bytes` bytes are left, and the oldest samples
-        until no more than that wait.
+        """Drop the packet that is being sent if more than `most_bytes` bytes of it remain, and the oldest samples until
+        no more than that wait.
         """
         if self.cut and self.cut.left_bytes > most_bytes:  # it is one sample: batches of several are smaller
             self.cut = None
@@ -167,7 +167,8 @@ class SampleQueue:
 
 
 class Outbox:
-    """What waits to be written: replies and events, which are never dropped, and queues of samples. Thread-safe.
+    """The packets that wait to be written: replies and events, which are never dropped, and queues of samples.
+    Thread-safe.
 
     Over a slow link (`begin_pieces`), large packets and all samples are sent in pieces, as far as the server keeps up;
     small packets go before them.

@@ -1,6 +1,6 @@
-"""Numbers of a robot that are not finite: nothing is calculated with them; what they tell is unknown, and is named.
+"""Numbers in messages that are not finite: they are not used in calculations, and results name them as unknown.
 
-Server and bridge have this one rule. Needs no ROS: any object with the fields of a message will do.
+Used by server and bridge alike. Needs no ROS: works with any object that has the fields of a message.
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ from typing import Any, cast
 
 
 def not_finite(message: Any, *paths: str, within: str = "") -> str:
-    """The first number below these paths of a message that is NaN or infinite, as `pose.position.x is NaN`; empty where
-    all are finite.
+    """Return the first number below these paths of a message that is NaN or infinite, as `pose.position.x is NaN`;
+    empty if all are finite.
 
-    A path leads to a number, a list or a message, of which every number counts. `within` is where the message itself
-    is, for the name: `pose.pose`.
+    A path leads to a number, a list or a message; every number in it is checked. `within` is the path of the message
+    itself, for the name: `pose.pose`.
     """
     for path in paths:
         value = message
@@ -28,12 +28,12 @@ def not_finite(message: Any, *paths: str, within: str = "") -> str:
 
 
 def word_for(number: float) -> str:
-    """What a number that is not finite is called in a sentence."""
+    """Return the word for a number that is not finite: NaN, infinite, negative infinite."""
     return "NaN" if math.isnan(number) else "infinite" if number > 0 else "negative infinite"
 
 
 def in_words(number: float, form: str = "g") -> str:
-    """A number in a sentence, in that format, or that it is unknown."""
+    """Return a number in that format, or that it is unknown if it is not finite."""
     return format(number, form) if math.isfinite(number) else f"unknown ({word_for(number)})"
 
 
@@ -53,7 +53,7 @@ def _numbers(value: Any, name: str) -> Iterator[tuple[str, float]]:
 
 
 def _fields(message: Any) -> Sequence[str]:
-    """The fields of a message of rclpy, of a dataclass, or of any other object."""
+    """Return the names of the fields of an rclpy message, a dataclass, or any other object."""
     if hasattr(message, "get_fields_and_field_types"):
         return list(message.get_fields_and_field_types())
     names = cast("Iterable[str]", getattr(message, "__dataclass_fields__", None) or vars(message))

@@ -23,7 +23,9 @@ class Rhythm:
         self._last_ns = 0
 
     def passes(self, now_ns: int) -> bool:
-        """Return whether a message received at that time passes. If the clock was set back, the rhythm begins anew."""
+        """Return whether a message received at that time passes the rate limit. If the clock was set back, the rhythm
+        restarts.
+        """
         half_ns = self._period_ns // 2
         if now_ns < self._last_ns - self._period_ns:
             self._due_ns = self._last_ns = 0

@@ -91,8 +91,8 @@ def find_packages(directories: Sequence[Path]) -> list[Package]:
 def left_out(directories: Sequence[Path]) -> list[LeftOut]:
     """Return the definitions below these directories that are skipped although others of their package are built.
 
-    These are definitions in IDL, except one beside a `.msg`, `.srv` or `.action` of the same name, from which it was
-    made. And those with a field whose name is a Python keyword, and the messages that contain them.
+    Skipped are `.idl` files (unless a `.msg`, `.srv` or `.action` of the same name lies beside them: they were
+    generated from it), definitions with a field named like a Python keyword, and the messages that contain those.
     """
     advice = "IDL is not built here: write it as .msg, or build its package with colcon."
     found = [LeftOut(file, advice) for file in _idl_files(directories)]

@@ -106,7 +106,7 @@ def test_what_a_person_has_approved_is_carried_out_once_and_the_audit_and_a_reco
         observer.until_driven(TOPIC, of=4)
         assert asked(agent, 0.1) != request_id
         assert set(observer.driven(topic=TOPIC).values()) == {1}
-        acts = agent.call("ros2_audit_read")["acts"]
+        acts = agent.call("ros2_audit_read")["entries"]
         done = [act for act in acts if act["outcome"] == "done"]
         assert [(act["name"], act["tool"], act["approval"]) for act in done] == [
             (TOPIC, "ros2_topic_publish", request_id)
@@ -129,11 +129,11 @@ def test_what_a_person_has_approved_is_carried_out_once_and_the_audit_and_a_reco
 
 def test_the_audit_has_calls_that_did_not_come_as_far_as_the_policy(observer: Observer, shared_agent: Agent) -> None:
     agent = shared_agent
-    before = len(agent.call("ros2_audit_read")["acts"])
+    before = len(agent.call("ros2_audit_read")["entries"])
     agent.refusal("ros2_topic_publish", topic_name=TOPIC, message_type="no_such_msgs/msg/Thing", data={})
     agent.refusal("ros2_topic_publish", topic=TOPIC, speed=50)
     agent.refusal("ros2_topic_info", topic_name="/not_there")  # reads
-    acts = agent.call("ros2_audit_read")["acts"][before:]
+    acts = agent.call("ros2_audit_read")["entries"][before:]
     assert [(act["tool"], act["verb"]) for act in acts] == [("ros2_topic_publish", "refused")] * 2
     assert "no_such_msgs/msg/Thing" in acts[0]["reason"] and "speed" in acts[1]["reason"]
 

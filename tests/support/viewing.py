@@ -6,9 +6,11 @@ import json
 import os
 import sys
 import time
+import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from support.browser import Page
 from support.processes import running
@@ -47,6 +49,27 @@ def viewing(environment: dict[str, str], *options: str) -> Iterator[str]:
     with running(environment, *command) as process:
         assert process.stdout
         yield process.stdout.readline().strip()
+
+
+class Asked:
+    """A page without a browser, which asks for panels as the page does; `address` is what `viewing` gives."""
+
+    def __init__(self, address: str) -> None:
+        self._at, _, self._token = address.partition("/#")
+        self._view = ""
+
+    def shown(self, **panels: str) -> dict[str, Any]:
+        """The content of panels, each by the topic chosen in it; what is unchanged is there, too."""
+        asked = {"view": self._view, "panels": panels, "wait_ms": 500}
+        request = urllib.request.Request(
+            f"{self._at}/call",
+            json.dumps({"name": "ros2_view_frame", "arguments": asked}).encode(),
+            {"origin": self._at, "content-type": "application/json", "x-ros2-mcp-token": self._token},
+        )
+        with urllib.request.urlopen(request, timeout=20) as answer:
+            told = json.load(answer)
+        self._view = told["view"]
+        return told["panels"]
 
 
 SIZES = {"wide": (1440, 900), "middle": (820, 1180), "narrow": (390, 1800)}

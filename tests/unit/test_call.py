@@ -118,8 +118,8 @@ def lines(result: dict[str, Any], *summary: str, width: int = 80) -> list[str]:
 
 def test_a_list_of_things_is_a_table_without_what_is_empty() -> None:
     rows = [{"topic_name": "/odom", "publishers": 1, "note": ""}, {"topic_name": "/tf", "publishers": 12, "note": ""}]
-    assert lines({"topics": rows, "total": 2}, "2 of 2 topics.") == [
-        "2 of 2 topics.",
+    assert lines({"topics": rows, "total": 2}, "2 topics.") == [
+        "2 topics.",
         "",
         "topic name  publishers",
         "/odom                1",

@@ -80,8 +80,8 @@ def test_what_was_not_done_is_an_error_and_what_was_stopped_is_none() -> None:
         }
     assert errors == {
         "ros2_program_run": {"failed", "limit", "crashed"},
-        "ros2_drive": {"guard", "silent", "stuck", "jumped", "missed", "time_out", "refused", "nobody_listens"},
-        "ros2_move_until": {"silent", "nobody_listens", "refused"},
-        "ros2_joint_move": {"silent", "time_out", "failed", "rejected", "nobody_listens"},
+        "ros2_drive": {"guard", "silent", "stuck", "jumped", "missed", "timeout", "refused", "no_subscriber"},
+        "ros2_move_until": {"silent", "no_subscriber", "refused"},
+        "ros2_joint_move": {"silent", "timeout", "failed", "rejected", "no_subscriber"},
         "ros2_navigate": {"failed", "rejected", "not begun"},
     }

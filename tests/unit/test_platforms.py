@@ -63,7 +63,7 @@ def test_a_unix_socket_is_refused_with_the_way_out_where_python_knows_none() -> 
 def test_the_simulated_robot_says_where_it_runs() -> None:
     code, text = said("demo")
     assert code == 1
-    assert "The simulated robot runs under Linux alone." in text
+    assert "The simulated robot runs only on Linux." in text
 
 
 def test_a_server_without_a_robot_says_how_to_name_one() -> None:

@@ -25,11 +25,16 @@ export function say(at: HTMLElement, text: string): void {
 /** How ages are told: of a recording they count from the time that is shown. */
 export const ages = { fresh: "now", old: "ago" };
 
-export function ageText(seconds: number): string {
+/** `fromBefore`: it was sent before the server subscribed, and is told as the tools tell it (`from_before.py`). */
+export function ageText(seconds: number, fromBefore = false): string {
   if (!Number.isFinite(seconds)) return "";
+  if (fromBefore) return `${spanText(Math.max(seconds, 0))} old, from before`;
   if (seconds < 0.95) return ages.fresh;
   return `${spanText(seconds)} ${ages.old}`;
 }
+
+/** A line with what a panel shows that was sent before the server subscribed, each with its age. */
+export const oldIn = (old: string[] = []): string => (old.length ? `${old.join("; ")}.` : "");
 
 function spanText(seconds: number): string {
   if (seconds < 9.95) return `${seconds.toFixed(1)} s`;

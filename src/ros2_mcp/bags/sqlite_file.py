@@ -294,7 +294,7 @@ class SqliteFile:
     def __del__(self) -> None:
         """Close the file with its last reader.
 
-        A bag that has changed is opened anew while others may still read the old one.
+        A bag that has changed is opened again while others may still read the old one.
         """
         self.close()
 

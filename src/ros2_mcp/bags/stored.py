@@ -24,7 +24,7 @@ Form: TypeAlias = Literal["ros2", "json", "other"]
 
 @dataclass(frozen=True, slots=True)
 class StoredTopic:
-    """A topic of a bag. `count` is None if only reading the whole file would tell.
+    """A topic of a bag. `count` is None if only reading the whole file would show it.
 
     `form` is the format of its bytes, as decided by `contents.stored_topic`. A `type` that is not a ROS 2 type begins
     with the encoding: `json:app.Log`. `encoding` (`ros2msg`, `ros2idl`, `jsonschema` or empty) and `definition`
@@ -101,7 +101,7 @@ class OddTimes:
     by_ns: int = 0
 
     def joined(self, later: OddTimes) -> OddTimes:
-        """Return the sum with a later file, where the positions of messages start anew."""
+        """Return the sum with that of a later file, in which the positions of messages start from 0 again."""
         untimed, backs = self.untimed + later.untimed, self.backs + later.backs
         if self.backs:
             return replace(self, untimed=untimed, backs=backs)

@@ -87,7 +87,7 @@ _FILES_OF_ROS = (
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """How a client starts the server: an absolute command, its arguments, its environment."""
+    """The command with which a client starts the server: an absolute path, arguments and environment."""
 
     command: str
     args: Sequence[str]
@@ -101,7 +101,7 @@ class Entry:
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """How a client reaches a running server over HTTP."""
+    """The URL and headers with which a client reaches a running server over HTTP."""
 
     url: str
     headers: Mapping[str, str]
@@ -109,9 +109,7 @@ class Address:
 
 @dataclass(frozen=True, slots=True)
 class Client:
-    """Where the configuration of a client goes, and its text for a server that the client starts, or for
-    one over HTTP.
-    """
+    """The place of a client's configuration, and its text for a server that the client starts, or for one over HTTP."""
 
     place: str
     text: Callable[[Entry], str]

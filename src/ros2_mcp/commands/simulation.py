@@ -138,9 +138,7 @@ def build_later(settings: Settings, robot: str) -> None:
 
 
 def _later(settings: Settings, installation: RosInstallation, robot: str) -> list[Path]:
-    """Return the prefixes of the packages that are built later, except those of which the user has built another
-    version.
-    """
+    """Return the prefixes of packages that are built later, except those that the user has built in another version."""
     if installation.kind != "wheels" or installation.python != sys.executable:
         return []
     cache = InterfaceCache(settings.interface_folder)
@@ -160,7 +158,7 @@ def simulated_robot(settings: Settings, graph: Graph, robot: str = DEFAULT) -> G
     """
     if sys.platform == "win32":
         raise RosNotFound(
-            "The simulated robot runs under Linux alone.", "In WSL it runs as it is; or name a robot with --robot."
+            "The simulated robot runs only on Linux.", "In WSL it runs as it is; or name a robot with --robot."
         )
     command = find_ros(with_interfaces(replace(settings, domain_id=graph.domain_id), robot)).command(
         "ros2_mcp_demo", ["--robot", robot, "--until-stdin-closes"]

@@ -25,6 +25,7 @@ from ros2_mcp.link.carriers import start_carrier
 from ros2_mcp.link.client import Bridge
 from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.navigation.known_places import Places
+from ros2_mcp.ops.navigation.last_pose import LastPose
 from ros2_mcp.ops.results.results import AnswerBytes, lines_of
 from ros2_mcp.ops.sources.recorded_robot import recorded_robot
 from ros2_mcp.ops.stop import stop as stopping
@@ -75,7 +76,7 @@ def robot_for(settings: Settings, store: BagStore, bridge: Bridge | None = None)
     if settings.robot.is_remote:
         bridge.on_latched = partial(_latch_here, guard, note)
         bridge.latch = partial(_told_latch, guard)
-    return Robot(bridge, guard, [*keeps, Places(folder)])
+    return Robot(bridge, guard, [*keeps, Places(folder), LastPose(folder)])
 
 
 def _epoch(bridge: Bridge, guard: Guard) -> str:

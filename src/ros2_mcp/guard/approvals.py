@@ -119,9 +119,11 @@ class Approvals:
         epoch: Callable[[], str] = str,
         changed: Callable[[str, Mapping[str, Any]], None] = lambda _, __: None,
     ) -> None:
-        """`changed` is called for the audit at each change, with a kind and the fields of the audit line. `epoch`
-        returns the present epoch. Requests, approvals and grants lapse when it changes, so that after a stop each
-        command needs a new approval.
+        """Create an empty store of approvals.
+
+        `changed` is called for the audit at each change, with a kind and the fields of the audit line. `epoch` returns
+        the present epoch. Requests, approvals and grants lapse when it changes, so that after a stop each command needs
+        a new approval.
         """
         self._valid_s = valid_s
         self._most_grant_s = most_grant_s
@@ -165,7 +167,7 @@ class Approvals:
         raise ApprovalNeeded(
             f"needs_approval {request.id}: this waits for a person; nothing was sent.",
             "Tell the operator, who runs `ros2-mcp operate`. Once approved, repeat the same call within "
-            f"{self._valid_s:g} s, without what was already done; it is carried out once.",
+            f"{self._valid_s:g} s, leaving out any part that already succeeded. The approval is valid for one call.",
             request_id=request.id,
         )
 
@@ -266,12 +268,14 @@ class Approvals:
         bounds = dict(most or {})
         for path, value in bounds.items():
             if not (math.isfinite(value) and value >= 0):
-                raise BadInput(f"The bound of {path} is no number from 0 on.")
+                raise BadInput(f"The bound of {path} is not a number from 0 on.")
             if not math.isfinite(_size_at(request.exact.value, path.split("."))):
-                raise BadInput(f"What waits has no number at {word(path)}.", "Name a value that operate show has.")
+                raise BadInput(
+                    f"The waiting request has no number at {word(path)}.", "Name a value that operate show has."
+                )
         grant = Grant(id=self._fresh_id(), exact=request.exact, until=self._clock() + for_s, by=by, most=bounds)
         if not grant.covers(request.exact):
-            raise BadInput("What waits is beyond that bound.", "Raise it, or deny the request.")
+            raise BadInput("The waiting request exceeds that bound.", "Raise it, or deny the request.")
         del self._requests[request.exact.key]
         self._grants[grant.id] = grant
         self._changed(

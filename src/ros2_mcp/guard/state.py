@@ -1,4 +1,4 @@
-"""The state of a robot beyond the life of one server: a folder for each robot, with its latch and lock.
+"""The state of a robot that outlives a server: a folder for each robot, with its latch and lock.
 
 The folder is `XDG_STATE_HOME/ros2-mcp/<robot>` (mode 0700), or `<robot>` in the folder that the policy names. It is
 created at the first write. See docs/decisions/0029-latch-and-state.md.
@@ -86,7 +86,7 @@ class StateFolder:
         except OSError as error:
             raise StateUnusable(f"The state folder cannot be made: {error}.") from error
         if not stat.S_ISDIR(found.st_mode):
-            raise StateUnusable(f"The state folder {self.path} is no folder, or a link to one.")
+            raise StateUnusable(f"The state folder {self.path} is not a folder, or a link to one.")
         if is_of_others(found):
             raise StateUnusable(f"The state folder {self.path} belongs to another user.")
         if others_can_write(found):

@@ -23,7 +23,7 @@ SLOW_START = (
 
 
 class Carrier(Protocol):
-    """The bytes to and from one bridge, for one life of that bridge: created, opened and closed once.
+    """The bytes to and from one bridge process: created, opened and closed once.
 
     Creating a carrier starts the far end without waiting, so no event loop is needed; everything else belongs to the
     event loop of `open`. Only `kill` and `close` may be called without `open`.

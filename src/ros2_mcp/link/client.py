@@ -40,13 +40,15 @@ _DRAIN_S = 0.005
 _KEPT_REASONS = 100
 # The most repeats whose start is remembered: as many as may run at once (`Repetition.most_running`).
 _KEPT_REPEATS = 256
+_MOST_REASON = 300
+"""The characters that are shown of a reason of the bridge, which names a zone and places."""
 _logger = logging.getLogger(__name__)
 
 
 class Bridge:
     """The connection to one robot: starts a bridge, monitors it, and restarts it.
 
-    `start_carrier` starts a bridge and its carrier. It is called once per life, and raises a `RobotError` with the
+    `start_carrier` starts a bridge and its carrier. It is called once per start, and raises a `RobotError` with the
     reason if there can be no bridge.
 
     State of the bridge: `hello` is the running bridge's introduction, `generation` the number of starts, `losses` the
@@ -63,7 +65,8 @@ class Bridge:
     durations of this server's silence in s, one for each lapse of the link lease; `lapsed_at` is the time of the report
     of the last one (monotonic, in s; 0 before). `on_latched` is called when the latch was set, with the originator, the
     reason, and whether only the bridge's own latch is set so far; `latched_by` has originator and reason in words,
-    `latched_at` the time of the report. `relays_ended` has the last counts of cancelled relays, by name,
+    `latched_at` the time of the report. `kept_out` says before which keep-out zone the bridge last ended what drove the
+    robot, and `kept_out_at` when. `relays_ended` has the last counts of cancelled relays, by name,
     `repeats_begun` the time of the report that a repeat has sent its first message (monotonic, in s), and `motions` the
     last report of each motion, by name. `on_spent` is called with name, type and bound of each use of the policy's
     budgets.
@@ -89,6 +92,8 @@ class Bridge:
         self.failure = ""
         self.latched_by = ""
         self.latched_at = 0.0
+        self.kept_out = ""
+        self.kept_out_at = 0.0
         self.on_latched: Callable[[str, str, bool], None] = lambda _by, _reason, _own: None
         self.latch: Callable[[], Mapping[str, Any]] = dict
         self.clock = RobotClock()
@@ -108,7 +113,7 @@ class Bridge:
     # ── start and end ──────────────────────────────────────────────────────────────────────────────────────────
 
     def launch(self) -> None:
-        """Start the first life at once, without an event loop. An error is raised by the first request."""
+        """Start the first bridge process at once, without an event loop. An error is raised by the first request."""
         if self._launched is None and self._supervisor is None:
             self._launched = self._start()
 
@@ -309,10 +314,11 @@ class Bridge:
         return self._outcome
 
     async def _supervise(self) -> None:
-        """Run one life after another: at once after a life that had begun, otherwise after a pause or on request.
+        """Run one bridge process after another: at once after one that had begun to work, otherwise after a pause or on
+        request.
 
-        After a failed start further ones follow, because motions of the lost bridge must still be stopped: without end
-        for a remote robot, unless only a person can remove the obstacle.
+        After a failed start there are further ones, because motions of the lost bridge must still be stopped: without
+        limit for a remote robot, unless only a person can remove the obstacle.
         """
         failures = 0
         while True:
@@ -338,7 +344,7 @@ class Bridge:
                 self._outcome = asyncio.get_running_loop().create_future()
 
     async def _live(self) -> tuple[bool, RobotError]:
-        """Run one life of the bridge; return whether it had begun, and why it ended."""
+        """Run one bridge process until it ends; return whether it had begun to work, and why it ended."""
         carrier, self._launched = self._launched or self._start(), None
         if isinstance(carrier, RobotError):
             return False, carrier
@@ -380,6 +386,10 @@ class Bridge:
         """Process an event of the bridge."""
         if event["event"] == "stopper":
             _logger.warning("%s", event["message"])
+            return
+        if event["event"] == "kept_out":
+            self.kept_out, self.kept_out_at = quoted(event["reason"], _MOST_REASON), time.monotonic()
+            _logger.warning("what drove the robot was ended: %s", self.kept_out)
             return
         if event["event"] == "begun":
             self.repeats_begun[event["name"]] = time.monotonic()

@@ -1,4 +1,4 @@
-"""The connection to one life of the bridge: requests out, replies and samples in."""
+"""The connection to one bridge process: requests out, replies and samples in."""
 
 from __future__ import annotations
 
@@ -399,7 +399,7 @@ class Connection:
             self.hello = Hello(**{name: header[name] for name in Hello._fields})
             if self._heard_s or not self.carrier.is_remote:
                 self._be_greeted()
-        elif event in ("begun", "frame", "lapsed", "latched", "motion", "spent", "stopper"):
+        elif event in ("begun", "frame", "kept_out", "lapsed", "latched", "motion", "spent", "stopper"):
             self._hear(cast("Told", header))
         elif event == "failed":
             no_rclpy = header.get("kind") == "no_rclpy"

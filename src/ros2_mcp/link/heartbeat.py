@@ -1,5 +1,5 @@
-"""Decide whether the bridge still lives, by the bytes that it sends. A delay of this process never counts
-against it.
+"""Decide whether the bridge is alive, by the bytes that it sends. A delay of this process never counts against the
+bridge.
 """
 
 from __future__ import annotations

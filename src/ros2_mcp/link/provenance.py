@@ -29,8 +29,8 @@ Way = Literal["uv run", "uvx", "uv tool", "uv pip", "pipx run", "pipx", "pip", "
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Provenance:
-    """`source` is the folder or address of the installation, or "" for an index; `editable`: installed as a
-    link to it.
+    """The origin of this installation: `source` is its folder or address, or "" for an index; `editable`: installed as
+    a link to it.
     """
 
     way: Way

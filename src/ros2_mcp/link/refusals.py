@@ -19,7 +19,9 @@ _FAILED = 255
 
 @dataclass(frozen=True, slots=True)
 class _Refusal:
-    """`sign` matches ssh's message, `message` is the explanation; `is_lasting`: another attempt would fail as well."""
+    """An explanation of one of ssh's messages: `sign` matches ssh's text, `message` explains it; `is_lasting`: another
+    attempt would fail as well.
+    """
 
     sign: re.Pattern[str]
     message: str
@@ -35,7 +37,7 @@ def _refusal(sign: str, message: str, hint: str, *, is_lasting: bool = False) ->
 _REFUSALS: Sequence[_Refusal] = (
     _refusal(
         "remote host identification has changed",
-        "{host} shows another host key than the known one: it was installed anew, or somebody pretends to be it.",
+        "{host} shows another host key than the known one: it was reinstalled, or another machine impersonates it.",
         "If it was, run: {forget}, then: {doctor}",
         is_lasting=True,
     ),

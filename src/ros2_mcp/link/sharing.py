@@ -29,7 +29,7 @@ _COUNTS_S = 2.0
 
 
 class Sharing:
-    """The subscriptions of one life of the bridge."""
+    """The shared subscriptions of one bridge process."""
 
     def __init__(self, connection: Connection) -> None:
         self._connection = connection

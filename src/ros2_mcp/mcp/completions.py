@@ -19,7 +19,7 @@ _ONE_OF_MANY = {"topics": "topic", "services": "service", "nodes": "node"}
 
 @dataclass(frozen=True, slots=True)
 class CompletionRequest:
-    """How to complete an argument: with names of a kind (`topic`, `topics`, `message_type`, …), or with its choices.
+    """The completion of an argument: names of a kind (`topic`, `topics`, `message_type`, …), or its choices.
 
     `type_of` names another argument that holds a topic: the type of that topic is offered first.
     """

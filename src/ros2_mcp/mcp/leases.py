@@ -84,8 +84,8 @@ class OpenResponse(Protocol):
         ...
 
     def heard_at(self) -> float:
-        """Return when the client last acknowledged or sent anything (monotonic clock, s): the current time if that is
-        unknown; 0 if the client has closed the connection, which `closed` is told shortly after.
+        """Return when the client last acknowledged or sent anything (monotonic clock, s): the current time if unknown;
+        0 if the client has closed the connection, which `closed` reports shortly after.
         """
         ...
 
@@ -413,9 +413,10 @@ async def _attempt(sign: Callable[[], Awaitable[object]]) -> None:
 
 
 def principal_of(context: Context) -> Principal:
-    """Return who sent a request: the one client of stdio, a session over HTTP, or a program by its name and address.
+    """Return the sender of a request: the one client of stdio, a session over HTTP, or a program by its name and
+    address.
 
-    HTTP requests of the modern era belong to no session. Their clients are told apart by token, address and program
+    HTTP requests of the modern era belong to no session. Their clients are distinguished by token, address and program
     name: two clients with the same program on one machine are the same principal.
     """
     if connected := _connected(context):

@@ -1,4 +1,4 @@
-"""What the token of a request allows: to read, to act and to stop, by the declared risk of each tool."""
+"""The permissions of a request by its token: to read, to act and to stop, by the declared risk of each tool."""
 
 from __future__ import annotations
 

@@ -20,8 +20,9 @@ class ScanMeaning:
     """A laser scan, seen from the origin of `seen_from`: the robot's base, or the scanner if its mount is not known.
 
     `is_base` is true in the first case. Bearings are in degrees from straight ahead, left positive. `nearest_m` is null
-    if there is no obstacle within `reach_m`, the scanner's range. `free_m` is the free distance in each sector of 45°,
-    at most about `reach_m`; null if the scan does not cover the sector. `invalid` of the `beams` carry no information.
+    if there is no obstacle within `range_max_m`, the scanner's range. `free_m` is the free distance in each sector of
+    45°, at most about `range_max_m`; null if the scan does not cover the sector. `invalid` of the `beams` carry no
+    information.
     """
 
     seen_from: str
@@ -31,7 +32,7 @@ class ScanMeaning:
     nearest_x_m: float | None
     nearest_y_m: float | None
     free_m: Mapping[str, float | None]
-    reach_m: float
+    range_max_m: float
     beams: int
     invalid: int
     note: str = field(default="")
@@ -42,7 +43,11 @@ class ScanMeaning:
 
     def _nearest(self) -> str:
         if self.nearest_m is None or self.nearest_bearing_deg is None:
-            return f"No obstacle within {self.reach_m:.2f} m in its field of view." if self.beams > self.invalid else ""
+            return (
+                f"No obstacle within {self.range_max_m:.2f} m in its field of view."
+                if self.beams > self.invalid
+                else ""
+            )
         side = sector_of(self.nearest_bearing_deg)
         return f"Nearest obstacle {self.nearest_m:.2f} m {bearing_in_words(self.nearest_bearing_deg)} ({side})."
 

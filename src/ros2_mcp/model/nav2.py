@@ -15,6 +15,8 @@ NAVIGATE = "nav2_msgs/action/NavigateToPose"
 COMPUTE_PATH = "nav2_msgs/action/ComputePathToPose"
 FOLLOW_WAYPOINTS = "nav2_msgs/action/FollowWaypoints"
 THROUGH_POSES = "nav2_msgs/action/NavigateThroughPoses"
+DOCK = "nav2_msgs/action/DockRobot"
+UNDOCK = "nav2_msgs/action/UndockRobot"
 NAVIGATORS = frozenset({NAVIGATE, THROUGH_POSES, FOLLOW_WAYPOINTS})
 """Actions whose servers send goals to other servers of Nav2."""
 BELOW = frozenset(
@@ -36,6 +38,11 @@ NO_PROGRESS = 105
 """The controller's code for a robot that made no progress."""
 MANAGE = "nav2_msgs/srv/ManageLifecycleNodes"
 """The service by which a lifecycle manager starts and stops its nodes together."""
+LOAD_MAP, SAVE_MAP = "nav2_msgs/srv/LoadMap", "nav2_msgs/srv/SaveMap"
+"""Services of map_server and map_saver."""
+SLAM_SAVE_MAP, SAVE_POSE_GRAPH, LOAD_POSE_GRAPH = (
+    f"slam_toolbox/srv/{name}" for name in ("SaveMap", "SerializePoseGraph", "DeserializePoseGraph")
+)
 POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
 PATH = "nav_msgs/msg/Path"
 COSTMAP = "nav2_msgs/msg/Costmap"
@@ -144,6 +151,14 @@ CODES: Mapping[int, ErrorCode] = {
     714: ErrorCode("COLLISION_AHEAD", "backing up would touch an obstacle", _FREE_START),
     721: ErrorCode("TIMEOUT", "driving on took too long", _MOVES),
     723: ErrorCode("COLLISION_AHEAD", "driving on would touch an obstacle", _FREE_START),
+    901: ErrorCode("DOCK_NOT_IN_DB", "the docking server knows no dock of that name", "Give a dock that it knows."),
+    902: ErrorCode("DOCK_NOT_VALID", "the dock has no type that the server knows", "Give dock_type."),
+    903: ErrorCode("FAILED_TO_STAGE", "the way to the place before the dock failed", "See ros2_nav_check."),
+    904: ErrorCode("FAILED_TO_DETECT_DOCK", "the dock was not seen", "Check whether the sensor sees the dock."),
+    905: ErrorCode("FAILED_TO_CONTROL", "the last stretch to or from the dock failed", _MOVES),
+    906: ErrorCode("FAILED_TO_CHARGE", "it stands at the dock, but does not charge", "Check the power of the dock."),
+    907: ErrorCode("TIMEOUT", "docking took too long", _MOVES),
+    999: ErrorCode("UNKNOWN", "docking failed for a reason without a code", _SEE_LOG),
     9000: ErrorCode("UNKNOWN", "navigation failed for a reason without a code", _SEE_LOG),
     9001: ErrorCode("FAILED_TO_LOAD_BEHAVIOR_TREE", "the behaviour tree cannot be loaded", "Check its file."),
     9002: ErrorCode("TF_ERROR", "the navigator lacks a transform", _LOCALISE),

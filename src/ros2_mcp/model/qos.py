@@ -91,7 +91,7 @@ def for_subscribing(publishers: Sequence[Endpoint], depth: int = 100, *, is_vola
             "transient_local" if latched == len(publishers) and not is_volatile else "volatile",
             depth=depth,
         ),
-        f"of {counted(len(publishers), 'publisher')} {reliable} offer reliable, {latched} transient_local",
+        f"{counted(len(publishers), 'publisher')}: {reliable} reliable, {latched} transient_local",
     )
 
 
@@ -110,7 +110,9 @@ def for_publishing(subscribers: Sequence[Endpoint]) -> Choice:
         return Choice(QoS(), "no subscriber is known; the defaults of ROS 2")
     latched = any(subscriber.qos.durability == "transient_local" for subscriber in subscribers)
     best_effort = all(subscriber.qos.reliability == "best_effort" for subscriber in subscribers)
-    durability = "transient_local, because a subscriber asks for it" if latched else "volatile, as nobody asks for more"
+    durability = (
+        "transient_local, because a subscriber asks for it" if latched else "volatile, as no subscriber requests more"
+    )
     reliability = (
         "best_effort, as no subscriber asks for more" if best_effort else "reliable, which every subscriber takes"
     )

@@ -148,6 +148,11 @@ def counted(number: int, noun: str, plural: str | None = None) -> str:
     return f"{number} {plural or _plural(noun)}"
 
 
+def counted_of(shown: int, total: int, noun: str) -> str:
+    """Return how many of a total are shown: `2 topics` if it is all of them, else `2 of 30 topics`."""
+    return counted(total, noun) if shown == total else f"{shown} of {counted(total, noun)}"
+
+
 def is_name(text: str) -> bool:
     """Return whether it has only the characters that ROS allows in names, types, field paths and file names."""
     return bool(_NAME.fullmatch(text))

@@ -1,1 +1,1 @@
-"""What a robot can do: plain async functions with dataclass results, no MCP."""
+"""The operations on a robot: plain async functions with dataclass results, without MCP."""

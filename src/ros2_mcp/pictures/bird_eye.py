@@ -159,7 +159,7 @@ def _kept(cloud: Cloud, options: BirdEyeOptions) -> tuple[NDArray[np.bool_], str
             within &= (cloud.xyz[:, axis] >= extent[0][axis]) & (cloud.xyz[:, axis] <= extent[1][axis])
     far = int(np.count_nonzero(kept & ~within))
     note = (
-        f"Left out: {counted(far, 'point')} far from the others; give xmin, xmax, ymin, ymax to show them."
+        f"Not shown: {counted(far, 'point')} far from the others; give xmin, xmax, ymin, ymax to show them."
         if far
         else ""
     )

@@ -31,7 +31,7 @@ Risk = Literal["read", "act"]
 
 
 class Use(Protocol):
-    """What a function can use on behalf of the program that calls it; one object per call."""
+    """The objects that a function can use on behalf of the program that calls it; one per call."""
 
     @property
     def robot(self) -> Robot:
@@ -90,7 +90,7 @@ class Use(Protocol):
         ...
 
     async def stop_own(self) -> list[str]:
-        """End the motion of this program. Return what was ended, in words."""
+        """End the motion of this program. Return the ended motions, in words."""
         ...
 
 

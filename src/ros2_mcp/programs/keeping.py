@@ -29,7 +29,7 @@ from ros2_mcp.robot.session import Session
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProgramInput:
-    """One input. `default` is null where there is none; `allowed` says in words what may be given."""
+    """One input of a program. `default` is null if it has none; `allowed` describes the allowed values."""
 
     name: str
     type: str
@@ -41,14 +41,14 @@ class ProgramInput:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProgramEntry:
-    """A kept program; `saved` is empty for one that was written by hand, `code` where it was not asked for."""
+    """A kept program. `saved_at` and `saved_by` are empty for one that was written by hand, `code` unless requested."""
 
     name: str
     description: str
     inputs: Sequence[ProgramInput]
     version: int
-    saved: str = ""
-    by: str = ""
+    saved_at: str = ""
+    saved_by: str = ""
     code: str = ""
 
     def summary(self) -> str:
@@ -59,31 +59,31 @@ class ProgramEntry:
 
 @dataclass(frozen=True, slots=True)
 class ProgramList:
-    """The kept programs, what is wrong with files that are none, and the folder, if there is one."""
+    """The kept programs, the folder they are in (if any), and `problems`: files in it that are not valid programs."""
 
     programs: Sequence[ProgramEntry]
-    mistakes: Sequence[str] = field(metadata=IF_ANY)
-    kept_in: str
+    problems: Sequence[str] = field(metadata=IF_ANY)
+    folder: str
     note: str = ""
 
     def summary(self) -> list[str]:
         """Return a line for each program, and its code if requested."""
         lines = [line for each in self.programs for line in (each.summary(), *each.code.splitlines())]
-        return [*(lines or ["No programs are kept."]), *map(quoted, self.mistakes), *([self.note] if self.note else [])]
+        return [*(lines or ["No programs are kept."]), *map(quoted, self.problems), *([self.note] if self.note else [])]
 
 
 @dataclass(frozen=True, slots=True)
 class ProgramSaved:
-    """What was done: `kept`, `replaced` or `removed`. `former` is the file of what was there before, if any."""
+    """The change made: `kept`, `replaced` or `removed`. `previous_file` is the file of the previous version, if any."""
 
     done: str
     program: ProgramEntry
-    kept_in: str
-    former: str = ""
+    folder: str
+    previous_file: str = ""
 
     def summary(self) -> str:
         """Return one line."""
-        before = f" The former version is in {named(self.former)}." if self.former else ""
+        before = f" The former version is in {named(self.previous_file)}." if self.previous_file else ""
         how = "" if self.done == "removed" else " Run it with its name as program of ros2_program_run."
         return f"{self.done}: {self.program.summary()}.{how}{before}"
 
@@ -207,8 +207,8 @@ def _entry(program: KeptProgram, *, with_code: bool = False) -> ProgramEntry:
             for each in program.inputs
         ],
         version=program.version,
-        saved=program.saved,
-        by=program.by,
+        saved_at=program.saved,
+        saved_by=program.by,
         code=program.code if with_code else "",
     )
 

@@ -61,7 +61,7 @@ _MOST_PICTURES = 4
 
 @dataclass(frozen=True, slots=True)
 class Done:
-    """A command of a program: the line that gave it, the function, and what became of it."""
+    """A command of a program: its line, its function, and its outcome."""
 
     line: int
     function: str
@@ -70,7 +70,7 @@ class Done:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Programs:
-    """What the programs of a server can use: the functions of the module `robot`, and the sources of messages."""
+    """The environment of a server's programs: the functions of the module `robot`, and the sources of messages."""
 
     functions: Sequence[Function]
     store: BagStore
@@ -245,7 +245,7 @@ class Program(Job):
         return f"{told}; {self.waits_for}" if self.waits_for else told
 
     async def end_own(self, reason: str = "its program") -> list[str]:
-        """End the program's motion. Return what was ended, in words. Later commands of the program are not affected."""
+        """End the program's motion. Return the ended motions, in words. Later commands of the program still work."""
         ended = list(await self._robot.stop_owned(self._principal, reason))
         self._accepted = Accepted(self._accepted.epoch, self._robot.stops.now().ends)
         return ended
@@ -261,7 +261,7 @@ class Program(Job):
     def keep(self, picture: Picture) -> None:
         """Add a picture to the result."""
         if len(self.record.pictures) >= _MOST_PICTURES:
-            raise BadInput(f"A program hands over at most {_MOST_PICTURES} pictures.")
+            raise BadInput(f"A program can return at most {_MOST_PICTURES} pictures.")
         self.record.pictures.append(picture)
 
     # ── calls from the sandbox ─────────────────────────────────────────────────────────────────────────────────

@@ -25,7 +25,7 @@ MOST_VALUE = 12_000
 
 @dataclass(frozen=True, slots=True)
 class ProgramError:
-    """What ended a program: its line and the text of it, what was wrong, and what would be right."""
+    """The error that ended a program: its line and the text of that line, the problem, and a hint."""
 
     line: int
     source: str
@@ -38,12 +38,13 @@ ProgramEnd = Literal["ended", "failed", "limit", "stopped", "crashed"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ran(WithPictures):
-    """What became of a program.
+    """The outcome of a program run.
 
-    `outcome` is `ended`, `failed` (an error of the program), `limit` (of time, memory, calls or the like), `stopped`
-    (by `ros2_stop` or the latch) or `crashed` (its process died). `printed` are its lines, `returned` has under `value`
-    that of the last line where that is an expression. `commands` is what it gave to the robot, by its lines: of many
-    the first and the last. `ended_with_it` was still in motion at its end.
+    `outcome` is `ended`, `failed` (an error in the program), `limit` (of time, memory or calls, for example), `stopped`
+    (by `ros2_stop` or the latch) or `crashed` (its process died). `printed` has its output; `returned` has, under
+    `value`, the value of the last line if that is an expression. `commands` lists the commands that it sent to the
+    robot, with their lines: if there are many, the first and the last. `stopped_at_end` lists what was still in motion
+    when the program ended, and was then stopped.
     """
 
     outcome: ProgramEnd = field(metadata=SAID)
@@ -53,7 +54,7 @@ class Ran(WithPictures):
     elapsed_s: float = field(metadata=SAID)
     calls: int = field(metadata=SAID)
     commands: Sequence[Done] = ()
-    ended_with_it: Sequence[str] = ()
+    stopped_at_end: Sequence[str] = ()
     program_id: str
     note: str = ""
     commands_given: int = field(default=0, metadata=HIDDEN)
@@ -148,7 +149,7 @@ def _told(program: Program, text: str, note: str) -> Ran:
         elapsed_s=round(program.elapsed_s, 3),
         calls=record.calls,
         commands=record.done,
-        ended_with_it=record.ended,
+        stopped_at_end=record.ended,
         program_id=program.id,
         note=" ".join(notes),
         commands_given=record.commands,

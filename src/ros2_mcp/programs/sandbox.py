@@ -61,6 +61,8 @@ _SHORTEST_SLEEP_S = 0.001
 """The shortest sleep: a program that sleeps for 0 s in a loop would take as much processor time here as in its own
 process.
 """
+_PROCESS_ID_TRIES = 2000
+"""One each millisecond: seconds, also where the machine is busy."""
 _SLEEPS = ("system.sleep", "asyncio.sleep", "time.sleep", "sleep")
 _GATE = "_checked"
 """The module that the checked text imports first: when it is requested, the program has passed the type check."""
@@ -124,7 +126,7 @@ class Sandbox:
 
     @asynccontextmanager
     async def open(self) -> AsyncGenerator[Sandbox, None]:
-        """Within this context there is a process: a new one for the check and for the run, each killed at its end."""
+        """Provide a process within this context: one for the check and one for the run, each killed at its end."""
         from pydantic_monty import AsyncMonty
 
         async with AsyncMonty(
@@ -304,19 +306,34 @@ class Sandbox:
             "max_suspensions": _MOST_SUSPENSIONS,
         }
         async with self._pool.checkout(limits=limits, **options) as session:
-            self._note_process(session, turn_s, all_s)
+            self._note_process(await _process_id(session), turn_s, all_s)
             try:
                 yield session
             finally:
                 self.kill()
                 self._pid = None
 
-    def _note_process(self, session: AsyncMontySession, turn_s: float, all_s: float) -> None:
-        self._pid = session.worker_pid
-        self._limit = None if self._pid is None else ProcessorLimit(self._pid, turn_s, all_s, self.kill)
-        if self._pid is not None and sys.platform != "win32":
+    def _note_process(self, pid: int, turn_s: float, all_s: float) -> None:
+        self._pid = pid
+        self._limit = ProcessorLimit(pid, turn_s, all_s, self.kill)
+        if sys.platform != "win32":
             with suppress(OSError):
-                os.setpriority(os.PRIO_PROCESS, self._pid, _NICE)
+                os.setpriority(os.PRIO_PROCESS, pid, _NICE)
+
+
+async def _process_id(session: AsyncMontySession) -> int:
+    """Return the process id of a session's worker. The session does not know it while a thread of its pool still holds
+    the session's lock, as it does for a moment after the checkout; a program whose process is unknown would run without
+    limits.
+
+    Raises:
+        Failure: if it stays unknown.
+    """
+    for _ in range(_PROCESS_ID_TRIES):
+        if (pid := session.worker_pid) is not None:
+            return pid
+        await asyncio.sleep(_SHORTEST_SLEEP_S)
+    raise Failure("crash", 0, "the process of the program is unknown, so its limits cannot be enforced: run it again")
 
 
 def in_program(error: RobotError) -> Exception:

@@ -47,7 +47,9 @@ MOST_STREAMS = 16
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FollowRequest:
-    """What to follow: `fields` as in `ros2_topic_subscribe`; at most `count` messages; every `every_n`-th message."""
+    """The settings of a stream: `fields` as in `ros2_topic_subscribe`; at most `count` messages; every `every_n`-th
+    message.
+    """
 
     topics: Sequence[str]
     fields: Sequence[str] = ()
@@ -292,7 +294,8 @@ class Streams:
     def _free(self) -> int:
         if len(self._followed) + len(self._latest) >= MOST_STREAMS:
             raise Refused(
-                f"A program follows at most {MOST_STREAMS} topics at a time.", "Begin messages() before a loop, once."
+                f"A program can have at most {MOST_STREAMS} open streams.",
+                "Call messages() once, before the loop, not in it.",
             )
         return next(number for number in range(MOST_STREAMS) if number not in self._followed)
 

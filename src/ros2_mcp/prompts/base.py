@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 from ros2_mcp.model.arguments import Argument, shown
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.graph.known_names import is_of_every_node, live_names
+from ros2_mcp.prompts.navigation import navigation_prompt
 from ros2_mcp.prompts.prompt import Message, Prompt, step
 from ros2_mcp.robot import Robot
 from ros2_mcp_common.wire.limits import MAX_RATE_HZ, MIN_RATE_HZ
@@ -26,9 +27,9 @@ _DISCOVERY_S = 4.0
 _TRUTH = "Report only what the results say; where a value is missing, say so."
 
 
-def base_prompts(robot: Robot) -> list[Prompt]:
-    """Return the four prompts that every server has."""
-    return [_echo_and_analyze(robot), _RELAY, _HEALTH, _COMPARE]
+def base_prompts(robot: Robot, missing: Collection[str] = ()) -> list[Prompt]:
+    """Return the five prompts that every server has; `missing` are the tools that it does not offer."""
+    return [_echo_and_analyze(robot), _RELAY, _HEALTH, _COMPARE, navigation_prompt(missing)]
 
 
 def _window(name: str, default: float, what: str, minimum: float = 0.1, maximum: float = _MEASURE_S) -> Argument:
@@ -155,7 +156,7 @@ async def _write_relay(values: Mapping[str, Any]) -> Sequence[Message]:
         start,
         step(2, "ros2_topic_stats", topic_names=[source, destination], duration_s=_check_s(duration_s)),
         step(3, "ros2_relay_list"),
-        "Then report: both rates, how many messages were passed and dropped, and any error. "
+        "Then report: both rates, how many messages were published and filtered out, and any error. "
         f"{sooner} with ros2_relay_stop; stop it only if asked to. If it is refused, say why: ros2_policy shows what "
         "is allowed.",
         _TRUTH,
@@ -182,7 +183,7 @@ _RELAY = Prompt(
         ),
         Argument(
             "transform",
-            "What is passed on; filter passes only changes",
+            "What is published; filter: only changes",
             default="identity",
             choices=("identity", "rate_limit", "filter"),
             other_choices={"on_change": "filter"},

@@ -21,7 +21,9 @@ _END = re.compile(r"^\s*\{\{/if\s*\}\}\s*$")
 
 
 def fill(text: str, values: Mapping[str, Any]) -> str:
-    """Return the text with its placeholders replaced once: placeholders within a value are kept."""
+    """Return the text with its placeholders replaced and its `{{#if}}` blocks applied, once: placeholders within a
+    value are kept.
+    """
 
     def value_of(found: re.Match[str]) -> str:
         if found["name"] not in values:

@@ -197,7 +197,7 @@ async def diagnostics(robot: Robot, watcher: Watcher) -> Content:
     table = watcher.newest(WorseDiagnostics())
     if table is None or not table.rows:
         table = await read_diagnostics(robot)
-    note = "" if table.rows else f"Nobody said anything for {LISTEN_S:g} s."
+    note = "" if table.rows else f"No diagnostics were received for {LISTEN_S:g} s."
     return {"components": as_json(table.rows), "note": note}
 
 
@@ -231,7 +231,7 @@ async def topic(robot: Robot, watcher: Watcher, name: str) -> Content:
     """Publishers, subscribers, QoS and the newest message of a topic. Changes with every message."""
     info = await topic_info(robot, name)
     seen: Seen | None = watcher.newest(TopicSamples(info.topic_name))
-    note = "" if info.publishers else "Nobody publishes on it."
+    note = "" if info.publishers else "It has no publisher."
     if seen is None and info.publishers:
         async with robot.listen(
             info.topic_name, info.publishers[0].type, keep="latest", newest_of_old=True

@@ -16,13 +16,13 @@ _LEAST_BYTES = 200
 
 
 def fitting(content: Content, max_bytes: int) -> str:
-    """Return the content as JSON text of at most that size. `left_out` in it describes what was cut.
+    """Return the content as JSON text of at most that size. `omitted` in it describes what was cut.
 
     The longest list or text is halved until all fits; other parts are dropped as a whole. Hidden characters are
     escaped.
     """
     content, text = visible_json(content)
-    shown, left_out = dict(content), dict[str, str]()
+    shown, omitted = dict(content), dict[str, str]()
     while len(text.encode()) > max_bytes:
         sizes = {part: _size(value) for part, value in shown.items()}
         divisible = [part for part, value in shown.items() if _is_divisible(value) and sizes[part] > _LEAST_BYTES]
@@ -31,10 +31,10 @@ def fitting(content: Content, max_bytes: int) -> str:
         if _is_divisible(value):
             shown[part] = value[: len(value) // 2]
             unit = "characters" if isinstance(value, str) else "entries"
-            left_out[part] = f"the first {len(shown[part])} of {len(whole)} {unit} are shown"
+            omitted[part] = f"the first {len(shown[part])} of {len(whole)} {unit} are shown"
         else:
-            shown[part], left_out[part] = None, f"{_size(whole)} bytes"
-        text = _text({**shown, "left_out": left_out})
+            shown[part], omitted[part] = None, f"{_size(whole)} bytes"
+        text = _text({**shown, "omitted": omitted})
     return text
 
 

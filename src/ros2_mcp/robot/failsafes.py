@@ -261,8 +261,8 @@ class Failsafes:
         return {key: driven.commands for key, driven in self._driven.items()}
 
     async def rest(self, zeros: Sequence[StoppedTopic], before: Mapping[tuple[str, str], int]) -> None:
-        """Mark the topics as at rest whose zero has reached every subscriber in the graph, unless they got a command
-        after `before`.
+        """Mark a topic as at rest if its zero has reached every subscriber in the graph, and no command was sent since
+        the counts in `before`, by topic and type.
         """
         arrived = await asyncio.gather(*(self._has_arrived(zero) for zero in zeros))
         for zero in itertools.compress(zeros, arrived):

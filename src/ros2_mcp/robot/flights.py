@@ -106,7 +106,7 @@ class Flight(Job):
         self._core.failsafes.leave_brake(self.vehicle)
 
     def answered(self, was_sent: bool) -> None:
-        """Record that the order was answered, or is known not to be sent."""
+        """Record that the order was answered, or is known not to have been sent."""
         self._under_way -= 1
         self._ordered_ns = self._core.now_ns()
         if not was_sent and not self._under_way and not self.armed:
@@ -122,7 +122,7 @@ class Flight(Job):
         elif self.is_running and not self.comes_down:
             braked = await self.brake()
             if braked.error:
-                _logger.warning("%s was not made to stand: %s", self.vehicle, braked.error)
+                _logger.warning("%s could not be brought to hold its position: %s", self.vehicle, braked.error)
 
     async def brake(self) -> Braked:
         """Order the best brake mode that the vehicle has, and wait for its state to confirm it.

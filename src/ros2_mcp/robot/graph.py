@@ -348,6 +348,16 @@ class Graph:
         return self._bridge.latched_at
 
     @property
+    def kept_out(self) -> str:
+        """Why the bridge last ended what drove the robot towards a keep-out zone; "" if it never did."""
+        return self._bridge.kept_out
+
+    @property
+    def kept_out_at(self) -> float:
+        """The time of that report (monotonic, in s); 0 if there was none."""
+        return self._bridge.kept_out_at
+
+    @property
     def domain_id(self) -> int | None:
         """The ROS domain; None until there is a bridge."""
         return self._bridge.hello.domain_id if self._bridge.hello else None
@@ -411,7 +421,7 @@ class Graph:
             return NotFound(f"{topic} is not seen yet, but discovery is still under way.", "Ask again in a moment.")
         known = [row.name for row in found]
         hint = await self.near(topic, known, "ros2_topic_list")
-        return NotFound(f"There is no topic {topic}: nobody publishes or subscribes to it.", hint)
+        return NotFound(f"There is no topic {topic}: it has no publisher and no subscriber.", hint)
 
     async def missing(self, message: str, hint: str) -> NotFound:
         """Return the error for a missing part of the robot; if no robot is present at all, the error says that

@@ -241,14 +241,13 @@ class Robot(Core):
         )
 
     async def stop_owned(self, principal: Principal, reason: str = "") -> Sequence[str]:
-        """End everything that a disconnected client has in motion. The work of other clients goes on.
+        """End everything that a disconnected client has in motion. The work of other clients continues.
 
         Its unanswered requests are ended, its jobs that move something are stopped with this reason, its goals are
         cancelled, and the zero is published on every velocity topic that only it drives. Never raises a `RobotError`:
         failures are logged.
 
-        Returns:
-            What was ended, in words: `repeat repeat_0f3a9c21`, `zero on /cmd_vel`.
+        Returns: What was ended, in words: `repeat repeat_0f3a9c21`, `zero on /cmd_vel`.
         """
         self.stops.end_of(principal)
         if self.guard.approvals:

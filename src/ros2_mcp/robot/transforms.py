@@ -69,11 +69,11 @@ class Life:
 
 
 class TransformListener:
-    """The present frames of a robot.
+    """The current frames of a robot.
 
-    It is subscribed from the first query until there was none for `idle_s` seconds, or the bridge is lost; the next
-    query subscribes anew and replaces `tree`. `since` is the time of subscription (monotonic, in s; None while not
-    subscribed).
+    It subscribes at the first query, and unsubscribes after `idle_s` seconds without a query, or if the bridge is lost;
+    the next query subscribes again and replaces `tree`. `since` is the time of subscription (monotonic, in s; None
+    while not subscribed).
     """
 
     idle_s = _IDLE_S
@@ -300,5 +300,5 @@ class TransformListener:
 
 
 def _static_ns(edge: Edge) -> int:
-    """When it was received as static last; the same frame may be told as moving, too."""
+    """Return when the transform was last received as static; the same frame may also be published as moving."""
     return max((told.received_ns for told in edge.static.values()), default=0)

@@ -60,7 +60,7 @@ async def ros2_send_action_goal(
             description='Cancel the goal when its feedback, or a topic ("/scan: nearest(-20, 20) < 0.4"), meets this.'
         ),
     ] = "",
-    force: Annotated[Flag, Field(description="Send although several nodes serve it.")] = False,
+    force: Annotated[Flag, Field(description="Send even if several nodes serve the action.")] = False,
 ) -> GoalOutcome:
     """Send a goal to an action server. Can move the robot.
 

@@ -56,6 +56,7 @@ MessageType = Annotated[
     Field(description="Such as sensor_msgs/msg/LaserScan. Default: the topic's own."),
 ]
 Pattern = Annotated[str, Field(description="Part of a name (or type), or a glob: */map*.")]
+NamePattern = Annotated[str, Field(description="Part of a name, or a glob: *map*.")]
 # A result with more rows would be cut by its number of characters first (`mcp/binding.py`).
 Limit = Annotated[Whole, Field(ge=1, le=2000, description="Maximum rows.")]
 Hidden = Annotated[Flag, Field(description="Also hidden names (a part starts with _).")]
@@ -72,7 +73,9 @@ MaxArray = Annotated[
     Field(ge=0, le=10_000, description="Summarise longer arrays."),
 ]
 EveryN = Annotated[Whole, Field(ge=1, le=1_000_000, description="Keep every n-th message.")]
-FromBag = Annotated[str, Field(description='Read this bag, not live data; "black box": this server\'s own.')]
+FromBag = Annotated[
+    str, Field(description='Read this bag instead of live data; "black box": this server\'s recording.')
+]
 FromStart = Annotated[
     str,
     BeforeValidator(_as_text),
@@ -90,7 +93,7 @@ Seconds = Annotated[Number, Field(ge=0, le=MAX_DURATION_S)]
 Duration = Annotated[Number | None, Field(gt=0, le=MAX_DURATION_S, description="Seconds to collect.")]
 MessageLimit = Annotated[
     Whole | None,
-    Field(ge=1, le=MAX_MESSAGES, description="Stop after this many messages; without duration, in 20 s at most."),
+    Field(ge=1, le=MAX_MESSAGES, description="Stop after this many messages; without duration, waits at most 20 s."),
 ]
 NumericFields = Annotated[
     list[str] | None,
@@ -128,7 +131,7 @@ Since = Annotated[
     str,
     BeforeValidator(_as_text),
     TimeArgument(ago=True),
-    Field(description='Seconds ago, such as "30", or an ISO 8601 time. Default: all kept lines.'),
+    Field(description='Seconds ago, such as "30", or an ISO 8601 time. Default: all in memory.'),
 ]
 UpToLogEnd = Annotated[
     str,

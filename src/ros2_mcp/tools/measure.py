@@ -73,7 +73,7 @@ async def ros2_health_check(
     expected_topics: Names = None,
     expected_services: Names = None,
     expected_nodes: Names = None,
-    check_rates: Annotated[Flag, Field(description="Listen to topics too; false: graph and diagnostics only.")] = True,
+    check_rates: Annotated[Flag, Field(description="Also read topics; false: graph and diagnostics only.")] = True,
     rate_check_duration_sec: Annotated[Number, Field(ge=0.5, le=60, description="Listening time in seconds.")] = 3.0,
     min_expected_rate_hz: Annotated[
         Number, Field(ge=0, le=MAX_RATE_HZ, description="Minimum rate of sensors and expected topics.")

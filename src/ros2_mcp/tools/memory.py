@@ -21,9 +21,9 @@ from ros2_mcp.tools.arguments import (
     Flag,
     Limit,
     MessageType,
+    NamePattern,
     Number,
     PastTime,
-    Pattern,
     TopicName,
     UpToPastTime,
     Whole,
@@ -109,7 +109,7 @@ async def ros2_record_stop(robot: Robot, recording_id: RecordingId = "") -> reco
     recorded=True,
     finds="which bags, recordings, rosbag files are there",
 )
-async def ros2_bag_list(store: BagStore, pattern: Pattern = "", limit: Limit = 200) -> bags.BagList:
+async def ros2_bag_list(store: BagStore, pattern: NamePattern = "", limit: Limit = 200) -> bags.BagList:
     """List the bags (recordings) that can be read, the newest first."""
     return await bags.list_bags(store, pattern, limit)
 

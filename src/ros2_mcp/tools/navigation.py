@@ -7,15 +7,20 @@ from typing import Annotated, Any, cast
 from pydantic import BeforeValidator, Field
 from pydantic_core import PydanticCustomError
 
-from ros2_mcp.model.nav2 import COMPUTE_PATH, MANAGE, NAVIGATE
+from ros2_mcp.model.nav2 import COMPUTE_PATH, DOCK, MANAGE, NAVIGATE, UNDOCK
 from ros2_mcp.model.text import excerpt
 from ros2_mcp.ops.navigation.check import NavChecked, check_navigation
-from ros2_mcp.ops.navigation.localize import POSE_ESTIMATE, NavLocalized, localize
+from ros2_mcp.ops.navigation.dock import DockRequest, NavDocked
+from ros2_mcp.ops.navigation.dock import dock as dock_robot
+from ros2_mcp.ops.navigation.localize import POSE_ESTIMATE, LocalizeRequest, NavLocalized, localize
+from ros2_mcp.ops.navigation.nav_map import MAP_SERVICES, MapRequest, MapVerb, NavMap, nav_map
 from ros2_mcp.ops.navigation.navigate import navigate
 from ros2_mcp.ops.navigation.navigated import Navigated
 from ros2_mcp.ops.navigation.pause import NavPaused, pause
 from ros2_mcp.ops.navigation.places import PlaceKept, PlaceList, PlaceRequest, list_places, set_place
 from ros2_mcp.ops.navigation.preview import Preview, preview
+from ros2_mcp.ops.navigation.probe import NavProbed, probe
+from ros2_mcp.ops.navigation.probe import What as Probing
 from ros2_mcp.ops.navigation.recover import BACK_UP, CLEAR, DRIVE, SPIN, NavRecovered, StackCommand, What, recover
 from ros2_mcp.ops.navigation.route import OnMissed, Routed, route
 from ros2_mcp.ops.navigation.route_plan import MOST_LOOPS
@@ -24,6 +29,7 @@ from ros2_mcp.robot import Robot
 from ros2_mcp.robot.session import Session
 from ros2_mcp.tools.arguments import WHOLE_SENTENCE, Flag, Number, Pattern, Whole
 from ros2_mcp.tools.declare import tool
+from ros2_mcp_common.policy.velocity import VELOCITY_TYPES
 from ros2_mcp_common.wire.limits import MAX_DURATION_S
 
 PLACE = 95
@@ -214,6 +220,29 @@ async def ros2_nav_check(
 
 
 @tool(
+    title="Try a small move",
+    risk="actuate",
+    does={"publish": tuple(VELOCITY_TYPES)},
+    group="navigation",
+    by_default=False,
+    beside={"ros2_nav_check": "Use it when ros2_nav_check finds nothing."},
+    finds="odometry wrong direction, lidar mounted wrong, wheels swapped, calibration check",
+)
+async def ros2_nav_probe(
+    robot: Robot,
+    session: Session,
+    report: Report,
+    what: Annotated[Probing, Field(description="Only one of both motions.")] = "both",
+) -> NavProbed:
+    """Drive 0.2 m ahead and turn 30° left, and compare odometry, laser scan and gyro with the command. Moves the robot.
+
+    Finds a lidar that is turned against its transform, odometry with a wrong sign or scale, and exchanged wheels. Needs
+    0.5 m free all round the outline.
+    """
+    return await probe(robot, session, what, report)
+
+
+@tool(
     title="Preview a path",
     risk="write",
     does={"goal": (COMPUTE_PATH,)},
@@ -245,19 +274,97 @@ async def ros2_nav_preview(
     does={"publish": (POSE_ESTIMATE,)},
     group="navigation",
     by_default=False,
-    finds="initial pose, relocalize, AMCL is lost, set the robot's position on the map",
+    finds="initial pose, relocalize, AMCL is lost, find the robot on the map",
 )
 async def ros2_nav_localize(
     robot: Robot,
     session: Session,
-    at: Pose,
+    report: Report,
+    at: Annotated[
+        dict[str, Any] | None,
+        BeforeValidator(_as_object),
+        Field(description='Where it is: {"place": name} or {"x", "y", "yaw_deg"} in map; with search, a guess.'),
+    ] = None,
+    search: Annotated[Flag, Field(description="Find it on the map by its laser scan.")] = False,
+    radius_m: Annotated[
+        Number | None, Field(gt=0, le=1000, description="Search so far around at (3); heading: within 60°.")
+    ] = None,
+    last: Annotated[Flag, Field(description="Take the pose kept before a restart, if the scan fits there.")] = False,
     topic_name: Annotated[str, Field(description="Default: /initialpose.")] = "",
 ) -> NavLocalized:
-    """Tell localisation where the robot is (initial pose). Nothing moves.
+    """Tell localisation where the robot is (initial pose): given, found on the map, or kept. Nothing moves.
 
-    Reports whether the transforms took it, and how well the laser scan fits the map before and after.
+    Reports whether the transforms took it, and how well the laser scan fits the map before and after. If several poses
+    fit nearly as well, none is published: choose one and give it as at.
     """
-    return await localize(robot, session, at, topic_name)
+    request = LocalizeRequest(at=at, search=search, radius_m=radius_m, last=last, topic=topic_name)
+    return await localize(robot, session, request, report)
+
+
+@tool(
+    title="Save or load a map",
+    risk="write",
+    does={"call": MAP_SERVICES},
+    group="navigation",
+    by_default=False,
+    finds="save the map, load or switch the map or floor, map_server, map_saver, slam_toolbox",
+)
+async def ros2_nav_map(
+    robot: Robot,
+    session: Session,
+    report: Report,
+    what: Annotated[MapVerb, Field(description="show: which maps and services there are.")] = "show",
+    path: Annotated[
+        str, Field(description="On the robot's computer: to save without an ending, to load the YAML file.")
+    ] = "",
+    pose_graph: Annotated[Flag, Field(description="slam_toolbox's pose graph, with which mapping goes on.")] = False,
+    at: Annotated[
+        dict[str, Any] | None,
+        BeforeValidator(_as_object),
+        Field(description="Of a loaded pose graph: where the robot is. Default: at its first node."),
+    ] = None,
+    service_name: Annotated[str, Field(description="Name of the service, if there are several.")] = "",
+) -> NavMap:
+    """Save or load a map with map_server, map_saver or slam_toolbox, or show which there are. Nothing moves.
+
+    Reports what was verified: the map that is published after loading, and the files where they can be seen from here.
+    """
+    request = MapRequest(what=what, path=path, pose_graph=pose_graph, at=at, service=service_name)
+    return await nav_map(robot, session, request, report)
+
+
+@tool(
+    title="Dock or undock",
+    risk="actuate",
+    does={"goal": (DOCK, UNDOCK)},
+    group="navigation",
+    by_default=False,
+    finds="go to the charging dock or station, charge, dock, undock, leave the dock",
+)
+async def ros2_nav_dock(
+    robot: Robot,
+    session: Session,
+    report: Report,
+    dock: Annotated[str, Field(description="Name of a dock that Nav2 knows. Default: the only one.")] = "",
+    at: Annotated[
+        dict[str, Any] | None,
+        BeforeValidator(_as_object),
+        Field(description="Instead: the pose or place of a dock."),
+    ] = None,
+    dock_type: Annotated[str, Field(description="Needed if Nav2 has several types: with at, or to undock.")] = "",
+    undock: Annotated[Flag, Field(description="Leave the dock instead.")] = False,
+    job_id: Annotated[str, Field(description="Wait for this running docking instead.")] = "",
+    timeout_s: Annotated[Number, Field(ge=0, le=MAX_DURATION_S, description="Maximum wait in seconds.")] = 45.0,
+    action_name: Action = "",
+) -> NavDocked:
+    """Dock or undock with Nav2's docking server. Can move the robot.
+
+    Reports the states it went through, retries, and what was measured: distance from the dock's pose, motion by
+    odometry, and whether the battery says that it charges. After a time-out, call again with the job_id; ros2_stop ends
+    it.
+    """
+    request = DockRequest(dock=dock, at=at, dock_type=dock_type, undock=undock, job_id=job_id, action=action_name)
+    return await dock_robot(robot, session, request, timeout_s, report)
 
 
 @tool(

@@ -20,10 +20,8 @@ PLACE = 40
 
 Timeout = Annotated[Number, Field(gt=0, le=600, description="Live: maximum wait in seconds.")]
 Pixels = Annotated[Whole, Field(ge=300, le=MAX_SIDE, description="Size of the picture in pixels.")]
-Limit = Annotated[
-    Number | None, Field(description="Only points within this bound, in metres. Default: all but far outliers.")
-]
-Height = Annotated[Number | None, Field(description="Only points within these heights, in metres. Default: all.")]
+Lowest = Annotated[Number | None, Field(description="Lower bound in metres. Default: all but far outliers.")]
+Highest = Annotated[Number | None, Field(description="Upper bound in metres. Default: all but far outliers.")]
 
 
 @tool(
@@ -92,12 +90,12 @@ async def ros2_get_pointcloud_as_bev(
     report: Report,
     topic_name: Annotated[str, Field(description="A topic of sensor_msgs/PointCloud2. Default: the only one.")] = "",
     resolution: Annotated[Number, Field(ge=0.001, le=100, description="Metres per pixel.")] = 0.05,
-    zmin: Height = None,
-    zmax: Height = None,
-    xmin: Limit = None,
-    xmax: Limit = None,
-    ymin: Limit = None,
-    ymax: Limit = None,
+    zmin: Annotated[Number | None, Field(description="Minimum height in metres. Default: all.")] = None,
+    zmax: Annotated[Number | None, Field(description="Maximum height in metres. Default: all.")] = None,
+    xmin: Lowest = None,
+    xmax: Highest = None,
+    ymin: Lowest = None,
+    ymax: Highest = None,
     timeout: Timeout = 5.0,
     max_pixels: Annotated[Whole, Field(ge=64, le=16_384, description="Longest side; at most 1568 is drawn.")] = 2048,
     color_mode: Annotated[

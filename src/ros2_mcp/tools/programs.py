@@ -12,7 +12,7 @@ from ros2_mcp.programs.kept import programs_of
 from ros2_mcp.programs.run import Ran, run
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.session import Session
-from ros2_mcp.tools.arguments import Flag, Number, Pattern
+from ros2_mcp.tools.arguments import Flag, NamePattern, Number
 from ros2_mcp.tools.declare import tool
 from ros2_mcp.tools.injection import ProgramsHere
 
@@ -78,7 +78,7 @@ async def ros2_program_run(
 )
 async def ros2_program_list(
     robot: Robot,
-    pattern: Pattern = "",
+    pattern: NamePattern = "",
     code: Annotated[Flag, Field(description="Also return their code.")] = False,
 ) -> ProgramList:
     """List the kept programs with their purposes and inputs."""

@@ -46,12 +46,15 @@ async def ros2_relay_start(
         Field(description="Pass all messages, at most target_rate_hz, or only changes (filter means on_change)."),
     ] = "identity",
     target_rate_hz: Annotated[
-        Number, Field(ge=MIN_RATE_HZ, le=MAX_RATE_HZ, description="With rate_limit: maximum messages per second.")
-    ] = 10.0,
+        Number | None,
+        Field(ge=MIN_RATE_HZ, le=MAX_RATE_HZ, description="With rate_limit: maximum messages per second; default 10."),
+    ] = None,
     duration_sec: Annotated[Number, Field(ge=0, le=86400, description="Duration in seconds; 0: until stopped.")] = 60.0,
     tolerances: Tolerances | None = None,
     mapping: Mapping | None = None,
-    destination_type: Annotated[str, Field(description="With a mapping to a topic that has no type yet.")] = "",
+    destination_type: Annotated[
+        str, Field(description="With a mapping: type of a destination that has none yet.")
+    ] = "",
 ) -> relay.RelayState:
     """Republish the messages of one topic on another, in the background. Can move the robot.
 
@@ -74,7 +77,7 @@ async def ros2_relay_start(
 
 @tool(title="List relays", risk="read", group="relay", finds="which relays are running")
 async def ros2_relay_list(robot: Robot) -> relay.RelayList:
-    """List this server's relays with the messages passed and dropped so far, and the relays that ended last."""
+    """List this server's relays with the messages published and filtered out, and the relays that ended last."""
     return await relay.list_relays(robot)
 
 

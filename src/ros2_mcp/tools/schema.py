@@ -38,7 +38,7 @@ def argument_schema(schema: Mapping[str, Any]) -> Schema:
     result = _plain(schema, schema.get("$defs", {}))
     result["additionalProperties"] = False
     for name, node in result.setdefault("properties", {}).items():
-        if _IN_SECONDS.search(name):
+        if _IN_SECONDS.search(name) and node.get("type") != "boolean":
             node["description"] = _with_bounds(node)
     return result
 

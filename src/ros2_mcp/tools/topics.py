@@ -45,8 +45,8 @@ Data = Annotated[
     ),
 ]
 _SEVERAL = Field(min_length=1, max_length=20)  # more than a person reads or commands at once
-_HZ = "Messages per second, with duration."
-_SECONDS = "Duration in seconds, with frequency."
+_HZ = "Messages per second; needs duration."
+_SECONDS = "Duration in seconds; needs frequency."
 Destination = Annotated[str, Field(description="Such as /cmd_vel.")]
 PublishedType = Annotated[str, Field(description="Such as geometry_msgs/msg/Twist. Default: the topic's own.")]
 
@@ -193,7 +193,7 @@ async def ros2_topic_stats(
     ] = None,
     duration_s: Annotated[
         Number | None,
-        Field(gt=0, le=MAX_MEASURE_S, description="Measuring time in seconds. Default: 3; of a bag, all."),
+        Field(gt=0, le=MAX_MEASURE_S, description="Measuring time in seconds. Default: 3, or the whole bag."),
     ] = None,
     *,
     source: Source,

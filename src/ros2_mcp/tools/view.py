@@ -41,12 +41,14 @@ PlotFields = Annotated[
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PageSeen:
-    """One page: what it shows, a line for each panel, and what was picked on it, the newest last."""
+    """One page: a line for each of its `panels`, and what the user picked there, the newest last. `last_request_s_ago`
+    is the time since the page last requested data.
+    """
 
     subject: str
     open: bool
-    asked_s_ago: float
-    shows: Sequence[str]
+    last_request_s_ago: float
+    panels: Sequence[str]
     picked: Sequence[Pick]
 
 
@@ -120,14 +122,18 @@ async def ros2_view_state(session: Session, viewing: Viewing) -> ViewState:
         told += [pick.summary() for pick in state.picks] or ["Nothing is picked."]
         pages.append(
             PageSeen(
-                subject=state.subject, open=state.is_open, asked_s_ago=ago_s, shows=state.shows, picked=state.picks
+                subject=state.subject,
+                open=state.is_open,
+                last_request_s_ago=ago_s,
+                panels=state.shows,
+                picked=state.picks,
             )
         )
     if browser := await asyncio.to_thread(viewing.picked_in_browser):
         ago_s = round(max(now_s() - browser.at_s, 0.0), 1)
         told += [f"In a browser, {ago_s:g} s ago, of {browser.subject}:", *(pick.summary() for pick in browser.picks)]
         subject = f"{browser.subject}, in a browser"
-        pages.append(PageSeen(subject=subject, open=False, asked_s_ago=ago_s, shows=(), picked=browser.picks))
+        pages.append(PageSeen(subject=subject, open=False, last_request_s_ago=ago_s, panels=(), picked=browser.picks))
     return ViewState(pages=pages, told=told or ["No page is open, and nothing was picked."])
 
 

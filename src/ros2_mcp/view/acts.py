@@ -32,8 +32,8 @@ Line = Mapping[str, Any]
 def acts_in(lines: Sequence[Line]) -> Iterator[Mapping[str, Any]]:
     """Yield the entries to show, the oldest first, from lines of the audit.
 
-    `outcome` is the outcome of a command so far, or the answer to a call that waits for approval. Repeated lines are
-    shown once: that a server found the latch set, and that the same call still waits. Lines from a recording are
+    `outcome` is the outcome of a command so far, or the answer to a call that waits for approval. Two kinds of repeats
+    are shown once: a server finding the latch still set, and the same call still waiting. Lines from a recording are
     untrusted: a field of an unexpected type is shown as text or omitted.
     """
     outcomes = {str(line.get("of")): str(line.get("outcome", "")) for line in lines if line.get("kind") == "outcome"}

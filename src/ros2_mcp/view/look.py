@@ -44,6 +44,14 @@ class Look:
         return self.source.covers_ns[1] if self.source.covers_ns else self.robot.now_ns()
 
 
+def when(sample: Sample, is_from_before: bool) -> Mapping[str, Any]:
+    """Return when a message was received, as `at_s`; if it was sent before the subscription, when it was sent, and
+    `from_before`. The page tells its age by both (`ageText` in `viewer/src/dom.ts`).
+    """
+    at_ns = sample.source_ns if is_from_before and sample.source_ns else sample.received_ns
+    return {"at_s": at_ns / 1e9, "from_before": is_from_before}
+
+
 @dataclass
 class Chunks:
     """Large parts of the content that rarely change, such as maps, by the hash of their bytes: each is sent once."""

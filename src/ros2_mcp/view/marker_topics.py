@@ -17,6 +17,7 @@ from ros2_mcp.model.aside import aside
 from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.poses import Pose
 from ros2_mcp.model.text import counted, named
+from ros2_mcp.ops.sources.from_before import FromBefore
 from ros2_mcp.robot import Robot
 from ros2_mcp.view.look import Chunks, Look
 from ros2_mcp.view.markers import MARKER, MARKER_ARRAY, Marker, MarkersOfTopic
@@ -37,7 +38,9 @@ _DIGITS = 4
 
 @dataclass(eq=False)
 class _Followed:
-    """One topic. `read_ns` is the part of a recording that has been read."""
+    """One topic. `read_ns` is the part of a recording that has been read; `old_ns` is when the last message was sent,
+    if it is from before the subscription.
+    """
 
     kind: str
     markers: MarkersOfTopic
@@ -45,12 +48,13 @@ class _Followed:
     is_followed: bool = False
     error: str = ""
     read_ns: tuple[int, int] = (0, 0)
+    old_ns: int | None = None
     version: int = 0
     placed: dict[int, tuple[Marker, str, Pose]] = field(default_factory=dict[int, tuple[Marker, str, Pose]])
 
     def forget(self) -> None:
         """Forget all markers."""
-        self.markers, self.read_ns = MarkersOfTopic(self.markers.topic), (0, 0)
+        self.markers, self.read_ns, self.old_ns = MarkersOfTopic(self.markers.topic), (0, 0), None
         self.placed.clear()
 
 
@@ -88,6 +92,7 @@ class MarkerTopics:
                         try:
                             message = await aside(sample.size, robot.values.codec.decode, topic.kind, sample.data)
                             await aside(sample.size, topic.markers.take, message, sample.received_ns)
+                            topic.old_ns = sample.source_ns if listening.is_from_before(sample) else None
                         except RobotError as error:
                             topic.error = f"A message on {named(name)} is not shown: {error.message}"
                         await asyncio.sleep(0)
@@ -124,6 +129,11 @@ class MarkerTopics:
         key = await self._key([marker for marker, _ in rows], meshes, missing)
         poses = [[round(value, _DIGITS) for value in (*pose.translation, *pose.rotation)] for _, pose in rows]
         return {"key": key, "count": len(rows), "poses": poses, "at_s": max(received) / 1e9}
+
+    def old(self, now_ns: int) -> list[str]:
+        """Return the topics whose last markers were sent before the subscription, each with their age."""
+        topics = [topic for topic in self._topics.values() if topic.is_followed and topic.old_ns is not None]
+        return [f"{named(topic.markers.topic)} {FromBefore.of(1, topic.old_ns or 0, now_ns).age}" for topic in topics]
 
     async def _looked_at(self, look: Look, missing: list[str]) -> Sequence[_Followed]:
         found: list[_Followed] = []

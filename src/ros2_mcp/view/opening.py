@@ -37,9 +37,9 @@ class OpeningRequest:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OpenedView(WithPictures):
-    """What the user is shown: `on` is "page" or "picture". `panels` has the topic that was chosen for each panel."""
+    """What the user is shown: `shown_as` is "page" or "picture". `panels` maps each panel to its topic."""
 
-    on: str
+    shown_as: str
     subject: str
     bag: str
     at_s: float | None
@@ -79,7 +79,11 @@ async def opened(
     subject = "the robot, live" if source.is_live else f"the recording {source.title}"
     chosen = "".join(f", in the panel {panel} {named(topic)}" for panel, topic in panels.items())
     told = OpenedView(
-        on="page" if shows_pages else "picture", subject=subject, bag=request.bag, at_s=request.at_s, panels=panels
+        shown_as="page" if shows_pages else "picture",
+        subject=subject,
+        bag=request.bag,
+        at_s=request.at_s,
+        panels=panels,
     )
     if shows_pages:
         line = f"Your user sees the page beside the chat: {subject}{chosen}, with a stop button."

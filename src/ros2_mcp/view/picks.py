@@ -48,12 +48,12 @@ class PickedValue:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pick:
-    """One pick of a person. `time` is that of the picked data, `age_s` how old the data was when picked.
+    """One pick of a person. `time` is the time of the picked data, `age_s` the age of the data when it was picked.
 
-    A `place` on the map and a `point` of a cloud or scan have metres in `frame`; a point also has `in_m`, its position
-    in `in_frame`, the frame of the view. A `box` has `pixels` (left, top, right, bottom, inclusive) of an image of size
-    `of_pixels` (width, height), and in a depth image the median `depth_m`. A `time` of a plot has `values`. `about` is
-    a further description.
+    A `place` on the map and a `point` of a cloud or scan have metres in `frame`; a point also has `view_xyz_m`, its
+    position in `view_frame`, the frame of the view. A `box` has `box_px` (left, top, right, bottom, inclusive) in an
+    image of size `image_size_px` (width, height), and in a depth image the median `depth_m`. A `time` of a plot has
+    `values`. `about` is a further description.
     """
 
     kind: Kind
@@ -64,10 +64,10 @@ class Pick:
     x_m: float | None = None
     y_m: float | None = None
     z_m: float | None = None
-    in_frame: str = ""
-    in_m: Sequence[float] = ()
-    pixels: Sequence[int] = ()
-    of_pixels: Sequence[int] = ()
+    view_frame: str = ""
+    view_xyz_m: Sequence[float] = ()
+    box_px: Sequence[int] = ()
+    image_size_px: Sequence[int] = ()
     depth_m: float | None = None
     values: Sequence[PickedValue] = ()
     about: str = ""
@@ -78,7 +78,7 @@ class Pick:
 
     def is_same_box(self, other: Pick) -> bool:
         """Return whether both are the same part of the same picture."""
-        return self.kind == "box" and (self.topic, self.time, self.pixels) == (other.topic, other.time, other.pixels)
+        return self.kind == "box" and (self.topic, self.time, self.box_px) == (other.topic, other.time, other.box_px)
 
     def with_depth(self, depth_m: float | None, about: str) -> Pick:
         """Return the same box with the depth there."""
@@ -104,14 +104,14 @@ def _place_in_words(pick: Pick) -> str:
 
 def _point_in_words(pick: Pick) -> str:
     where = f"{_metres((pick.x_m, pick.y_m, pick.z_m))} in {named(pick.frame)}"
-    if pick.in_frame and pick.in_frame != pick.frame:
-        where += f", {_metres(pick.in_m)} in {named(pick.in_frame)}"
+    if pick.view_frame and pick.view_frame != pick.frame:
+        where += f", {_metres(pick.view_xyz_m)} in {named(pick.view_frame)}"
     return f"Picked in 3D: a point of {named(pick.topic)} of {pick.time}{_old(pick)}, at {where}."
 
 
 def _box_in_words(pick: Pick) -> str:
-    left, top, right, bottom = pick.pixels
-    width, height = pick.of_pixels
+    left, top, right, bottom = pick.box_px
+    width, height = pick.image_size_px
     frame = f", frame {named(pick.frame)}" if pick.frame else ""
     about = f": {pick.about}" if pick.about else ""
     box = f"pixels x {left} to {right}, y {top} to {bottom} of {width} × {height}"
@@ -186,10 +186,10 @@ def _kept_pick(given: Mapping[str, Any]) -> Pick:
         x_m=x_m,
         y_m=y_m,
         z_m=z_m,
-        in_frame=_name(given["in_frame"]),
-        in_m=_numbers(given["in_m"], _MOST_M, 3 if given["in_m"] else 0),
-        pixels=_pixels(given["pixels"], 4) if is_box else (),
-        of_pixels=_pixels(given["of_pixels"], 2) if is_box else (),
+        view_frame=_name(given["view_frame"]),
+        view_xyz_m=_numbers(given["view_xyz_m"], _MOST_M, 3 if given["view_xyz_m"] else 0),
+        box_px=_pixels(given["box_px"], 4) if is_box else (),
+        image_size_px=_pixels(given["image_size_px"], 2) if is_box else (),
         depth_m=_maybe(given["depth_m"], _MOST_M),
         values=_values(given["values"]),
         about=_name(given["about"]),
@@ -202,7 +202,7 @@ def _kept_pick(given: Mapping[str, Any]) -> Pick:
 def picks_of(given: Any) -> Sequence[Pick]:
     """Parse a page's JSON into picks. Raises `BadInput` if it is not valid."""
     if not isinstance(given, list):
-        raise BadInput("These are no picks.")
+        raise BadInput("These are not picks.")
     return [_pick(one) for one in cast("list[Any]", given)[-MOST_PICKS:]]
 
 
@@ -211,7 +211,7 @@ def _pick(given: Any) -> Pick:
         fields = cast("Mapping[str, Any]", dict(given))
         return _KINDS[fields.get("kind", "place")](fields)
     except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise BadInput("This is no pick.", str(error)) from error
+        raise BadInput("This is not a pick.", str(error)) from error
 
 
 def _place(fields: Mapping[str, Any]) -> Pick:
@@ -241,8 +241,8 @@ def _point(fields: Mapping[str, Any]) -> Pick:
         x_m=x_m,
         y_m=y_m,
         z_m=z_m,
-        in_frame=_name(fields["in_frame"]),
-        in_m=_numbers(fields["in"], _MOST_M, 3),
+        view_frame=_name(fields["in_frame"]),
+        view_xyz_m=_numbers(fields["in"], _MOST_M, 3),
     )
 
 
@@ -258,8 +258,8 @@ def _box(fields: Mapping[str, Any]) -> Pick:
         age_s=age_s,
         topic=_name(fields["topic"]),
         frame=_name(fields["frame"]),
-        pixels=(left, top, right, bottom),
-        of_pixels=(width, height),
+        box_px=(left, top, right, bottom),
+        image_size_px=(width, height),
     )
 
 

@@ -18,11 +18,12 @@ import anyio
 from ros2_mcp.model.errors import BadInput, NotFound, RobotError
 from ros2_mcp.model.text import visible, visible_json
 from ros2_mcp.model.times import iso_time
+from ros2_mcp.ops.sources.from_before import FromBefore
 from ros2_mcp.ops.sources.newest import NewestOfRobot
 from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.robot import Robot
 from ros2_mcp.view.acting import Acting
-from ros2_mcp.view.look import Chunks, Content, Look, PageContext, Panel
+from ros2_mcp.view.look import MOST_NAMED, Chunks, Content, Look, PageContext, Panel
 from ros2_mcp.view.panels import panel_types
 from ros2_mcp.view.panels.image import ImagePanel
 from ros2_mcp.view.picks import Pick, keep, picks_of
@@ -171,13 +172,14 @@ class View:
         until_ns = self._until_ns
         at = f", at {iso_time(until_ns)}" if until_ns is not None else ""
         seen = [shown for shown in self._shown.values() if shown.asked_at > self.asked_at - _UNWANTED_S]
+        now_ns = self._look("").now_ns
         return PageState(
             id=self.id,
             who=self.who,
             subject=f"{subject}{at}",
             is_open=is_open,
             asked_at=self._told_at,
-            shows=[_told(one.panel, one.content) for one in seen if one.panel.name != "robot"],
+            shows=[_told(one.panel, one.content, now_ns) for one in seen if one.panel.name != "robot"],
             picks=self.picks,
         )
 
@@ -187,7 +189,7 @@ class View:
         for pick in picks:
             old = next((one for one in self.picks if one.is_same_box(pick)), None)
             if pick.kind == "box" and not old:
-                old = pick.with_depth(*await self._images.depth_within(pick.topic, pick.time, pick.pixels))
+                old = pick.with_depth(*await self._images.depth_within(pick.topic, pick.time, pick.box_px))
             found.append(old or pick)
         self.picks = found
 
@@ -375,11 +377,14 @@ async def press(acting: Acting, robot: Robot) -> Mapping[str, Any]:
     }
 
 
-def _told(panel: Panel, content: Content | None) -> str:
-    """Return one line for the model: what a panel shows."""
+def _told(panel: Panel, content: Content | None, now_ns: int) -> str:
+    """Return one line for the model: what a panel shows, and how old what is from before."""
     if content is None:
         return f"{panel.name}: nothing yet"
-    told = filter(None, (panel.words(content), str(content.get("why") or "")))
+    old = [str(one) for one in content.get("old") or ()]
+    if content.get("from_before"):
+        old.append(FromBefore.of(1, round(content["at_s"] * 1e9), now_ns).age)
+    told = filter(None, (panel.words(content), *old[:MOST_NAMED], str(content.get("why") or "")))
     return f"{panel.name}: {'; '.join(told) or 'nothing'}"
 
 
@@ -409,11 +414,11 @@ def update_request(arguments: Mapping[str, Any]) -> UpdateRequest:
             at_s=None if at_s is None else _time(at_s),
         )
     except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise BadInput("This is no question of the page.", str(error)) from error
+        raise BadInput("This is not a question of the page.", str(error)) from error
 
 
 def _time(value: Any) -> float:
     at_s = float(value)
     if not 0 <= at_s < 1e11:
-        raise ValueError(f"{at_s} is no time")
+        raise ValueError(f"{at_s} is not a time")
     return at_s

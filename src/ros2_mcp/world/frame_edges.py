@@ -284,7 +284,7 @@ class Edge:
 
     @property
     def lag_ns(self) -> int:
-        """Delay from the newest stamp to the time of receipt of its first message."""
+        """Time from the newest stamp to the receipt of the first message that carried it."""
         return self.moving[-1].received_ns - self.stamps[-1]
 
     def at(self, at_ns: int) -> Told | None:

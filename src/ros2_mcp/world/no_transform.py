@@ -179,11 +179,11 @@ def _missing_edge(tree: FrameTree, target: str, frame: str) -> str:
     below = {tree.root_of(name) for name in tree.frames if name.rpartition("/")[2] in BASES}
     if base and odom and tree.root_of(odom) in roots - below:  # else odom has a base, and another edge is missing
         edge = f"{named(odom)} → {named(base)}"
-        return f"Start the base's controller or the state estimation: nobody publishes {edge}."
+        return f"Start the base's controller or the state estimation: {edge} has no publisher."
     last = {root.rpartition("/")[2]: root for root in roots}
     if "map" in last and "odom" in last:
         edge = f"{named(last['map'])} → {named(last['odom'])}"
-        return f"Start localisation (amcl, slam_toolbox): nobody publishes {edge}."
+        return f"Start localisation (amcl, slam_toolbox): {edge} has no publisher."
     one, other = sorted(roots)
     return f"Publish a transform between {named(one)} and {named(other)}."
 
@@ -240,7 +240,7 @@ def _clock_of(edge: Edge, tree: FrameTree) -> str:
     if abs(ahead_ns) <= _CLOCKS_NS:
         return f"{edge_in_words(edge)} by the robot's (wall time)"
     if is_since_boot(tree, edge):
-        boot = f"{stamp_in_words(edge.stamps[-1])}, in 1970, and nobody publishes /clock"
+        boot = f"{stamp_in_words(edge.stamps[-1])}, in 1970, and /clock has no publisher"
         return f"{edge_in_words(edge)} by the time since its machine started, which is not synchronised ({boot})"
     if edge.stamps[-1] < UNIX_FROM_NS:
         off_ns = ahead_ns + clock_ns if clock_ns else 0

@@ -38,7 +38,7 @@ class ScanPoints:
     beams: int
     invalid: int
     too_close: int
-    reach_m: float
+    range_max_m: float
     step_rad: float
 
     @property
@@ -83,7 +83,7 @@ def scan_points(message: Any) -> ScanPoints:
         beams=len(ranges),
         invalid=len(ranges) - int(valid.sum()),
         too_close=int(too_close.sum()),
-        reach_m=most,
+        range_max_m=most,
         step_rad=abs(step),
     )
 
@@ -107,7 +107,7 @@ def scan_meaning(message: Any, mount: Pose | None = None, base: str = "") -> Sca
         nearest_x_m=None if nearest is None else round(float(seen[nearest, 0]), 3),
         nearest_y_m=None if nearest is None else round(float(seen[nearest, 1]), 3),
         free_m=_free(distances, bearings, points.step_rad),
-        reach_m=round(points.reach_m, 3),
+        range_max_m=round(points.range_max_m, 3),
         beams=points.beams,
         invalid=points.invalid,
         note=_note(points, pose, mount is not None),

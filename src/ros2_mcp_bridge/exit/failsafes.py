@@ -1,4 +1,4 @@
-"""Fail-safes: what the bridge does when the server is gone or silent.
+"""Fail-safes: the actions of the bridge when the server is gone or silent.
 
 It publishes zeros on driven topics, cancels goals and stops vehicles.
 """

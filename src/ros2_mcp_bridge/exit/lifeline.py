@@ -1,10 +1,10 @@
-"""The bridge's ends of the lifelines: starts two stoppers, reports to them what moves, and sends beats
-while this process lives.
+"""The bridge's ends of the lifelines: starts two stoppers, reports moving topics to them, and sends heartbeats while
+this process is alive.
 
 A stopper (`stopper.py`) is another process, which sends the zeros when this one cannot. There are two, so that one of
 them and this process may die together. Each has its own pipe. Only this process holds the writing end, so the kernel
 closes the pipe however this process dies. Each line is a JSON object about one topic, or about a call to be made after
-a death; an empty line is a beat. See docs/decisions/0030-a-second-process-that-stops.md and
+a death; an empty line is a heartbeat. See docs/decisions/0030-a-second-process-that-stops.md and
 0062-a-third-party-that-stops.md.
 """
 
@@ -67,7 +67,7 @@ class Moved(Protocol):
 
 
 class Guarded(NamedTuple):
-    """How long a command waited for the stoppers, in s, and the reason if it is sent without one (else "")."""
+    """The time that a command waited for the stoppers, in s, and the reason if it is sent without one (else "")."""
 
     waited_s: float = 0.0
     problem: str = ""

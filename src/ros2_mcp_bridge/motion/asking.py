@@ -29,17 +29,20 @@ class Asking:
         self._shown: list[FieldPath] = [path for path in single if not path.is_list and not path.type.is_message]
         self._part = part
         self._last: Any = None
+        self._from_before_s: float | None = None
         self.is_met = False
         self.looked_at = 0
         self.undecided = 0
 
-    def ask(self, message: Any) -> bool:
-        """Evaluate the condition on a message. Return whether it is met by this message, or was by an earlier one."""
+    def ask(self, message: Any, from_before_s: float | None = None) -> bool:
+        """Evaluate the condition on a message. Return whether it is met by this message, or was by an earlier one.
+        `from_before_s` is the age of a message that was sent before the subscription.
+        """
         asked = self._part(message)
         if asked is None or self.is_met:
             return self.is_met
         self.looked_at += 1
-        self._last = asked
+        self._last, self._from_before_s = asked, from_before_s
         answer = self._condition.holds(asked)
         self.undecided += answer is None
         self.is_met = bool(answer)
@@ -47,7 +50,7 @@ class Asking:
 
     def report(self) -> Mapping[str, object]:
         """Return as JSON how many messages were evaluated, and the values of the last one, which is
-        the one that met it, if any.
+        the one that met it, if any. `from_before_s` is its age if it was sent before the subscription.
         """
         return {
             "met": self.is_met,
@@ -55,6 +58,7 @@ class Asking:
             "undecided": self.undecided,
             "why_undecided": self._condition.why_undecided(self._last) if self._last is not None else "",
             "values": self._values() if self._last is not None else {},
+            "from_before_s": None if self._from_before_s is None else round(self._from_before_s, 3),
         }
 
     def _values(self) -> Mapping[str, object]:

@@ -53,7 +53,7 @@ class Cancelling:
             raise OperationError("bad_request", f"This condition cannot be asked here: {error}") from error
 
         def ask(message: Any) -> None:
-            asking.ask(message)
+            asking.ask(message, ear.from_before_s)
 
         ear, started = Ear(self._node, self._graph, feed), time.monotonic()
         try:

@@ -1,7 +1,9 @@
-"""How fast a robot may go by what its sensors show: it keeps its distance, and stands before what moves is there.
+"""The speed limit of a motion from its sensors: the robot keeps its distance to obstacles, and stops for what
+approaches.
 
-No ROS. Points are in the base's frame (x ahead, y to the left, z up, m; REP 103). What a beam does not tell is not free
-(REP 117). A scan is read whole, of a cloud what stands between the ground and the top of the robot (`points.py`).
+Needs no ROS. Points are in the base's frame (x ahead, y to the left, z up, m; REP 103). A direction without a valid
+range counts as not free (REP 117). A scan is used whole; of a cloud, only points between the ground and the top of the
+robot (`points.py`).
 """
 
 from __future__ import annotations
@@ -13,28 +15,28 @@ from typing import Any, NamedTuple
 from ros2_mcp_bridge.motion.points import places
 from ros2_mcp_common.language.scans import limits_of, no_bearings
 
-# From a scan to a command at the driver: the scanner's turn, the way, our looks. Chosen, with room.
+# Delay from a scan to a command at the driver: the scanner's turn, the network, our polling. An estimate with room.
 REACTION_S = 0.15
-# What any robot brakes with, m/s² and rad/s². Chosen: half of what small ones do.
+# Deceleration that every robot reaches, m/s² and rad/s²: half of that of small robots.
 BRAKE_MPS2, BRAKE_RADPS2 = 0.5, 1.0
-# What comes near moves so fast at most, m/s (the bar of this controller); what is faster may hit the robot.
+# Assumed maximum speed of moving obstacles, m/s; a faster one may hit the robot.
 OTHERS_MPS = 0.3
-# What is left between a body and what has come near, at least, m: the scan's noise.
+# Minimum distance between body and obstacle, m: the noise of scans.
 MARGIN_M = 0.03
-# Speeds below these (m/s, rad/s) are no motion any more: the guard is hit.
+# Below these speeds (m/s, rad/s) the robot counts as stopped by the guard.
 LEAST_MPS, LEAST_RADPS = 0.02, 0.05
-# The directions of a scan, in parts of a circle; all around the course have to be seen. Chosen: 10°.
+# Number of sectors of the circle (10° each); those around the course must be covered by a sensor.
 SECTORS = 36
-# To each side of the course, sectors.
+# Number of sectors to each side of the course that must be covered.
 SEEN_SECTORS = 2
-# Of a cloud one point is kept in each direction of this size, the nearest: as fine as a common scanner.
+# For a cloud, the nearest point in each direction of this width is kept: the resolution of a common scanner.
 DIRECTION_RAD = math.radians(1.0)
-# Halvings to find the speed: 1/64 of the fastest.
+# Bisection steps to find the speed: to 1/64 of the fastest.
 HALVINGS = 6
 
 
 class Body(NamedTuple):
-    """How far a robot reaches from its base's origin, in m: ahead, back, to the sides, and around when it turns."""
+    """The extent of a robot around the origin of its base, in m: ahead, back, to each side, and as a radius."""
 
     front: float
     rear: float
@@ -42,13 +44,13 @@ class Body(NamedTuple):
     radius: float
 
     def has_inside(self, x: float, y: float) -> bool:
-        """Whether a point is the robot itself."""
+        """Return whether a point lies on the robot itself."""
         return -self.rear <= x <= self.front and abs(y) <= self.side and math.hypot(x, y) <= self.radius
 
 
 class Mount(NamedTuple):
-    """Where a sensor is in the base's frame: a point (a, b, c) of its own is at x = x0 + xx·a + xy·b + xz·c, y and z
-    likewise; m. Of a scan c is 0.
+    """The pose of a sensor in the base's frame, as an offset (m) and a rotation matrix: a point (a, b, c) of the sensor
+    is at x = x0 + xx·a + xy·b + xz·c; y and z likewise. For a scan, c is 0.
     """
 
     x0: float
@@ -66,7 +68,7 @@ class Mount(NamedTuple):
 
     @classmethod
     def of(cls, at: Sequence[float], rotation: Sequence[float]) -> Mount:
-        """From a translation (x, y, z) and a quaternion (x, y, z, w); one that lies on its back is seen, too."""
+        """Return the pose for a translation (x, y, z) and a quaternion (x, y, z, w), which may also be upside down."""
         x, y, z, w = rotation
         x0, y0, z0 = (float(each) for each in at)
         xx, xy, xz = 1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)
@@ -76,8 +78,8 @@ class Mount(NamedTuple):
 
 
 class Near(NamedTuple):
-    """A point beside or before a moving body: how far it may go until it is there, how far the point is beyond its
-    side (both m), and the point's bearing from the base, in rad.
+    """A point beside or ahead of a moving body: the distance to drive until the body is level with it, the point's
+    distance from the side of the body (both m), and its bearing from the base (rad).
     """
 
     ahead: float
@@ -86,7 +88,9 @@ class Near(NamedTuple):
 
 
 class Allowed(NamedTuple):
-    """How fast the robot may go (m/s, or rad/s on the spot), and what of it is nearest; `gap` in m."""
+    """The speed limit (m/s, or rad/s for a turn in place), and the `gap` to the nearest point (m) with its bearing
+    (rad).
+    """
 
     speed: float
     gap: float
@@ -97,8 +101,8 @@ NOTHING_NEAR = math.inf
 
 
 class Clearance:
-    """What the newest message of one sensor shows, and how fast that lets the robot go. `guard_m` is kept free ahead of
-    its body; of a cloud what is between `heights` (m above the base's origin) is in the way.
+    """The newest message of one sensor, and the speed limit that follows from it. `guard_m` is kept free ahead of the
+    body; of a cloud, points between `heights` (m above the base's origin) are obstacles.
     """
 
     def __init__(
@@ -117,8 +121,8 @@ class Clearance:
 
     @classmethod
     def of(cls, asked: Mapping[str, Any], sensor: Mapping[str, Any]) -> Clearance:
-        """From what the server asks for: `guard_m` and `body`, and of the sensor its `mount` as `translation` and
-        `rotation`, and its `heights`.
+        """Return the object for the server's JSON: `guard_m` and `body`, and for the sensor its `mount` (`translation`
+        and `rotation`) and its `heights`.
         """
         body, mount = asked["body"], sensor["mount"]
         low_m, high_m = sensor.get("heights") or (-math.inf, math.inf)
@@ -130,10 +134,10 @@ class Clearance:
         )
 
     def hear(self, message: Any, now: float, along: float = 0.0) -> None:
-        """A sensor_msgs/msg/LaserScan or PointCloud2, heard when the robot was so far `along` its course.
+        """Take in a sensor_msgs/msg/LaserScan or PointCloud2, received when the robot was `along` m into its course.
 
         Raises:
-            ValueError: if it tells no places, with the reason in words: it must not count as heard.
+            ValueError: if it has no usable points, with the reason: the message must not count as received.
         """
         points, seen = self._of_scan(message) if hasattr(message, "ranges") else self._of_cloud(message)
         self._points, self._seen, self.heard_at, self.heard_along = points, seen, now, along
@@ -161,7 +165,9 @@ class Clearance:
         return points, seen
 
     def _of_cloud(self, cloud: Any) -> tuple[list[tuple[float, float]], set[int]]:
-        """As of a scan: the nearest point of each direction is in the way; the ground shows that a way is seen."""
+        """Return obstacles and covered sectors as for a scan: the nearest point of each direction is an obstacle;
+        points on the ground also show that a sector is covered.
+        """
         nearest: dict[int, tuple[float, float, float]] = {}
         seen: set[int] = set()
         mount, body, (low_m, high_m) = self.mount, self.body, self.heights
@@ -180,12 +186,12 @@ class Clearance:
         return [(x, y) for _, x, y in nearest.values()], seen
 
     def shows(self, sector: int) -> bool:
-        """Whether it tells something of that part of the circle (`SECTORS`)."""
+        """Return whether the sensor covers that sector of the circle (one of `SECTORS`)."""
         return sector in self._seen
 
     def allowed(self, fastest: float, curvature: float, direction: int, along: float, now: float) -> Allowed:
-        """How fast it may go (m/s) ahead (`direction` 1) or back (-1) on a circle of that curvature (1/m, left is
-        positive), now that it is so far `along` its course (m).
+        """Return the speed limit (m/s) for driving ahead (`direction` 1) or back (-1) on a circle of that curvature
+        (1/m, left is positive), `along` m into the course.
         """
         gone_m = abs(along - self.heard_along)
         key = (curvature, direction)
@@ -214,7 +220,9 @@ class Clearance:
         return Allowed(speed, gap, nearest.bearing)
 
     def allowed_turn(self, fastest: float, now: float) -> Allowed:
-        """How fast it may turn on the spot (rad/s): nothing comes nearer than the circle that its body sweeps."""
+        """Return the speed limit (rad/s) for a turn in place: no obstacle may come into the circle that the body
+        sweeps.
+        """
         late_s = REACTION_S + max(0.0, now - self.heard_at)
         gap, bearing = min(
             ((math.hypot(x, y) - self.body.radius, math.atan2(y, x)) for x, y in self._points),
@@ -227,7 +235,7 @@ class Clearance:
         return Allowed(_fastest(fastest, is_safe), gap, bearing)
 
     def _directions(self, scan: Any) -> list[tuple[float, float]]:
-        """Cosine and sine of each beam; reckoned once for a scanner."""
+        """Return cosine and sine of each beam, computed once per scanner."""
         key = (scan.angle_min, scan.angle_increment, len(scan.ranges))
         if self._table[0] != key:
             angles = [scan.angle_min + number * scan.angle_increment for number in range(len(scan.ranges))]
@@ -235,7 +243,7 @@ class Clearance:
         return self._table[1]
 
     def _along(self, curvature: float, direction: int) -> list[Near]:
-        """The points that a body on this course may come to; what lies behind it is not among them."""
+        """Return the points that a body on this course can reach; points behind it are not included."""
         return [near for x, y in self._points if (near := self._place(x, y, curvature, direction)) is not None]
 
     def _place(self, x: float, y: float, curvature: float, direction: int) -> Near | None:
@@ -254,37 +262,37 @@ class Clearance:
 
 
 class Guard:
-    """All sensors by which one drive keeps its distance, by their roles: it goes as fast as each of them allows."""
+    """All sensors of one drive, by role: the speed limit is the lowest that any of them allows."""
 
     def __init__(self, clearances: Mapping[str, Clearance]) -> None:
         self._clearances = clearances
 
     def hear(self, role: str, message: Any, now: float, along: float) -> None:
-        """As `Clearance.hear`."""
+        """Take in a message, as `Clearance.hear`."""
         self._clearances[role].hear(message, now, along)
 
     def sees(self, bearing: float) -> bool:
-        """Whether the sensors tell something of that direction (rad) and around it."""
+        """Return whether the sensors cover that direction (rad) and those around it."""
         middle = _sector(bearing)
         around = [(middle + step) % SECTORS for step in range(-SEEN_SECTORS, SEEN_SECTORS + 1)]
         return all(any(one.shows(sector) for one in self._clearances.values()) for sector in around)
 
     def allowed(self, fastest: float, curvature: float, direction: int, along: float, now: float) -> Allowed:
-        """As `Clearance.allowed`, by the sensor that allows least."""
+        """Return the lowest `Clearance.allowed` of all sensors."""
         return min(one.allowed(fastest, curvature, direction, along, now) for one in self._clearances.values())
 
     def allowed_turn(self, fastest: float, now: float) -> Allowed:
-        """As `Clearance.allowed_turn`, by the sensor that allows least."""
+        """Return the lowest `Clearance.allowed_turn` of all sensors."""
         return min(one.allowed_turn(fastest, now) for one in self._clearances.values())
 
 
 def _away(near: Near) -> float:
-    """From the body, m."""
+    """Return the distance from the body, in m."""
     return math.hypot(max(0.0, near.ahead), max(0.0, near.aside))
 
 
 def _fastest(fastest: float, is_safe: Callable[[float], bool]) -> float:
-    """The highest safe speed up to the fastest, by halving; 0 where none is."""
+    """Return the highest safe speed up to `fastest`, found by bisection; 0 if none is safe."""
     if is_safe(fastest):
         return fastest
     low, high = 0.0, fastest

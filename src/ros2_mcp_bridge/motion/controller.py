@@ -33,11 +33,14 @@ class Controller(Protocol):
     why: str
 
     def awaits(self) -> str:
-        """Return in words what has to be received before it can begin; "" if it can."""
+        """Return in words what has not been received that it needs to begin, as "no message came from /odom"; "" if it
+        can begin.
+        """
         ...
 
-    def hear(self, role: str, message: Any, now: float) -> None:
-        """Take in a message of one of its feeds, as rclpy decodes it, and its time of reception.
+    def hear(self, role: str, message: Any, now: float, from_before_s: float | None = None) -> None:
+        """Take in a message of one of its feeds, as rclpy decodes it, its time of reception, and its age if it was sent
+        before the subscription.
 
         If it raises, the message is ignored.
         """

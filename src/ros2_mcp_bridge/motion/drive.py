@@ -95,6 +95,14 @@ class Beat:
         return max(self._periods, default=LONGEST_PERIOD_S)
 
     @property
+    def awaited(self) -> str:
+        """In words, that no message came from it, or too few, or none that can be used."""
+        if self.problem:
+            return f"messages came from {self.topic}, but {'too few' if self.count else 'none'}{self.unusable}"
+        few = f"{self.count} of the {FIRST_MESSAGES} messages that tell its rate"
+        return f"{few if self.count else 'no message'} came from {self.topic}"
+
+    @property
     def unusable(self) -> str:
         """In words, behind "nothing", that what came could not be used; empty where nothing came."""
         return f" that can be used ({self.problem})" if self.problem else ""
@@ -147,7 +155,7 @@ class Standing:
 class Drive:
     """A controller (`controller.py`) that drives along a course.
 
-    `outcome` is `reached`, `guard`, `silent`, `stuck`, `jumped`, `missed` or `time_out`.
+    `outcome` is `reached`, `guard`, `silent`, `stuck`, `jumped`, `missed` or `timeout`.
 
     It is made from the server's JSON: `distance_m` (m), or `angle` (rad) with or without `radius_m`; `speed` (m/s, for
     a turn in place rad/s); `time_limit_s`, and optionally `pauses_s`, by which pauses may prolong it; `odometry` with
@@ -198,15 +206,14 @@ class Drive:
         return self._standing is not None
 
     def awaits(self) -> str:
-        """Topics of which too little has come to know how often they do."""
-        awaited = [beat for beat in self._beats.values() if beat.count < FIRST_MESSAGES]
-        return " and ".join(f"{beat.topic}{beat.unusable}" for beat in awaited)
+        """From which topics too little has come to know how often they send."""
+        return " and ".join(beat.awaited for beat in self._beats.values() if beat.count < FIRST_MESSAGES)
 
     def late_in_s(self, now: float) -> float:
         """See `controller.Controller`."""
         return late_in_s(self._beats.values(), now)
 
-    def hear(self, role: str, message: Any, now: float) -> None:
+    def hear(self, role: str, message: Any, now: float, from_before_s: float | None = None) -> None:  # noqa: ARG002
         """Odometry (whatever has a pose), or a message of a sensor."""
         try:
             if role == "odometry":
@@ -249,7 +256,7 @@ class Drive:
         if self._standing:
             return self._look_where(self._standing, now)
         if now - self._began_at - min(self._paused_s, self._pauses_s) > self._time_limit_s:
-            return self._stand("time_out", f"The time limit of {self._time_limit_s:.0f} s was reached.", now)
+            return self._stand("timeout", f"The time limit of {self._time_limit_s:.0f} s was reached.", now)
         if self._is_stuck(now):
             topic = self._beats["odometry"].topic
             return self._stand("stuck", _stuck(topic), now)
@@ -428,7 +435,7 @@ class Drive:
         assert self._course
         if self._ending:
             self.outcome = self._ending
-            if self._ending == "time_out" and self._is_there(self._course.place(pose), BAR_M, BAR_RAD):
+            if self._ending == "timeout" and self._is_there(self._course.place(pose), BAR_M, BAR_RAD):
                 self.outcome, self.why = "reached", ""
             return None
         course = self._squaring or self._course

@@ -39,7 +39,7 @@ FIRST_HEARD_S = 5.0
 TELL_EVERY_S = 0.5
 # The path of the velocity in types with a header.
 _INNER = {"geometry_msgs/msg/TwistStamped": "twist.", "ackermann_msgs/msg/AckermannDriveStamped": "drive."}
-NOBODY = "Nobody listens to this command input: nothing was sent."
+NOBODY = "This command input has no subscriber: nothing was sent."
 
 
 class Motion:
@@ -68,7 +68,7 @@ class Motion:
             if not awaited and not any(ear.is_settling for _, ear in self._ears):
                 return True
             if time.monotonic() > deadline:
-                self._end("silent", f"No message from {awaited} within {FIRST_HEARD_S:g} s: nothing was sent.")
+                self._end("silent", f"In {FIRST_HEARD_S:g} s {awaited}: nothing was sent.")
                 return False
             yield LOOK_S
 
@@ -78,7 +78,7 @@ class Motion:
         The first command that moves, and the zero after it, are sent at once.
         """
         if not publisher.matched():
-            self._end("nobody_listens", NOBODY)
+            self._end("no_subscriber", NOBODY)
             return
         self.started = due = told_at = time.monotonic()
         moves = False
@@ -90,7 +90,7 @@ class Motion:
                 self._end(self.controller.outcome, self.controller.why)
                 return
             if now - self.started > self._for_s:
-                self._end("time_out", f"The duration of {self._for_s:g} s is over.")
+                self._end("timeout", f"The duration of {self._for_s:g} s is over.")
                 return
             if now >= due or moves != any(velocity.values()):
                 self.late += int((now - due) / self._period_s) if now > due else 0
@@ -110,7 +110,11 @@ class Motion:
 
     def _hear(self) -> None:
         for role, ear in self._ears:
-            ear.hear(lambda message, role=role, ear=ear: self.controller.hear(role, message, ear.received_at))
+
+            def take_in(message: Any, role: str = role, ear: Ear = ear) -> None:
+                self.controller.hear(role, message, ear.received_at, ear.from_before_s)
+
+            ear.hear(take_in)
 
     def _publish(self, publisher: Publisher, velocity: Velocity) -> bool:
         """Publish one command. Return False if the policy refuses it; if it refuses the first one, raise."""

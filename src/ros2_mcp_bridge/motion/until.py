@@ -110,11 +110,11 @@ class Until:
         )
 
     def awaits(self) -> str:
-        """Return the topics of which too few messages have come; "" if the condition is met already."""
+        """Return from which topics too few messages have come; "" if the condition is met already."""
         if self._asking.is_met:
             return ""
         return " and ".join(
-            f"{beat.topic}{beat.unusable}"
+            beat.awaited
             for role, beat in self._beats.items()
             if beat.count < FIRST_MESSAGES and not (role == "condition" and self._may_be_silent)
         )
@@ -123,7 +123,7 @@ class Until:
         """See `controller.Controller`."""
         return late_in_s(self._beats.values(), now)
 
-    def hear(self, role: str, message: Any, now: float) -> None:
+    def hear(self, role: str, message: Any, now: float, from_before_s: float | None = None) -> None:
         """Take in odometry, or a message on which to evaluate the condition."""
         if role == "odometry":
             try:
@@ -131,7 +131,7 @@ class Until:
             except ValueError as error:
                 self._beats[role].problem = str(error)
                 raise
-        elif self._asking.ask(message) and self._met_at is None:
+        elif self._asking.ask(message, from_before_s) and self._met_at is None:
             self._met_at = now
         self._beats[role].heard(now)
 

@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from ros2_mcp_bridge.loop import Seldom
 from ros2_mcp_bridge.request import OperationError, Request, Steps
@@ -49,11 +49,19 @@ class Heard(Protocol):
         ...
 
 
+class _Plan(NamedTuple):
+    """The topic of the path that the robot's own software follows."""
+
+    topic: str
+    type: str = "nav_msgs/msg/Path"
+
+
 class Ear:
     """A subscription to one feedback topic, which follows its publishers as they come and go.
 
     While it passes a message on, `received_at` is when the middleware received it (monotonic, s): it
-    may have waited since then.
+    may have waited since then. `from_before_s` is its age by its publisher's clock if it was sent before the
+    subscription, else None.
     """
 
     def __init__(self, node: Node, graph: Graph, heard: Heard) -> None:
@@ -63,6 +71,7 @@ class Ear:
         self._source = FollowedSource(node, graph, request)
         self._has_failed = False
         self.received_at = 0.0
+        self.from_before_s: float | None = None
         self._subscription: RawSubscription | None = None
         self._old: NewestOfOld[Sample] | None = None
 
@@ -73,7 +82,8 @@ class Ear:
         """
         deadline = time.monotonic() + HEARS_AT_MOST_S
 
-        def decode(sample: Sample) -> None:
+        def decode(sample: Sample, is_old: bool) -> None:
+            self.from_before_s = max((time.time_ns() - sample.source_ns) / 1e9, 0.0) if is_old else None
             waited_s = (time.time_ns() - sample.received_ns) / 1e9  # by a clock that may have been set
             self.received_at = time.monotonic() - min(max(waited_s, 0.0), WAITED_AT_MOST_S)
             with suppress(Exception):  # a message may be broken, and its type may lack fields
@@ -81,14 +91,14 @@ class Ear:
 
         def pass_on(sample: Sample) -> None:
             for one in self._old.passed(sample, time.monotonic()) if self._old else (sample,):
-                decode(one)
+                decode(one, is_old=one is not sample)
 
         try:
             self._resubscribe()
             if self._subscription is not None:
                 self._subscription.drain(pass_on, lambda: time.monotonic() > deadline)
             for one in self._old.due(time.monotonic()) if self._old else ():
-                decode(one)
+                decode(one, is_old=True)
         except rcl.RCLError as error:
             if not self._has_failed:
                 sys.stderr.write(f"{self._topic} cannot be heard: {error}\n")  # once
@@ -114,13 +124,27 @@ class Ear:
 class Watching:
     """The watchdog of one bridge: receives feedback, judges it, and if it finds something stops the
     robot and sets the latch.
+
+    Before a keep-out zone `keep_out` is called instead, which ends what drives the robot, without the latch. `began`
+    gets the watchdog when it begins.
     """
 
-    def __init__(self, node: Node, graph: Graph, *, latch: Latch, stop: Callable[[], object]) -> None:
+    def __init__(
+        self,
+        node: Node,
+        graph: Graph,
+        *,
+        latch: Latch,
+        stop: Callable[[], object],
+        keep_out: Callable[[str], object] = lambda _: None,
+        began: Callable[[Watchdog], object] = lambda _: None,
+    ) -> None:
         self._node = node
         self._graph = graph
         self._latch = latch
         self._stop = stop
+        self._keep_out = keep_out
+        self._began = began
 
     def watch(
         self,
@@ -135,12 +159,11 @@ class Watching:
         if speed is None and pose is None:
             return
         watchdog = Watchdog(speed, pose)
+        self._began(watchdog)
+        plans = {keep_out.plan for keep_out in pose.keep_out if keep_out.plan} if pose else set[str]()
+        sources = [(speed, _speed_to), (pose, _pose_to), *((_Plan(topic), _plan_to) for topic in sorted(plans))]
         try:
-            ears = [
-                (Ear(self._node, self._graph, rule), take(watchdog))
-                for rule, take in ((speed, _speed_to), (pose, _pose_to))
-                if rule
-            ]
+            ears = [(Ear(self._node, self._graph, rule), take(watchdog)) for rule, take in sources if rule]
         except OperationError as error:  # without its type nothing is received, so that nothing can drive for long
             sys.stderr.write(f"the watchdog hears nothing: {error}\n")
             ears = []
@@ -149,7 +172,10 @@ class Watching:
             for ear, take in ears:
                 ear.hear(take)
 
-        yield from rounds(watchdog, hear, is_driven, self._end, by_goal=by_goal)
+        def end(found: str) -> None:
+            (self._end if watchdog.latches else self._keep_out)(found)
+
+        yield from rounds(watchdog, hear, is_driven, end, by_goal=by_goal)
 
     def _end(self, found: str) -> None:
         """Send zeros, then set the latch: in memory at once, in its file on another thread, because writing
@@ -192,3 +218,7 @@ def _pose_to(watchdog: Watchdog) -> Callable[[Any], None]:
         watchdog.heard_pose(message, getattr(header, "frame_id", ""), time.monotonic())
 
     return take
+
+
+def _plan_to(watchdog: Watchdog) -> Callable[[Any], None]:
+    return watchdog.heard_plan

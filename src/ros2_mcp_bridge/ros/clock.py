@@ -103,9 +103,9 @@ class RobotClock:
                 self._heard_ns = stamp.sec * NS_PER_S + stamp.nanosec
 
     def _has_simulated(self, topic: str) -> bool:
-        """Compare by the nodes' names, or by their participants while discovery has not reported a name yet.
+        """Compare by the names of the nodes, or by their participants while discovery has not reported a name yet.
 
-        All bridges are left out: they subscribe to whatever an agent wants to see.
+        Bridges are ignored: they subscribe to whatever an agent reads.
         """
         listening = [info for info in self._graph.subscribers(topic) if not participants.is_bridge(info)]
         clocked = [info for info in self._graph.subscribers(CLOCK) if not participants.is_bridge(info)]

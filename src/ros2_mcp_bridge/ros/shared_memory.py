@@ -1,8 +1,8 @@
-"""Detecting that the shared memory through which messages come has been replaced.
+"""Detection of a replaced shared-memory segment, through which messages would otherwise arrive.
 
-Fast DDS lets a participant receive through `/dev/shm/fastrtps_portN`, where N is the UDP port that it would use for the
-same. Another process that takes the file for that of a dead process may replace it, most often soon after a killed
-process was replaced. Then nothing arrives any more, permanently.
+Fast DDS lets a participant receive through `/dev/shm/fastrtps_portN`, where N is the UDP port that it would use
+otherwise. Another process that takes the file for that of a dead process may replace it, most often soon after a killed
+process was replaced. Then no message arrives any more, permanently.
 """
 
 from __future__ import annotations

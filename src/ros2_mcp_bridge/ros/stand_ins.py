@@ -1,7 +1,7 @@
-"""Stand-ins for the classes of messages whose packages are not installed here: for raw bytes, and for no more.
+"""Stand-ins for message classes whose packages are not installed here, for reading raw bytes only.
 
-rclpy subscribes with a type support, which is compiled code of the package. For bytes that nobody here decodes, Fast
-DDS needs only the type's name of it: the rest is borrowed from a type that every installation has (decision 70).
+rclpy subscribes with a type support, which is compiled code of the package. For bytes that are not decoded here, Fast
+DDS needs only the name of the type; the rest is borrowed from a type that every installation has (decision 70).
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from rclpy.utilities import get_rmw_implementation_identifier
 from ros2_mcp_bridge.request import OperationError
 from ros2_mcp_bridge.ros import interfaces
 
-# Its messages have no greatest size, as any that it stands for may have.
+# A type of unbounded size, because the missing type may be unbounded.
 _LENDER = "rcl_interfaces/msg/Log"
 _MIDDLEWARE, _SUPPORT = "rmw_fastrtps_cpp", b"rosidl_typesupport_fastrtps_c"
-# The layout below is that of distributions that have this package, from Iron on.
+# Distributions that have this package (from Iron on) use the layout below.
 _SINCE = "type_description_interfaces"
 _HASH_BYTES = 33
 
@@ -41,7 +41,7 @@ class _TypeSupport(ctypes.Structure):
 
 
 class _Callbacks(ctypes.Structure):
-    """`message_type_support_callbacks_t`: the name of a type, and functions that raw bytes never reach."""
+    """`message_type_support_callbacks_t`: the name of a type, and functions that are never called for raw bytes."""
 
     _fields_ = (
         ("namespace", ctypes.c_char_p),
@@ -50,14 +50,15 @@ class _Callbacks(ctypes.Structure):
     )
 
 
-# Never forgotten: Fast DDS keeps pointers into them for as long as there is a participant.
+# Never deleted: Fast DDS keeps pointers into them for as long as there is a participant.
 _made: dict[str, tuple[Any, ...]] = {}
 
 
 def load_to_read(type_name: str) -> Any:
-    """`interfaces.load`; of a type that is not installed a stand-in, for `rcl.subscription` alone.
+    """Return the class as `interfaces.load` does; for a type that is not installed, a stand-in, usable for
+    `rcl.subscription` only.
 
-    Raises `OperationError` of kind `unknown_type` where the middleware takes none.
+    Raises `OperationError` of kind `unknown_type` if the middleware does not accept a stand-in.
     """
     if type_name not in _made:
         try:
@@ -88,7 +89,9 @@ def _make(type_name: str) -> tuple[Any, ...]:
     own, front = _TypeSupport.from_buffer_copy(lent), _TypeSupport.from_buffer_copy(choosing)
 
     def find(_handle: int, wanted: bytes) -> int:
-        """What Fast DDS wants besides is a description of the type for tools of its own, which are told Log's."""
+        """Return the type support for an identifier. Fast DDS also requests a description of the type for its own
+        tools; it gets that of Log.
+        """
         return ctypes.addressof(own) if wanted == _SUPPORT else choosing.find(address, wanted)
 
     def no_hash(_handle: int) -> int:

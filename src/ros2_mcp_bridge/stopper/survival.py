@@ -1,8 +1,8 @@
-"""What lets a stopper survive its bridge: a name of its own in the process list, and protection by the kernel.
+"""Measures that let a stopper survive its bridge: its own name in the process list, and protection by the kernel.
 
-A forked process has the command line of its parent, so `pkill -f` would end both, and the out-of-memory
-killer and swapping would treat both alike. Each function does as much as the kernel permits; without the
-rights, the others still work.
+A forked process has the command line of its parent, so `pkill -f` would end both, and the out-of-memory killer and
+swapping would treat both alike. Each function does as much as the kernel permits; without the rights, the others still
+work.
 """
 
 from __future__ import annotations

@@ -131,7 +131,7 @@ class Clients:
             service, type_name = request.text("service"), request.text("type")
             ends = ended_by(service, type_name, message)
             if ends is None:
-                problem = f"{service} cancels no goals, nor does it make a vehicle stand: it cannot be left."
+                problem = f"{service} neither cancels goals nor stops a vehicle, so it cannot be a fail-safe."
                 raise OperationError("bad_request", problem)
 
             def call_if_ready() -> Future | None:
@@ -161,10 +161,10 @@ class Clients:
         try:
             message = rcl.deserialize(request.body, request.interface.Request)
         except Exception as error:  # the middlewares raise errors of many kinds
-            problem = f"{request.op}: the body is no request of {type_name}: {error}"
+            problem = f"{request.op}: the body is not a request of {type_name}: {error}"
             raise OperationError("bad_request", problem) from error
         if request.flag("brakes") and not brakes(service, type_name, message):
-            raise OperationError("bad_request", f"{service} is not asked to make a vehicle stand: it is an order.")
+            raise OperationError("bad_request", f"This request to {service} does not stop a vehicle: it is an order.")
         stamps.zero(message)  # in any case, a trajectory begins when it arrives
         self._limiter.check_call(request, message, leaves=False)  # before anything is created, or waited for
         create = partial(rcl.client, self._node, request.interface, service, MANY_AT_ONCE)

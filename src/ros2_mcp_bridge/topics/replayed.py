@@ -1,4 +1,4 @@
-"""What a latched topic replays to a new subscriber: of the messages sent before, only the newest counts. Needs no ROS.
+"""The newest of the messages that a latched topic replays to a new subscriber; older ones are dropped. Needs no ROS.
 
 A transient_local publisher with a depth above 1 sends a new subscriber the messages that it kept, oldest first. A
 condition evaluated on them would be true of the past.
@@ -43,7 +43,9 @@ class NewestOfOld(Generic[S]):
         self.left_out = 0
 
     def passed(self, sample: S, now: float) -> Sequence[S]:
-        """Return the samples to pass on after this one has come: it alone, it after the one held back, or none."""
+        """Return the samples to pass on after this one was received: this one alone, the held-back one and this one, or
+        none.
+        """
         self._has_come = True
         if not 0 < sample.source_ns < self._opened_ns:
             return [*self._release(), sample]

@@ -65,7 +65,7 @@ _ALL_ELEMENTS = re.compile(r"""('(?:\\.|[^'\\])*'|"(?:\\.|[^"\\])*")|\[\s*\*\s*\
 
 
 class ConditionError(ValueError):
-    """Raised for a text that is no condition; the hint says what is allowed.
+    """Raised for a text that is not a valid condition; the hint says what is allowed.
 
     A missing field raises `PathError` instead.
     """
@@ -191,7 +191,7 @@ class _Term:
 
     @property
     def hint(self) -> str:
-        """How to use the term if it cannot be compared or computed with as it is."""
+        """A hint on how to write the term if it cannot be compared or computed with as it is."""
         hints = {
             "message": "Name one of its fields.",
             "list": "Pick an element, such as [0], or use min(), max(), len(), any() or all().",
@@ -411,7 +411,7 @@ def _plain(values: Any) -> Any:
 
 def _square_root(value: float) -> float:
     if value < 0:
-        raise Undecided(f"sqrt() of {value:g} is no number.")
+        raise Undecided(f"sqrt() of {value:g} is not a number.")
     return math.sqrt(value)
 
 
@@ -419,7 +419,7 @@ def _yaw(quaternion: Any) -> float:
     """Return the heading in rad, -π to π, counterclockwise about z. The quaternion may have any length."""
     x, y, z, w = (float(getattr(quaternion, name)) for name in "xyzw")
     if not any((x, y, z, w)):
-        raise Undecided("yaw() of a quaternion of zeros is no direction.")
+        raise Undecided("yaw() of a quaternion of zeros is not a direction.")
     return yaw_rad(x, y, z, w)
 
 

@@ -32,7 +32,7 @@ class NoRange(Exception):
 
 
 def no_bearings(scan: Any) -> str:
-    """Why the beams of a scan have no bearings, in words; empty where they have."""
+    """Return why the beams of a scan have no bearings, as a sentence; empty if they have."""
     count, step = len(scan.ranges), scan.angle_increment
     if why := not_finite(scan, "angle_min", "angle_increment"):
         return why
@@ -55,8 +55,8 @@ def _contradiction(first: float, last: float, step: float, count: int) -> str:
 
 
 def limits_of(scan: Any) -> tuple[float, float]:
-    """The least and the greatest range (m) that a scan says it can measure; 0 and infinite where it has none that is a
-    positive number: some drivers leave them at 0.
+    """Return the minimum and maximum range (m) of a scan; 0 and infinity for a limit that is not a positive number:
+    some drivers leave them at 0.
     """
     least, most = float(scan.range_min), float(scan.range_max)
     return (
@@ -76,7 +76,7 @@ def nearest_range(scan: Any, from_deg: float, to_deg: float) -> float:
         NoRange: if the scan has no bearings, no ray points there, or none of those that do has a measurement.
     """
     if not (math.isfinite(from_deg) and math.isfinite(to_deg)):
-        raise NoRange("the angles that are asked for are not finite.")
+        raise NoRange("the requested angles are not finite.")
     if why := no_bearings(scan):
         raise NoRange(f"the scan has no bearings: {why}.")
     ranges = scan.ranges

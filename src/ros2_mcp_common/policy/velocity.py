@@ -6,6 +6,7 @@ Server and bridge share them. Needs no ROS.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from typing import Any
 
 VELOCITY_TYPES: Mapping[str, bool] = {
     "geometry_msgs/msg/Twist": False,
@@ -23,3 +24,15 @@ measured joint positions ends it.
 """
 MOTION_TYPES: frozenset[str] = frozenset((*VELOCITY_TYPES, *HOLD_TYPES))
 """All types for which the message that ends the motion is known."""
+
+
+def planar(message: Any) -> tuple[float, float, float]:
+    """Return the speeds of a velocity command, decoded by rclpy: forward and left in m/s, and to the left in rad/s.
+
+    How fast a car turns depends on its wheelbase, which is not in its command: 0.
+    """
+    for name in ("twist", "drive"):
+        message = getattr(message, name, message)
+    if hasattr(message, "speed"):
+        return float(message.speed), 0.0, 0.0
+    return float(message.linear.x), float(message.linear.y), float(message.angular.z)

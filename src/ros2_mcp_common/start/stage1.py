@@ -127,7 +127,7 @@ def main() -> None:
 
 
 def _become_newer() -> None:
-    """Go on as a newer Python, if a later one on PATH is newer; the alarm goes on, too."""
+    """Replace this process by a newer Python, if PATH has one; the alarm stays set."""
     own_text = globals().get("line")  # as received by the line of Python that executed this
     newer = _newer_python() if own_text else None
     if newer and own_text:

@@ -1,1 +1,1 @@
-"""What crosses between server and bridge: packets, their pieces, the types of requests and replies, and every limit."""
+"""The protocol between server and bridge: packets, their pieces, the types of requests and replies, and all limits."""

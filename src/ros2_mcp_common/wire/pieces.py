@@ -36,7 +36,7 @@ RATE_KEPT_S = 5.0
 
 
 class Credit:
-    """How many bytes of pieces may still be written: a limited number may be under way without being acknowledged.
+    """The bytes of pieces that may still be written: only a limited number may be unacknowledged.
 
     The limit is `least_bytes`, or a little more than the link carried in its shortest round trip. With less, a fast
     link with a long round trip would idle; with more, small packets would wait behind large ones.
@@ -54,7 +54,7 @@ class Credit:
 
     @property
     def window_bytes(self) -> int:
-        """How many bytes may be under way."""
+        """The maximum number of unacknowledged bytes."""
         if not self._rates:
             return self._least_bytes
         carried = int(GAIN * self._rates[0][1] * self._rtt_s) + SPARE_BYTES
@@ -108,7 +108,7 @@ class Cut:
 
     @property
     def left_bytes(self) -> int:
-        """How many bytes have not been sent."""
+        """The number of bytes not sent yet."""
         return len(self._rest)
 
     def take(self) -> tuple[bytes, int]:

@@ -63,8 +63,8 @@ class SampleHead(NamedTuple):
 
 
 class Counts(TypedDict):
-    """How many messages of a subscription were received, dropped by the bridge and lost before;
-    `lost` is None if not known.
+    """The numbers of messages of a subscription that were received, dropped by the bridge, and lost before the bridge;
+    `lost` is None if unknown.
     """
 
     received: int
@@ -137,6 +137,13 @@ class LatchSet(TypedDict):
     own: bool
 
 
+class KeptOut(TypedDict):
+    """The `kept_out` event: what drove the robot towards a keep-out zone was ended; `reason` says where."""
+
+    event: Literal["kept_out"]
+    reason: str
+
+
 class MotionProgress(TypedDict):
     """The `motion` event: the current report of the controller of the motion of that name."""
 
@@ -145,7 +152,7 @@ class MotionProgress(TypedDict):
     report: dict[str, object]
 
 
-Told = FrameIdChanged | Lapsed | LatchSet | MotionProgress | RepeatBegun | Spent | StopperEvent
+Told = FrameIdChanged | KeptOut | Lapsed | LatchSet | MotionProgress | RepeatBegun | Spent | StopperEvent
 """The events of the bridge besides `hello` and samples."""
 
 
@@ -189,12 +196,12 @@ class Cancelled(TypedDict):
     cancelled: bool
 
 
-EndedBy = Literal["", "cancel", "stop", "lease", "latch", "stopper"]
+EndedBy = Literal["", "cancel", "stop", "lease", "latch", "stopper", "keep_out"]
 
 
 class Ended(TypedDict):
-    """What ended the request early: a request `cancel`, the request `stop`, a lapsed link lease, the latch,
-    or the death of a stopper.
+    """The reason why a request ended early: a request `cancel`, the request `stop`, a lapsed link lease, the latch, or
+    the death of a stopper.
     """
 
     ended_by: EndedBy
@@ -204,10 +211,10 @@ class Ended(TypedDict):
 
 
 class PingReply(TypedDict):
-    """How long ago the ROS thread made its last turn (s), the robot's clock at the answer (Unix time, ns), and
-    the `sent_ns` of the ping.
+    """The time since the last turn of the ROS thread (s), the robot's clock at the answer (Unix time, ns), and the
+    `sent_ns` of the ping.
 
-    `steady_s` is the robot's steady clock then. Over a network, the next ping returns it as `heard_s`.
+    `steady_s` is the robot's steady clock at that time. Over a network, the next ping returns it as `heard_s`.
     """
 
     ros_idle_s: float
@@ -312,15 +319,15 @@ class PolicyReply(TypedDict):
 
 
 class Guarded(TypedDict):
-    """How long the request waited for the stoppers (s), and why it went on without one ("" if it did not)."""
+    """The time that the request waited for the stoppers (s), and why it continued without one ("" if it did not)."""
 
     stopper_s: float
     unguarded: str
 
 
 class PublishReply(Guarded):
-    """How many subscribers matched, how many of them are this server's own (`ours`), and whether
-    all acknowledged (`acked`).
+    """The number of matched subscribers, the number of those that belong to this server (`ours`), and whether all
+    acknowledged (`acked`).
 
     `acked` is None if a subscriber does not acknowledge. `limited` is 1 if the values were reduced to the policy's
     limits. `hold_s` is the time after which the policy sends the zero, 0 if it does not. `endpoints` are the counts of
@@ -388,7 +395,7 @@ class RelayReply(RelayEnd, Ended):
 
 
 class RelayFeedReply(TypedDict):
-    """How many messages have passed so far."""
+    """The number of messages published so far."""
 
     passed: int
 
@@ -400,7 +407,7 @@ class RelaysReply(TypedDict):
 
 
 class RelayStopReply(TypedDict):
-    """How many relays were ended."""
+    """The number of relays that were ended."""
 
     relays: int
 
@@ -425,7 +432,9 @@ class ZeroReply(TypedDict):
 
 
 class StopReply(ZeroReply):
-    """How many requests were ended, and which accepted requests were dropped before they left: (operation, name)."""
+    """The numbers of ended repeats and relays, and the accepted requests that were dropped before they were sent:
+    (operation, name).
+    """
 
     repeats: int
     relays: int
@@ -445,7 +454,7 @@ class JointsReply(TypedDict):
 
 
 class CallReply(TypedDict):
-    """How long the call took, in s; the body is the CDR of the response."""
+    """The duration of the call, in s; the body is the CDR of the response."""
 
     waited_s: float
     elapsed_s: float

@@ -13,8 +13,9 @@ GPS_ERROR_M = 0.02
 
 
 class DroneSimulation:
-    """`now` is the simulated time in s; `speedup` is the simulated seconds per real second (SIM_SPEEDUP of
-    ArduPilot)."""
+    """The drone without ROS: `now` is the simulated time in s; `speedup` is the simulated seconds per real second
+    (SIM_SPEEDUP of ArduPilot).
+    """
 
     def __init__(self, seed=7):
         air, self._sensors = (np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(2))

@@ -7,6 +7,7 @@ import array
 import math
 import random
 
+import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
@@ -18,6 +19,7 @@ from ..nodes.convert import diagonal, place, transform
 from ..nodes.lifecycle_part import LifecyclePart
 from ..nodes.part import RobotPart
 from ..simulation import MAP_RESOLUTION
+from . import map_files
 from .servers import Managed, declare
 
 RATE = 5.0
@@ -25,6 +27,8 @@ TOLERANCE_S = 1.0
 """Time by which AMCL stamps its transform in the future."""
 DEVIATION_M = (0.30, 0.45)
 """Standard deviations that a healthy AMCL reports."""
+CORRECTS_M, CORRECTS_RAD = 0.5, math.radians(25)
+"""Errors of an initial pose that AMCL's particles still cover."""
 UNKNOWN_FROM_M = 4.9
 """The x in m from which the map is unknown, if that fault is planted."""
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -33,10 +37,12 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 class MapServer(Managed, LifecyclePart):
     """Publishes the map when it is activated: latched or, with a planted fault, volatile."""
 
-    def __init__(self, robot, namespace):
+    def __init__(self, robot, namespace, loading):
         super().__init__("map_server", robot, namespace)
         declare(self, {"yaml_filename": "room.yaml", "frame_id": "map"})
         self._publisher = self.create_publisher(OccupancyGrid, "map", LATCHED)
+        self._loaded = None
+        self.create_service(loading, "map_server/load_map", self._load)
 
     def publish_as(self, durability):
         """Publish with another durability from now on."""
@@ -52,14 +58,62 @@ class MapServer(Managed, LifecyclePart):
 
     def publish(self):
         """Publish the map."""
-        cells, origin = self.robot.map
+        self._publisher.publish(self._message())
+
+    def _message(self):
+        cells, resolution, origin = self._loaded or (self.robot.map[0], MAP_RESOLUTION, self.robot.map[1])
         stamp = self.get_clock().now().to_msg()
         message = self.headed(OccupancyGrid(), stamp, "map")
-        message.info.map_load_time, message.info.resolution = stamp, MAP_RESOLUTION
+        message.info.map_load_time, message.info.resolution = stamp, resolution
         message.info.height, message.info.width = cells.shape
         message.info.origin.position.x, message.info.origin.position.y = origin
         message.data = array.array("b", cells.tobytes())
-        self._publisher.publish(message)
+        return message
+
+    def _load(self, request, response):
+        """Load a map from a file. Costmaps, planner and localisation of this robot keep the room's own."""
+        if not self.is_active:
+            response.result = response.RESULT_UNDEFINED_FAILURE
+            return response
+        try:
+            self._loaded = map_files.read(request.map_url.removeprefix("file://"))
+        except FileNotFoundError:
+            response.result = response.RESULT_MAP_DOES_NOT_EXIST
+        except (KeyError, ValueError):
+            response.result = response.RESULT_INVALID_MAP_METADATA
+        except OSError:
+            response.result = response.RESULT_INVALID_MAP_DATA
+        else:
+            response.map = self._message()
+            response.result = response.RESULT_SUCCESS
+            self._publisher.publish(response.map)
+        return response
+
+
+class MapSaver(RobotPart):
+    """Serves map_saver/save_map: writes the newest map of a topic to files."""
+
+    def __init__(self, robot, namespace, saving):
+        super().__init__("map_saver", robot, namespace)
+        self._map = None
+        self.create_subscription(OccupancyGrid, "map", self._hear, LATCHED)
+        self.create_service(saving, "map_saver/save_map", self._save)
+
+    def _hear(self, message):
+        self._map = message
+
+    def _save(self, request, response):
+        response.result = False
+        if self._map is not None and request.map_topic in ("", "map", "/map"):
+            info = self._map.info
+            cells = np.array(self._map.data, np.int8).reshape(info.height, info.width)
+            corner = info.origin.position
+            try:
+                map_files.write(request.map_url, cells, info.resolution, (corner.x, corner.y))
+                response.result = True
+            except OSError as error:
+                self.get_logger().error(f"Failed to write the map: {error}")
+        return response
 
 
 class Amcl(Managed, LifecyclePart):
@@ -78,8 +132,14 @@ class Amcl(Managed, LifecyclePart):
         self.create_subscription(LaserScan, "scan", self._see, qos_profile_sensor_data)
         self.create_subscription(PoseWithCovarianceStamped, "initialpose", self._hear, 10)
 
-    def _hear(self, _):
+    def _hear(self, told):
+        """Take an initial pose. A small error is corrected with the scans, a large one stays."""
         self.is_told = True
+        at, turn, true = told.pose.pose.position, told.pose.pose.orientation, self.robot.base.pose
+        yaw = wrapped(2 * math.atan2(turn.z, turn.w) - true.yaw)
+        off = (at.x - true.x, at.y - true.y, yaw)
+        corrects = math.hypot(off[0], off[1]) < CORRECTS_M and abs(yaw) < CORRECTS_RAD
+        self.off = (0.0, 0.0, 0.0) if corrects else off
 
     def _see(self, scan):
         if not (self.is_active and self.is_told and self.is_due(RATE)):

@@ -13,8 +13,9 @@ from ..nodes.robot_state_publisher import RobotStatePublisher
 from ..nodes.simulator import Simulator
 from ..simulation import Simulation
 from .chain import Base, CollisionMonitor, Ekf, Smoother
-from .localisation import Amcl, Costmap, LocalCostmap, MapServer
-from .servers import Behaviors, Controller, Planner, Server, TreeNavigator
+from .docking import DockingServer
+from .localisation import Amcl, Costmap, LocalCostmap, MapSaver, MapServer
+from .servers import Behaviors, Controller, Planner, TreeNavigator
 from .supervisor import Supervisor
 
 GOES_WITHOUT = (
@@ -129,7 +130,8 @@ def late(simulation, namespace, parts):
     def parameters(name):
         return dict(PARAMETERS[name])
 
-    made["map_server"] = MapServer(simulation, namespace)
+    made["map_server"] = MapServer(simulation, namespace, services.LoadMap)
+    made["map_saver"] = MapSaver(simulation, namespace, services.SaveMap)
     made["amcl"] = Amcl(simulation, namespace, **parameters("amcl"))
     made["global_costmap"] = Costmap("global_costmap", simulation, namespace, **parameters("global_costmap"))
     made["local_costmap"] = LocalCostmap("local_costmap", simulation, namespace, **parameters("local_costmap"))
@@ -149,8 +151,7 @@ def late(simulation, namespace, parts):
     made["navigator"] = TreeNavigator(simulation, namespace, navigation, planner, actions, **parameters("navigator"))
     made["smoother"] = Smoother(simulation, namespace, **parameters("smoother"))
     made["monitor"] = CollisionMonitor(simulation, namespace, messages.CollisionMonitorState, **parameters("monitor"))
-    made["docking"] = Server("docking_server", simulation, namespace, **parameters("docking"))
-    made["docking"].create_publisher(_twist(), "cmd_vel_nav", 10)
+    made["docking"] = DockingServer(simulation, namespace, actions, **parameters("docking"))
     service = services.ManageLifecycleNodes
     localises = [made["map_server"], made["amcl"]]
     drives = [
@@ -165,9 +166,3 @@ def late(simulation, namespace, parts):
     for supervisor in (made["localisation"], made["navigation"]):
         supervisor.bring_up()
     return joining
-
-
-def _twist():
-    from geometry_msgs.msg import Twist
-
-    return Twist

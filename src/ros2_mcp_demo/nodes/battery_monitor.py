@@ -43,10 +43,14 @@ class BatteryMonitor(RobotPart):
         message.voltage, message.current = battery.voltage, -battery.current
         message.percentage, message.charge = battery.charge, battery.charge * CAPACITY_AH
         message.capacity = message.design_capacity = CAPACITY_AH
-        message.temperature = 25.0 + battery.current
+        message.temperature = 25.0 + abs(battery.current)
         message.cell_voltage = [battery.voltage / CELLS] * CELLS
         message.cell_temperature = [math.nan] * CELLS
-        message.power_supply_status = BatteryState.POWER_SUPPLY_STATUS_DISCHARGING
+        charging, discharging = (
+            BatteryState.POWER_SUPPLY_STATUS_CHARGING,
+            BatteryState.POWER_SUPPLY_STATUS_DISCHARGING,
+        )
+        message.power_supply_status = charging if battery.is_charging else discharging
         message.power_supply_health = BatteryState.POWER_SUPPLY_HEALTH_GOOD
         message.power_supply_technology = BatteryState.POWER_SUPPLY_TECHNOLOGY_LION
         return message

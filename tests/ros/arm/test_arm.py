@@ -145,7 +145,7 @@ def test_a_stop_in_the_middle_of_a_joint_move_holds_the_joints_and_its_call_says
     stopped = agent.call("ros2_stop")
     moved = moving.result(30)
     held(witness, before)
-    assert moved["outcome"] == "ended"
+    assert moved["outcome"] == "interrupted"
     assert "ros2_stop" in moved["note"]
     assert "Ended: motion" in stopped["note"] or stopped["goals"], stopped["note"]
 
@@ -176,7 +176,7 @@ def test_a_joint_that_is_stuck_is_named(agent) -> None:
         moved = agent.call("ros2_joint_move", joints={"elbow_joint": 1.4, "wrist_1_joint": 0.5}, speed=0.8)
     finally:
         agent.call("ros2_parameter_set", node_name="/arm_controller", values={"stuck_joint": ""})
-    assert moved["outcome"] == "failed"
+    assert moved["outcome"] == "aborted"
     assert "a goal tolerance was violated" in moved["note"]
     assert "elbow_joint has not moved and is 0.200 rad from its target" in moved["note"]
 
@@ -375,14 +375,14 @@ def test_policy_lease_and_latch_hold_over_a_joint_move(
         assert witness.until_still()[PAN] < before[PAN] + 1.1 * 0.6 + BRAKES  # the lease is 1 s, and 0.1 s
         server.process.send_signal(signal.SIGCONT)
         ended = server.result(moving)
-        assert ended["outcome"] == "ended"
+        assert ended["outcome"] == "interrupted"
         assert "link lease" in ended["note"]
         moving = begin_move(-0.6)
         before = witness.until_moving()
         latch.set(by="operator", reason="somebody is in the cell")
         assert witness.until_still()[PAN] > before[PAN] - 0.6 * 0.6 - BRAKES  # it is looked at every 0.25 s
         ended = server.result(moving)
-        assert ended["outcome"] == "ended"
+        assert ended["outcome"] == "interrupted"
         assert "somebody is in the cell" in ended["note"]
         with pytest.raises(Refusal, match="the latch of this robot is set"):
             server.result(begin_move(0.0))

@@ -89,6 +89,16 @@ def test_a_server_that_refuses_to_cancel_is_told_of(agent, robot) -> None:
     assert "Its server refused to cancel it" in ended["note"]
 
 
+def test_a_condition_that_an_old_message_meets_tells_its_age(agent, robot) -> None:
+    """The status of an action is kept for late subscribers, and says nothing new once its goals have ended."""
+    other = robot.name("refuse_cancel")
+    agent.call("ros2_send_action_goal", action_name=other, goal_fields={"order": 1}, wait_for_result=True)
+    ended = send(
+        agent, robot.name("count"), f"{other}/_action/status: len(status_list) > 0", order=40, wait_for_result=True
+    )
+    assert "was met on" in ended["note"] and "s old, from before; nothing newer came" in ended["note"]
+
+
 @pytest.mark.full
 def test_a_bridge_that_is_lost_leaves_the_condition_to_the_next_one(start_agent, robot) -> None:
     agent = start_agent()

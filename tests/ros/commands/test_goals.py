@@ -192,7 +192,7 @@ def test_goals_of_another_client_are_followed_and_cancelled(agent, robot, start_
     assert [len(sequence) - len(sequences[0]) for sequence in sequences] == [0, 1, 2, 3, 4]
     assert all(m["goal_id"] == goal_id and m["recv_stamp"].endswith("Z") for m in feedback["messages"])
     (known,) = until(lambda: known_goals(agent, goal_id))  # an action is asked for a moment only
-    assert (known["action_name"], known["status"], known["ours"]) == (action, "EXECUTING", False)
+    assert (known["action_name"], known["status"], known["from_this_server"]) == (action, "EXECUTING", False)
     assert known["age_sec"] >= 0
     if FULL:
         assert known["age_sec"] < 25
@@ -223,7 +223,7 @@ def test_the_states_of_a_goal_of_another_client_are_followed(agent, robot, start
 def is_followed(agent, action: str) -> bool:
     """Whether this server has subscribed to the states of the goals."""
     found = agent.call("ros2_topic_info", topic_name=f"{action}/_action/status")
-    return any(row["ours"] for row in found["subscribers"])
+    return any(row["from_this_server"] for row in found["subscribers"])
 
 
 def test_feedback_of_no_goal_says_that_none_came(agent, robot) -> None:

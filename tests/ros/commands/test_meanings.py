@@ -37,7 +37,7 @@ def test_a_goal_that_was_sent_by_a_raw_call_is_ours_and_stopped(agent, robot) ->
     action = robot.name("count")
     goal_id = send_raw(agent, action, 2000)
     known = until(lambda: [g for g in agent.call("ros2_action_status")["goals"] if g["goal_id"] == goal_id])
-    assert [goal["ours"] for goal in known] == [True]
+    assert [goal["from_this_server"] for goal in known] == [True]
     stopped = [goal for goal in agent.call("ros2_stop")["goals"] if goal["goal_id"] == goal_id]
     assert [(g["action_name"], g["status"], g["confirmed"]) for g in stopped] == [(action, "CANCELED", True)]
 

@@ -63,10 +63,10 @@ def test_a_parameter_of_a_megabyte_is_told_by_its_length_and_given_whole_where_t
     assert set_to["successful"] and len(str(set_to)) < 50_000
     node = agent.call("ros2_parameter_list", node_names=[robot.name("tuned")])["nodes"][0]
     label = next(one for one in node["parameters"] if one["name"] == "label")
-    assert (label["value"], label["left_out"]) == (None, "1000000 characters")
+    assert (label["value"], label["omitted"]) == (None, "1000000 characters")
     assert len(str(node)) < 100_000
     dump = get(agent, robot)
-    assert dump["left_out"] == {"label": "1000000 characters", "counts": "50000 elements"}
+    assert dump["omitted"] == {"label": "1000000 characters", "counts": "50000 elements"}
     assert not {"label", "counts"} & dump["parameters"].keys()
     assert put(agent, robot, **dump["parameters"])["successful"]
     whole = agent.call("ros2_parameter_get", node_name=robot.name("tuned"), names=["label"], whole=True)
@@ -88,7 +88,7 @@ def test_parameters_of_several_nodes_are_listed_at_once_with_what_their_descript
         "read_only": False,
         "range": {"from": 0.0, "to": 2.0, "step": 0.0},
         "constraints": "",
-        "left_out": "",
+        "omitted": "",
     }
     assert "not_set" not in found["speed"]
     assert found["steps"]["range"] == {"from": 0, "to": 10, "step": 5}
@@ -119,7 +119,7 @@ def test_what_every_node_has_is_left_out_of_a_list_unless_it_is_asked_for_or_set
 
     found, note = listed()
     assert "speed" in found and "use_sim_time" not in found
-    assert re.match(r"Left out: \d standard parameters \(use_sim_time at its default, ", note)
+    assert re.match(r"Not shown: \d standard parameters \(use_sim_time at its default, ", note)
     assert listed("use_sim*") == ({"use_sim_time": False}, "")
     put(agent, robot, use_sim_time=True)
     assert listed()[0]["use_sim_time"] is True
@@ -139,7 +139,7 @@ def test_a_set_tells_what_each_value_was(agent, robot) -> None:
 )
 def test_values_are_converted_where_nothing_is_lost(agent, robot, name, given, taken) -> None:
     answer = put(agent, robot, **{name: given})
-    assert answer["parameters"] == [{"name": name, "successful": True, "reason": "", "value": taken, "left_out": ""}]
+    assert answer["parameters"] == [{"name": name, "successful": True, "reason": "", "value": taken, "omitted": ""}]
     assert type(answer["parameters"][0]["value"]) is type(taken)
 
 
@@ -183,9 +183,9 @@ def test_what_the_node_refuses_is_told_in_its_words_and_the_rest_is_set(agent, r
             "successful": False,
             "reason": "the label is bad, says the node",
             "value": "3",
-            "left_out": "",
+            "omitted": "",
         },
-        {"name": "enabled", "successful": True, "reason": "", "value": False, "left_out": ""},
+        {"name": "enabled", "successful": True, "reason": "", "value": False, "omitted": ""},
     ]
 
 
@@ -238,7 +238,7 @@ def test_parameters_that_are_declared_and_not_set_take_nothing_from_the_others(a
     assert [found[f"gain_{number:02d}"]["value"] for number in range(20)] == [float(number) for number in range(20)]
     assert found["gain_07_name"]["description"] == "Of the seventh" and found["z_last"]["read_only"]
     dump = agent.call("ros2_parameter_get", node_name=unset.name("mapper"))
-    assert dump["not_set"] == UNSET and dump["parameters"]["gain_19"] == 19.0
+    assert dump["unset_types"] == UNSET and dump["parameters"]["gain_19"] == 19.0
     assert agent.call("ros2_parameter_get", node_name=unset.name("mapper"), names=["plugins", "gain_03"])[
         "parameters"
     ] == {"gain_03": 3.0}
@@ -251,12 +251,12 @@ def test_a_parameter_that_is_not_set_is_set_by_its_declared_type(agent, unset) -
     found = agent.whole("ros2_parameter_set", {"node_name": node, "values": {"gain_07_name": "seven"}})
     assert "gain_07_name = «seven» (was not set)" in found.content[0].text
     got = agent.call("ros2_parameter_get", node_name=node, names=["gain_07_name"])
-    assert (got["parameters"], got["not_set"]) == ({"gain_07_name": "seven"}, {})
+    assert (got["parameters"], got["unset_types"]) == ({"gain_07_name": "seven"}, {})
 
 
 def test_a_node_that_answers_for_fewer_than_it_is_asked_for_is_asked_for_each(agent, unset) -> None:
     dump = agent.call("ros2_parameter_get", node_name=unset.name("terse"))
-    assert (dump["parameters"], dump["not_set"]) == ({"here": 7, "there": 0.5}, {"gone": "string"})
+    assert (dump["parameters"], dump["unset_types"]) == ({"here": 7, "there": 0.5}, {"gone": "string"})
 
 
 def test_a_node_that_takes_one_at_a_time_is_given_one_after_the_other(agent, unset) -> None:
@@ -271,7 +271,9 @@ def test_a_part_of_a_long_parameter_is_read_by_its_place_in_it(agent, robot) -> 
     text = "".join(f"<{number}>" for number in range(5000))
     assert put(agent, robot, label=text)["successful"]
     dump = get(agent, robot)
-    assert 'names=["label[0:8000]"]' in agent.whole("ros2_parameter_get", {"node_name": dump["node"]}).content[0].text
+    hint = agent.whole("ros2_parameter_get", {"node_name": dump["node"]}).content[0].text
+    assert 'names=["label[0:8000]"]' in hint and "with whole=true neither" in hint
+    assert 'names=["label[0:8000]"]' in agent.call("ros2_parameter_list", node_names=[dump["node"]])["note"]
     found = get(agent, robot, "label[0:8000]", "label[20000:]", "counts[:1]", "steps")
     assert found["parts"] == {"label[0:8000]": text[:8000], "label[20000:]": text[20000:], "counts[:1]": [1]}
     assert found["parameters"] == {"steps": 5}
@@ -286,7 +288,7 @@ def test_a_hint_is_never_what_was_asked_for(agent, unset) -> None:
 
 def test_an_empty_list_tells_how_it_is_declared(agent, unset) -> None:
     node = unset.name("mapper")
-    assert agent.call("ros2_parameter_get", node_name=node)["empty_lists"] == {"untyped_list": "byte_array"}
+    assert agent.call("ros2_parameter_get", node_name=node)["empty_list_types"] == {"untyped_list": "byte_array"}
     said = agent.refusal("ros2_parameter_set", node_name=node, values={"untyped_list": ["a"]})
     assert "declared as byte_array" in said and "declared as integer" not in said
 
@@ -308,9 +310,9 @@ def test_node_info_tells_parameters_lifecycle_services_and_actions(agent, robot)
     assert (tuned["parameters"], tuned["lifecycle_state"]) == (len(get(agent, robot)["parameters"]), None)
     valve = answered(agent, robot.name("valve"), "lifecycle_state")
     assert (valve["is_lifecycle"], valve["lifecycle_state"]) == (True, "unconfigured")
-    assert valve["left_out"] == 6  # those for parameters
+    assert valve["omitted"] == 6  # those for parameters
     peer = agent.call("ros2_node_info", node_name=robot.name("peer"))
-    assert peer["left_out"] > 6
+    assert peer["omitted"] > 6
     assert {"name": robot.name("switch"), "type": "std_srvs/srv/SetBool"} in peer["services"]
     assert {"name": robot.name("count"), "type": "test_msgs/action/Fibonacci"} in peer["actions"]
 

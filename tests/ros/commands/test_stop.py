@@ -163,7 +163,7 @@ def test_a_bridge_that_is_killed_is_replaced_by_one_that_sends_zero(start_raw, f
     wait_until(lambda: last_is_zero(field))
     assert "BridgeLost" in server.answer(repeat)["result"]["content"][0]["text"]
     stopped = server.call("ros2_stop")["structuredContent"]
-    assert stopped["topics"][0]["others"] == []  # although the graph still shows the dead one
+    assert stopped["topics"][0]["other_publishers"] == []  # although the graph still shows the dead one
     wait_until(lambda: server.call("ros2_stop")["structuredContent"]["topics"][0]["acknowledged"])
 
 
@@ -214,7 +214,13 @@ def busy_stop(server: RawServer, field, robot) -> tuple[bool, float, float]:
         assert last_is_zero(field)
     wait_until(lambda: last_is_zero(field))
     assert server.call("ros2_stop")["structuredContent"]["goals"] == []
-    topic = {"topic_name": field.name("cmd_vel"), "subscribers": 1, "others": [], "error": "", "unreached": 0}
+    topic = {
+        "topic_name": field.name("cmd_vel"),
+        "subscribers": 1,
+        "other_publishers": [],
+        "error": "",
+        "unreached_subscribers": 0,
+    }
     goals = [(one["action_name"], one["status"], one["confirmed"]) for one in result["goals"]]
     is_confirmed = result["topics"] == [topic | {"acknowledged": True}]
     is_confirmed &= goals == [(field.name("count"), "CANCELED", True)] and result["note"].startswith(UNOBSERVED)

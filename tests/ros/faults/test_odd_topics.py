@@ -122,7 +122,7 @@ async def test_a_publish_that_a_policy_keeps_from_its_subscriber_says_which(agen
     peer("endpoints", "subscriptions", json.dumps({"/strict": {"deadline_ns": 100_000_000}}))
 
     sent, _ = await published_in_vain(agent)
-    assert sent["status"] == "nobody_listening", sent
+    assert sent["status"] == "no_subscriber", sent
     assert "deadline" in sent["note"], sent
 
 

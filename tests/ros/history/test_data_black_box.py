@@ -115,7 +115,7 @@ def test_more_than_fits_is_evenly_thinned_and_counted(agent: Agent) -> None:
     answer = agent.call(
         TOOL, topic_name="/kept/many", message_type="sensor_msgs/msg/LaserScan", fields=["ranges[0:100]"]
     )
-    assert answer["found"] == 5000 and 5 < answer["count"] < 500 and "left out, evenly, to fit" in answer["note"]
+    assert answer["found"] == 5000 and 5 < answer["count"] < 500 and "omitted evenly, to fit" in answer["note"]
     at = seconds(answer)
     gaps = [round(later - earlier) for earlier, later in pairwise(at)]
     assert max(gaps) - min(gaps) <= 1 and at[-1] - at[0] == 4999

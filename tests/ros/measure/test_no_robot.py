@@ -46,7 +46,10 @@ ASKED: dict[str, dict[str, Any]] = {
     "ros2_lifecycle_state": {},
     "ros2_log_read": {},
     "ros2_move_until": {"topic_name": "/scan", "condition": "range_max > 1", "linear_x": 0.1},
+    "ros2_nav_dock": {"dock": "home"},
     "ros2_nav_localize": {"at": {"x": 1, "y": 0, "yaw_deg": 0}},
+    "ros2_nav_map": {"what": "save", "path": "/maps/floor"},
+    "ros2_nav_probe": {},
     "ros2_nav_recover": {"stack": "pause"},
     "ros2_nav_preview": {"to": {"x": 1, "y": 0}},
     "ros2_navigate": {"to": [{"x": 1, "y": 0}]},
@@ -152,4 +155,4 @@ def test_a_sensor_that_has_left_while_others_stay_is_critical(agent: Agent, ros_
         found = agent.call("ros2_health_check", check_rates=False)
         missed = found["findings"][0]
         assert (found["verdict"], missed["severity"], missed["subject"]) == ("CRITICAL", "critical", "/stranger")
-        assert missed["problem"].startswith("/stranger has left: nobody publishes any longer on /range")
+        assert missed["problem"].startswith("/stranger has left: no publisher is left on /range")

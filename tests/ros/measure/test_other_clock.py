@@ -89,8 +89,8 @@ def test_the_log_is_read_by_seconds_ago(abroad: tuple[Agent, float], ros_environ
     with running(ros_environment, *peer_command("relay_peer", "complain", "1")):
         until(lambda: agent.call("ros2_log_read", since=HOUR_S / 2, pattern="the arm is stuck")["matched"])
         assert agent.call("ros2_log_read", since="1 min ago", pattern="the arm is stuck")["matched"]
-    listening_since = datetime.fromisoformat(agent.call("ros2_log_read")["listening_since"].replace("Z", "+00:00"))
-    assert BEGUN_S - HOUR_S / 2 < listening_since.timestamp() < time.time() + HOUR_S / 2
+    subscribed_since = datetime.fromisoformat(agent.call("ros2_log_read")["subscribed_since"].replace("Z", "+00:00"))
+    assert BEGUN_S - HOUR_S / 2 < subscribed_since.timestamp() < time.time() + HOUR_S / 2
 
 
 def test_the_end_of_a_recording_that_goes_on_is_the_robots_now(abroad: tuple[Agent, float]) -> None:

@@ -66,8 +66,8 @@ EXPECTED = {
     "/by_another_clock": "use_sim_time is true",
     "/driver_never_configured": "unconfigured",
     "/tuned": "share is 1.5, outside 0 to 1",
-    "/chatter_remapped": "/chatter, which nobody hears",
-    "/robot_description": "/waits_for_description waits for /robot_description, which nobody publishes",
+    "/chatter_remapped": "/chatter, which has no subscriber",
+    "/robot_description": "/waits_for_description subscribes to /robot_description, which has no publisher",
     "hardware: parts": "«ArmHW» is «unconfigured»",
     "/pressure": "/lidar publishes it, but no message came",
 }
@@ -76,7 +76,8 @@ EXPECTED = {
 def test_nothing_is_found_while_it_is_well_and_what_is_latched_tells_its_age(well: dict[str, Any]) -> None:
     assert well["findings"] == []
     assert (
-        well["in_short"]["/map_name"].startswith("OK, 1 message, ") and "from before" in well["in_short"]["/map_name"]
+        well["other_topics"]["/map_name"].startswith("OK, 1 message, ")
+        and "from before" in well["other_topics"]["/map_name"]
     )
 
 

@@ -29,7 +29,7 @@ def subjects(found: dict[str, Any]) -> list[str]:
 
 def state(found: dict[str, Any], topic: str) -> str:
     rows = {row["topic_name"]: row["state"] for row in found["topics"]}
-    return rows[topic] if topic in rows else found["in_short"][topic].partition(",")[0]
+    return rows[topic] if topic in rows else found["other_topics"][topic].partition(",")[0]
 
 
 LISTEN = {"rate_check_duration_sec": 2}

@@ -269,9 +269,9 @@ def test_a_recording_in_the_place_of_the_robot_needs_no_ros(
         assert "float32" in str(call("ros2_get_message_fields", message_type="sensor_msgs/msg/LaserScan"))
         check_that_numbers_are_the_same(live, lambda **asked: call("ros2_topic_statistics", **asked))
         met = call("ros2_wait_until", topic_name="/odom", condition="pose.pose.orientation.w > -2")
-        assert met["met"] and met["looked_at"] == 1
+        assert met["met"] and met["messages_checked"] == 1
         assert (
-            call("ros2_wait_until", topic_name="/odom", condition="pose.pose.position.x > 1e6")["looked_at"]
+            call("ros2_wait_until", topic_name="/odom", condition="pose.pose.position.x > 1e6")["messages_checked"]
             == (counts["/odom"])
         )
         health = call("ros2_health_check", expected_topics=["/scan", "/nowhere"])

@@ -271,7 +271,7 @@ def test_a_stop_ends_it_and_it_says_so(agent: Agent, robot: CommandedProcess) ->
     stopped = agent.call("ros2_stop")
     result = driving.result(30)
     assert "motion_" in stopped["note"]
-    assert result["outcome"] == "ended"
+    assert result["outcome"] == "interrupted"
     assert "ros2_stop" in result["note"]
     assert 0.0 < result["measured"] < 20.0
     truth(robot)

@@ -139,7 +139,7 @@ def test_a_lease_and_a_latch_in_its_middle_end_it_and_it_says_so(
     zero_after(robot, 0.0)
     server.process.send_signal(signal.SIGCONT)
     result = server.result(request)
-    assert result["outcome"] == "ended"
+    assert result["outcome"] == "interrupted"
     assert "link lease" in result["note"]
 
     request = moving(server, robot, way, speed=0.2)
@@ -148,7 +148,7 @@ def test_a_lease_and_a_latch_in_its_middle_end_it_and_it_says_so(
     try:
         zero_after(robot, 0.0)
         result = server.result(request)
-        assert result["outcome"] == "ended"
+        assert result["outcome"] == "interrupted"
         assert "somebody is in the way" in result["note"]
         with pytest.raises(Refusal, match="the latch of this robot is set"):
             moving(server, robot, way, speed=0.2)
@@ -210,7 +210,7 @@ def test_a_policy_holds_in_its_middle(start: Start, robot: CommandedProcess, way
         moving(server, robot, way, speed=0.5, timeout_s=4)
     assert robot.state()["moved_at"] == 0.0
     result = server.result(moving(server, robot, way, speed=0.3, timeout_s=4))
-    assert result["outcome"] == "time_out"
+    assert result["outcome"] == "timeout"
     assert result["elapsed_s" if way == "ros2_drive" else "elapsed"] <= 5.0
     assert "were sent slower than they were" in result["note"]
     zero_after(robot, 0.0)

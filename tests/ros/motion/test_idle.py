@@ -141,7 +141,7 @@ def test_a_move_above_hardware_that_is_not_active_names_it_through_a_chain(
 ) -> None:
     robot.put(ArmHW="unconfigured", GripHW="inactive")
     moved = agent.call("ros2_joint_move", joints={"shoulder": 0.5}, speed=1)
-    assert moved["outcome"] == "failed"
+    assert moved["outcome"] == "aborted"
     assert "/arm_controller is active, its hardware ArmHW is unconfigured" in moved["note"]
     assert "GripHW" not in moved["note"]
     robot.put(limiter="inactive", ArmHW="unconfigured")

@@ -86,7 +86,7 @@ def test_it_ends_after_its_way_and_after_its_time(agent: Agent, robot: Commanded
     if FULL:
         assert result["distance_m"] < 0.35
     result = agent.call("ros2_move_until", **asked(base, timeout_s=0.3))
-    assert result["outcome"] == "time_out"
+    assert result["outcome"] == "timeout"
     assert result["stopped_with_zero"]
 
 
@@ -108,7 +108,7 @@ def test_a_stop_ends_it(agent: Agent, robot: CommandedProcess) -> None:
     until(lambda: robot.state()["speed"] > 0.2)
     agent.call("ros2_stop")
     result = moving.result(30)
-    assert result["outcome"] == "ended"
+    assert result["outcome"] == "interrupted"
     assert "It was ended by ros2_stop" in result["note"]
     until(lambda: robot.state()["speed"] == 0.0)
 

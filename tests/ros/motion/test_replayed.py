@@ -19,12 +19,12 @@ def test_what_was_true_long_ago_is_neither_echoed_nor_meets_a_condition(agent: A
 
     def waited() -> dict[str, Any] | None:
         found = agent.call("ros2_wait_until", topic_name=TOPIC, condition="data > 5", timeout_s=0.6)
-        return found if found["looked_at"] else None
+        return found if found["messages_checked"] else None
 
     found = until(waited)
-    assert (found["met"], found["looked_at"], found["values"]) == (False, 1, {"data": 0.0})
+    assert (found["met"], found["messages_checked"], found["values"]) == (False, 1, {"data": 0.0})
     met = agent.call("ros2_wait_until", topic_name=TOPIC, condition="data < 5", timeout_s=20)
-    assert met["looked_at"] == 1
+    assert met["messages_checked"] == 1
     assert "s old, from before" in met["from_before"]
     moved = agent.call(
         "ros2_move_until",
@@ -35,7 +35,7 @@ def test_what_was_true_long_ago_is_neither_echoed_nor_meets_a_condition(agent: A
         timeout=0.5,
         command_topic="/kept/cmd_vel",
     )
-    assert (moved["outcome"], moved["met"]) == ("time_out", False), moved["note"]
+    assert (moved["outcome"], moved["met"]) == ("timeout", False), moved["note"]
     robot.put(base="/again")
     agent.knows("/again/cmd_vel")
     still = agent.call(
@@ -47,4 +47,6 @@ def test_what_was_true_long_ago_is_neither_echoed_nor_meets_a_condition(agent: A
         timeout=0.5,
         command_topic="/again/cmd_vel",
     )
-    assert (still["met"], still["values"]) == (True, {"data": 0.0}), still["note"]
+    assert (still["met"], still["values"], still["sent"]) == (True, {"data": 0.0}, 0), still["note"]
+    assert still["from_before"].startswith("1 message, ") and still["from_before"].endswith("s old, from before")
+    assert moved["from_before"].endswith("s old, from before")  # what did not meet it is as old

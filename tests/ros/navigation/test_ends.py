@@ -95,7 +95,7 @@ def test_a_stop_names_the_goal_of_another_client_and_the_call_that_ends_it(nav_a
     stopped = nav_agent.call("ros2_stop")
     assert not stopped["confirmed"]
     (running,) = stopped["running"]
-    assert (running["action_name"], running["carried_by"]) == ("/navigate_to_pose", ["/follow_path"])
+    assert (running["action_name"], running["delegated_to"]) == ("/navigate_to_pose", ["/follow_path"])
     call = f'ros2_cancel_action_goal(action_name="/navigate_to_pose", goal_id_hex="{running["goal_id"]}")'
     assert call in stopped["note"]
     nav_agent.call("ros2_cancel_action_goal", action_name="/navigate_to_pose", goal_id_hex=running["goal_id"])

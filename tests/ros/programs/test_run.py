@@ -54,14 +54,14 @@ def test_what_it_drives_stands_when_it_has_ended(agent: Agent, driven: Commanded
     )
     assert (ran["outcome"], ran["printed"]) == ("ended", ["went"])
     assert ran["commands"][0]["line"] == 3
-    assert any("zero" in each for each in ran["ended_with_it"]), ran
+    assert any("zero" in each for each in ran["stopped_at_end"]), ran
     until(lambda: driven.state()["speed"] < 1e-3)
 
 
 def test_an_error_is_told_with_its_line_and_ends_what_was_begun(agent: Agent, driven: CommandedProcess) -> None:
     ran = run(agent, "robot.publish(cmd, {'linear': {'x': 0.3}})", "x = {}", "x['y']")
     assert (ran["outcome"], ran["error"]["line"], ran["error"]["source"]) == ("failed", 4, "x['y']")
-    assert any("zero" in each for each in ran["ended_with_it"]), ran
+    assert any("zero" in each for each in ran["stopped_at_end"]), ran
     until(lambda: driven.state()["speed"] < 1e-3)
 
 
@@ -75,7 +75,7 @@ def test_what_cannot_be_right_is_refused_before_it_runs(agent: Agent, driven: Co
 
 def test_its_commands_stand_in_the_audit_with_their_lines(agent: Agent, driven: CommandedProcess) -> None:
     ran = run(agent, "", "robot.publish(cmd, {})")
-    acts = agent.call("ros2_audit_read")["acts"]
+    acts = agent.call("ros2_audit_read")["entries"]
     assert any(act["program"] == f"{ran['program_id']}, line 3" for act in acts), acts
 
 

@@ -79,11 +79,11 @@ def test_every_message_of_200_hz_is_relayed_in_order(agent, peer, kind) -> None:
     talker = peer("talk", "/all_in", kind, "RELIABLE", "200", str(expected))
     listener.ready()
     assert talk(agent, "/all_in", talker) == expected
-    wait_for(lambda: counted(agent, relay)["passed"] >= expected)
+    wait_for(lambda: counted(agent, relay)["published"] >= expected)
     numbers = listener.numbers(expected)
     ended = end(agent, relay)
     assert numbers == list(range(expected))
-    assert (ended["state"], ended["passed"], ended["dropped"], ended["lost"]) == ("stopped", expected, 0, 0)
+    assert (ended["state"], ended["published"], ended["filtered_out"], ended["lost"]) == ("stopped", expected, 0, 0)
     assert ended["stopped_with_zero"] == (kind == "Twist")
 
 
@@ -101,7 +101,7 @@ def test_a_rate_limit_is_kept_within_two_percent(agent, peer, rate_hz) -> None:
     heard = listener.heard()
     rate = (len(heard) - 1) / (heard[-1][0] - heard[0][0])
     assert rate == pytest.approx(rate_hz, rel=0.02)
-    assert ended["passed"] + ended["dropped"] == 200 * SECONDS
+    assert ended["published"] + ended["filtered_out"] == 200 * SECONDS
     assert [number for _, number in heard] == sorted(number for _, number in heard)
 
 
@@ -113,10 +113,10 @@ def test_on_change_passes_exactly_the_changes(agent, peer) -> None:
     relay = begin(agent, "/change_in", "/change_out", transform="on_change", tolerances={"position": 0.5})
     listener.ready()
     assert talk(agent, "/change_in", talker) == 200
-    wait_for(lambda: counted(agent, relay)["passed"] + counted(agent, relay)["dropped"] >= 200)
+    wait_for(lambda: counted(agent, relay)["published"] + counted(agent, relay)["filtered_out"] >= 200)
     ended = end(agent, relay)
     assert listener.numbers(20) == list(range(0, 200, 10))
-    assert (ended["passed"], ended["dropped"], ended["lost"]) == (20, 180, 0)
+    assert (ended["published"], ended["filtered_out"], ended["lost"]) == (20, 180, 0)
 
 
 def test_fields_are_mapped_to_another_type(agent, peer) -> None:
@@ -126,7 +126,7 @@ def test_fields_are_mapped_to_another_type(agent, peer) -> None:
     relay = begin(agent, "/mapped_in", "/mapped_out", mapping={"data": "linear.x"})
     listener.ready()
     assert talk(agent, "/mapped_in", talker) == 100
-    wait_for(lambda: counted(agent, relay)["passed"] == 100)
+    wait_for(lambda: counted(agent, relay)["published"] == 100)
     assert listener.numbers(100) == list(range(100))
     end(agent, relay)
 
@@ -139,11 +139,11 @@ def test_a_relay_goes_on_when_its_source_dies_and_comes_back(agent, peer) -> Non
     relay = begin(agent, "/again_in", "/again_out")
     listener.ready()
     assert talk(agent, "/again_in", first) == 50
-    wait_for(lambda: counted(agent, relay)["passed"] == 50)
+    wait_for(lambda: counted(agent, relay)["published"] == 50)
     first.process.kill()
     second.tell()
     assert talk(agent, "/again_in", second) == 70
-    wait_for(lambda: counted(agent, relay)["passed"] == 120)
+    wait_for(lambda: counted(agent, relay)["published"] == 120)
     assert listener.numbers(120) == [*range(50), *range(70)]
     assert end(agent, relay)["state"] == "stopped"
 
@@ -162,7 +162,7 @@ def test_a_relay_ends_with_its_duration(agent, peer) -> None:
     assert ended["stopped_with_zero"]
     numbers = wait_for(listener.heard)
     assert numbers[-1][1] == 0.0
-    assert len(numbers) == ended["passed"] + 2
+    assert len(numbers) == ended["published"] + 2
 
 
 def test_relays_never_feed_themselves(agent) -> None:
@@ -247,7 +247,7 @@ def test_a_source_that_comes_back_with_a_weaker_qos_is_matched_again(agent, peer
     second = peer("talk_later", source, "String", "BEST_EFFORT", "100", "70", "2")
 
     def passed(expected: int) -> bool:
-        return all(counted(agent, relay)["passed"] == expected for relay in relays)
+        return all(counted(agent, relay)["published"] == expected for relay in relays)
 
     for listener in listeners:
         listener.ready()

@@ -136,7 +136,7 @@ def seconds_until_cancelled(agent) -> float:
 
 def test_the_audit_tells_how_a_goal_ended(agent, small_robot) -> None:
     sent = agent.call("ros2_send_action_goal", **COUNTING, goal_fields={"order": 3}, wait_for_result=True)
-    (end,) = [act for act in agent.call("ros2_audit_read")["acts"] if act["verb"] == "goal ended"][-1:]
+    (end,) = [act for act in agent.call("ros2_audit_read")["entries"] if act["verb"] == "goal ended"][-1:]
     assert (end["name"], end["outcome"]) == ("/fibonacci", "SUCCEEDED") and sent["status"] == "SUCCEEDED"
 
 

@@ -89,8 +89,8 @@ def test_a_publish_to_nobody_says_so_within_two_seconds(agent) -> None:
 def seconds_of_a_publish_to_nobody(agent) -> float:
     started = time.monotonic()
     sent = agent.call("ros2_topic_publish", topic_name="/nobody_here", message_type=STRING, data={"data": "x"})
-    assert (sent["status"], sent["subscribers"], sent["acknowledged"]) == ("nobody_listening", 0, None)
-    assert "Nobody received it." in sent["note"]
+    assert (sent["status"], sent["subscribers"], sent["acknowledged"]) == ("no_subscriber", 0, None)
+    assert "No subscriber received it." in sent["note"]
     return time.monotonic() - started
 
 
@@ -223,8 +223,8 @@ def test_one_velocity_topic_more_than_can_be_stopped_is_refused(driver: RawServe
         for number in range(MAX_FAILSAFES)
     ]
     sent = [driver.answer(each)["result"]["structuredContent"]["status"] for each in sending]
-    assert set(sent) == {"nobody_listening"}
+    assert set(sent) == {"no_subscriber"}
     assert "64 velocity topics already" in driver.call("ros2_topic_publish", **more)["content"][0]["text"]
     stopped = driver.call("ros2_stop")["structuredContent"]
     assert (stopped["confirmed"], len(stopped["topics"])) == (False, MAX_FAILSAFES)  # nothing tells of its motion
-    assert driver.call("ros2_topic_publish", **more)["structuredContent"]["status"] == "nobody_listening"
+    assert driver.call("ros2_topic_publish", **more)["structuredContent"]["status"] == "no_subscriber"

@@ -4,20 +4,35 @@ from __future__ import annotations
 
 import json
 import subprocess
+import time
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
 from support.agent import Agent, until
 from support.processes import peer_command, running
+from support.viewing import Asked, viewing
 
 OLD = "s old, from before"
-TOPICS = ("/count", "/armed", "/steady", "/battery", "/odom", "/goal_pose", "/map", "/joint_states")
+TOPICS = (
+    "/count",
+    "/last_count",
+    "/armed",
+    "/steady",
+    "/turn_read",
+    "/turn_judged",
+    "/battery",
+    "/odom",
+    "/goal_pose",
+    "/map",
+    "/joint_states",
+)
 
 
 @pytest.fixture(scope="module", autouse=True)
 def latched(ros_environment: dict[str, str], agent: Agent) -> Iterator[subprocess.Popen[str]]:
-    """A robot that was done talking before the server came to know of it, but for `/steady`."""
+    """A robot that was done talking before the server came to know of it, but for `/steady` and the turns."""
     with running(ros_environment, *peer_command("latched_peer")) as process:
         agent.knows(*TOPICS)
         yield process
@@ -38,13 +53,27 @@ def test_one_message_of_a_topic_that_keeps_ten_is_the_newest(agent: Agent) -> No
 def test_three_of_ten_are_the_newest_three_and_what_is_left_out_is_counted(agent: Agent) -> None:
     read = agent.call("ros2_topic_subscribe", topic_name="/count", message_limit=3)
     assert [one["data"] for one in read["messages"]] == [7, 8, 9]
-    assert "7 older messages from before" in read["note"]
+    assert "7 older messages published before this call" in read["note"]
 
 
 def test_what_is_from_before_is_told_apart_from_what_came(agent: Agent) -> None:
-    read = agent.call("ros2_topic_subscribe", topic_name="/steady", message_limit=15)
+    read = agent.call("ros2_topic_subscribe", topic_name="/turn_read", message_limit=15)
+    assert [one["data"] for one in read["messages"]] == [True] * 10 + [False] * 5
     assert read["source"].startswith("live") and f"{OLD})" in read["source"]
     assert read["from_before"].startswith("10 messages")
+
+
+def test_a_condition_is_not_met_by_what_was_true_before(agent: Agent) -> None:
+    waited = agent.call("ros2_wait_until", topic_name="/turn_judged", condition="data == true", timeout=1.0)
+    assert (waited["met"], waited["from_before"], waited["values"]) == (False, "", {"data": False})
+    assert agent.call("ros2_wait_until", topic_name="/turn_judged", condition="data == false", timeout=5.0)["met"]
+
+
+def test_a_comparison_tells_of_each_topic_what_is_from_before(agent: Agent) -> None:
+    found = agent.call("ros2_topic_compare", topic1_name="/count", topic2_name="/last_count", duration=0.5)
+    reasons = " ".join(found["reasons"])
+    assert "/count: 10 messages, " in reasons and "/last_count: 1 message, " in reasons and reasons.count(OLD) == 2
+    assert found["source"].endswith(OLD) and "live" not in found["source"]
 
 
 def test_the_next_message_the_map_and_the_scene_say_how_old_they_are(agent: Agent) -> None:
@@ -81,12 +110,6 @@ def test_the_robot_in_brief_says_of_each_value_that_it_is_old(agent: Agent) -> N
     until(says)
 
 
-def test_a_condition_is_not_met_by_what_was_true_before(agent: Agent) -> None:
-    waited = agent.call("ros2_wait_until", topic_name="/steady", condition="data == true", timeout=1.0)
-    assert (waited["met"], waited["from_before"]) == (False, "")
-    assert agent.call("ros2_wait_until", topic_name="/steady", condition="data == false", timeout=5.0)["met"]
-
-
 def test_a_condition_that_only_an_old_message_meets_says_so(agent: Agent) -> None:
     waited = agent.call("ros2_wait_until", topic_name="/armed", condition="data == true", timeout=5.0)
     assert waited["met"] and OLD in waited["from_before"] and waited["waited"] >= 1.0
@@ -99,6 +122,27 @@ def test_a_program_and_a_resource_get_the_newest_with_its_age(agent: Agent) -> N
     assert "9 True True" in told(agent, "ros2_program_run", program=program)
     sample = json.loads(agent.ask("read_resource", "ros2://topic//count").contents[0].text)["sample"]
     assert sample["message"] == {"data": 9} and OLD in sample["from_before"]
+
+
+def test_each_panel_of_the_page_says_what_is_from_before(ros_environment: dict[str, str], agent: Agent) -> None:
+    with viewing(ros_environment) as address:
+        page = Asked(address)
+        for panel, topic in (("values", "/battery"), ("image", "/still"), ("plot", "/count")):
+            told = until(lambda panel=panel, topic=topic: shown(page, panel, topic))
+            assert told["from_before"] and time.time() - told["at_s"] > 1.5, panel
+        until(lambda: (told := shown(page, "values", "/steady")) and not told["from_before"])
+        for panel, which in (("map", ("grid /map", "goal /goal_pose")), ("space", ("/signs",))):
+            until(lambda panel=panel, which=which: all(one in old(page, panel) for one in which))
+            assert old(page, panel).count(OLD) >= len(which), panel
+
+
+def shown(page: Asked, panel: str, topic: str) -> dict[str, Any] | None:
+    told = page.shown(**{panel: topic}).get(panel, {})
+    return told if told.get("topic") == topic and "at_s" in told else None
+
+
+def old(page: Asked, panel: str) -> str:
+    return "; ".join(page.shown(**{panel: ""}).get(panel, {}).get("old", ()))
 
 
 def test_positions_of_joints_from_before_are_told_as_old(agent: Agent) -> None:

@@ -20,5 +20,5 @@ def test_the_frames_of_the_only_namespace_are_followed_and_it_is_said(agent: Age
 
     found = until(answer)
     assert found["translation"]["x"] == 2.5
-    assert "published on /robot1/tf and /robot1/tf_static: nobody publishes on /tf." in found["note"]
-    assert "nobody publishes on /tf." in agent.call("ros2_tf_tree", picture=False)["note"]
+    assert "published on /robot1/tf and /robot1/tf_static: /tf has no publisher." in found["note"]
+    assert "/tf has no publisher." in agent.call("ros2_tf_tree", picture=False)["note"]

@@ -49,9 +49,9 @@ def test_the_robot_the_scene_and_the_frames_name_what_is_not_finite(agent: Agent
     says(
         agent,
         "ros2_robot",
-        "place is unknown: of /odom, pose.pose.position.x is NaN",
+        "pose is unknown: in /odom, pose.pose.position.x is NaN",
         "/scan_step has no bearings: angle_increment is 0",
-        "published_footprint is no outline: polygon.points[0].x is NaN",
+        "published_footprint is not a valid footprint: polygon.points[0].x is NaN",
         whole=True,
     )
     says(agent, "ros2_scene", "The grid /map is not shown", "info.origin.position.x is NaN")
@@ -60,16 +60,22 @@ def test_the_robot_the_scene_and_the_frames_name_what_is_not_finite(agent: Agent
 
 
 def test_a_health_check_names_every_source_of_such_numbers(agent: Agent) -> None:
-    named = ("/odom", "/imu", "/goal_pose", "published_footprint is no outline", "/scan_step has no bearings")
+    named = (
+        "/odom",
+        "/imu",
+        "/goal_pose",
+        "published_footprint is not a valid footprint",
+        "/scan_step has no bearings",
+    )
     says(agent, "ros2_health_check", *named)
 
 
 def test_a_drive_by_such_odometry_or_such_a_scan_moves_nothing_and_says_why(agent: Agent) -> None:
     by_odometry = agent.call("ros2_drive", distance_m=0.3, guard_m=0)
     assert (by_odometry["outcome"], by_odometry["measured"]) == ("silent", None)
-    assert "/odom that can be used (pose.pose.position.x is NaN)" in by_odometry["note"]
+    assert "messages came from /odom, but none that can be used (pose.pose.position.x is NaN)" in by_odometry["note"]
     said = agent.refusal("ros2_drive", distance_m=0.3, scan="/scan_step")
-    assert "/scan_step has no bearings, so it cannot guard: angle_increment is 0" in said
+    assert "/scan_step has no bearings, so it cannot be used to detect obstacles: angle_increment is 0" in said
 
 
 def test_a_motion_until_a_condition_of_such_a_scan_holds_is_not_met_and_says_why(agent: Agent) -> None:

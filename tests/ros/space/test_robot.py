@@ -73,7 +73,7 @@ FACTS: dict[str, dict[str, str | list[str]]] = {
             r"/navigate_to_pose NavigateToPose \(action\) → /bt_navigator",
         ],
         "other_actions": ["/compute_path_to_pose ComputePathToPose → /planner_server"],
-        "waited_for": [],
+        "topics_without_publisher": [],
         "command_services": [
             "/enable_motors SetBool",
             "/reset_odometry Trigger",
@@ -90,7 +90,7 @@ FACTS: dict[str, dict[str, str | list[str]]] = {
             rf"/imu Imu{RATE} in imu_link at 0 0 0.1",
             rf"/camera/image_raw Image{RATE} 70° wide in camera_optical at 0.15 0 0.35",
         ],
-        "also_told": [
+        "state_topics": [
             rf"/joint_states JointState{RATE}",
             rf"/odom Odometry{RATE}",
             rf"/gripper/joint_states JointState{RATE}",
@@ -103,7 +103,7 @@ FACTS: dict[str, dict[str, str | list[str]]] = {
         ],
         "controllers": [],
         "stacks": ["Nav2: 3 of 3 active"],
-        "frames": r"map → odom → base_link; 7 in all",
+        "frames": r"map → odom → base_link; 7 frames in total",
         "unhealthy": [],
     },
     "arm": {
@@ -111,17 +111,17 @@ FACTS: dict[str, dict[str, str | list[str]]] = {
         "kind": "arm of 6 joints and a gripper",
         "base_frame": "base_link",
         "footprint": "0.20 × 0.20 m, centred",
-        "place": r"In world at x 0.00 y 0.00 m, yaw 0° \(TF, fixed there\).",
+        "place": r"In world at x 0.00 y 0.00 m, yaw 0° \(TF, static\).",
         "command_inputs": [
             rf"/{name}_controller/follow_joint_trajectory FollowJointTrajectory "
             rf"\(action, or topic joint_trajectory\) → /{name}_controller"
             for name in ("arm", "gripper")
         ],
         "other_actions": [],
-        "waited_for": [],
+        "topics_without_publisher": [],
         "command_services": ["/self_test Trigger"],
         "sensors": [],
-        "also_told": [rf"/joint_states JointState{RATE}", r"/heartbeat String «.*»"],
+        "state_topics": [rf"/joint_states JointState{RATE}", r"/heartbeat String «.*»"],
         "joints": [
             *(
                 rf"{name}_joint -?[\d.]+ rad, limits -{limit} to {limit} rad, at most {speed} rad/s"
@@ -141,7 +141,7 @@ FACTS: dict[str, dict[str, str | list[str]]] = {
             "/gripper_controller",
         ],
         "stacks": [],
-        "frames": r"world → base_link; 11 in all",
+        "frames": r"world → base_link; 11 frames in total",
         "unhealthy": [],
     },
     "drone": {
@@ -157,7 +157,7 @@ FACTS: dict[str, dict[str, str | list[str]]] = {
             r"/mavros/setpoint_position/local PoseStamped \(goal\) → /mavros/mavros",
         ],
         "other_actions": [],
-        "waited_for": [],
+        "topics_without_publisher": [],
         "command_services": [
             "/mavros/set_mode SetMode",
             "/mavros/cmd/arming CommandBool",
@@ -170,7 +170,7 @@ FACTS: dict[str, dict[str, str | list[str]]] = {
             rf"/mavros/global_position/global NavSatFix{RATE} in gps_link at 0 0 0.08",
             r"/mavros/battery BatteryState \d+%.*",
         ],
-        "also_told": [
+        "state_topics": [
             rf"/odom Odometry{RATE}",
             rf"/mavros/extended_state ExtendedState{RATE}",
             rf"/mavros/state State{RATE}",
@@ -183,7 +183,7 @@ FACTS: dict[str, dict[str, str | list[str]]] = {
         "joints": [],
         "controllers": [],
         "stacks": ["MAVROS"],
-        "frames": r"map → base_link; 5 in all",
+        "frames": r"map → base_link; 5 frames in total",
         "unhealthy": [],
     },
 }

@@ -18,5 +18,5 @@ def test_a_clock_that_stands_still_is_told_with_since_when(agent: Agent, tell: C
 
     note = until(said)
     assert "Simulated time stopped" in note and "at 5.000 s of its clock, and so did all stamps" in note
-    assert "/clock, by /simulator, stands at 5.000 s of its clock" in note
+    assert "/clock, published by /simulator, is stopped at 5.000 s of its clock" in note
     assert "stale" not in note and "again and again, now" not in note

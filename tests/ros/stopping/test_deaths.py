@@ -167,7 +167,7 @@ def test_ros2_stop_after_a_bag_drove_says_what_it_stopped(server, observer) -> N
     [row] = [one for one in stopped["topics"] if one["topic_name"] == topic]
     # Two of the four subscribers are best effort, and acknowledge nothing: that all were reached cannot be confirmed.
     assert (stopped["confirmed"], row["acknowledged"]) == (False, None)
-    assert (row["subscribers"], row["unreached"]) == (4, 0)
+    assert (row["subscribers"], row["unreached_subscribers"]) == (4, 0)
     assert observer.moving(topic=topic) == []
 
 

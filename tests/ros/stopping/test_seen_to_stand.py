@@ -257,7 +257,7 @@ def test_a_base_that_stands_does_not_say_that_an_arm_without_joint_states_does(g
     ground.robot.push(joint_speed=0.3)
     stopped = rounds(lambda: ground.stop(moves=True))
     is_never_confirmed(stopped)
-    assert all("no joint states report whether what" in one["note"] for one in stopped)
+    assert all("no joint states report whether the motion" in one["note"] for one in stopped)
 
 
 @pytest.mark.promise("stopping", "The next stop is confirmed, if this one has observed the robot")

@@ -214,8 +214,8 @@ def test_a_stopper_is_nowhere_taken_for_a_part_of_the_robot(start_server, server
         assert (listed["publishers"], listed["subscribers"]) == (2, 4)
         stopped, _ = who.stop()
         [row] = [one for one in stopped["topics"] if one["topic_name"] == topic]
-        assert row["others"] == [f"/ros2_mcp_{of_bridge(whom)}"]
-        assert (row["subscribers"], row["unreached"]) == (4, 0)
+        assert row["other_publishers"] == [f"/ros2_mcp_{of_bridge(whom)}"]
+        assert (row["subscribers"], row["unreached_subscribers"]) == (4, 0)
         assert "stopper" not in str(who.do("ros2_health_check", rate_check_duration_sec=1.0))
     server.result(request)
     leave(observer, topic)

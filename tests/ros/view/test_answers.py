@@ -97,6 +97,24 @@ def test_after_a_stop_the_page_says_only_what_it_is_told_from_then_on(page: Page
     page.until(f"{text('#moves')}.startsWith('agent drives /cmd_vel')")
 
 
+def test_what_was_sent_before_the_server_subscribed_says_so_with_its_age(page: Page, view: ScriptedView) -> None:
+    def answer(asked: dict[str, Any]) -> Answer:
+        update = updated(asked, view.asked)
+        for name in ("values", "image"):
+            if name in update["panels"]:
+                update["panels"][name] |= {"at_s": update["now_s"] - 40.0, "from_before": True}
+        if "map" in update["panels"]:
+            update["panels"]["map"]["old"] = ["goal /goal_pose 8.2 s old, from before"]
+        return good(update)
+
+    view.answers = answer
+    for name in ("values", "image"):
+        page.until(f"/\\b4\\d s old, from before$/.test({text(f'#{name} .age')})")
+    page.until(f"{text('#map .foot')} === 'goal /goal_pose 8.2 s old, from before.'")
+    view.answers = lambda asked: good(updated(asked, view.asked))
+    page.until(f"{text('#values .age')}.endsWith('now') && document.querySelector('#map .foot').hidden")
+
+
 def test_nonsense_in_panels_is_told_and_forgotten_with_the_next_answer(page: Page, view: ScriptedView) -> None:
     wrong: list[dict[str, Any]] = [
         *({"why": why} for why in (5, [[]])),

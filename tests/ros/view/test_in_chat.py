@@ -150,7 +150,7 @@ def test_its_button_stops_the_agent_of_the_chat(chat: Page, agent: Agent, observ
     assert driving.exception(REST_S) is not None or driving.result()["status"]
     chat.until("document.getElementById('moves').textContent.startsWith('LATCHED by operator')", within=view)
     state = agent.call("ros2_view_state")["pages"][0]
-    assert any("LATCHED" in line for line in state["shows"])
+    assert any("LATCHED" in line for line in state["panels"])
     assert chat.complaints == []
     reset()
 
@@ -189,7 +189,7 @@ def test_it_bears_a_chat_that_is_slow_or_fails_and_two_views_do_not_meet(chat: P
     chat.until(f"{LIVE} && document.querySelector('#values .tree').textContent.includes('base_link')", within=other)
     assert chat.run("document.getElementById('values').offsetParent === null", within=one)
     pages = [page for page in agent.call("ros2_view_state")["pages"] if page["open"]]
-    assert {any(line.startswith("values: /odom") for line in page["shows"]) for page in pages} == {True, False}
+    assert {any(line.startswith("values: /odom") for line in page["panels"]) for page in pages} == {True, False}
     note = agent.call("ros2_view", topics=["/map"])["note"]
     assert re.search(r"[2-4] pages are open already and unchanged", note), note  # one of a test before may still end
     assert "heads of its panels" in note

@@ -147,8 +147,8 @@ def test_a_box_that_is_drawn_in_a_depth_picture_is_told_with_the_depth_there(pag
     pictured_in_all_sizes(page, "picked-box")
     (seen,) = agent.call("ros2_view_state")["pages"]
     (box,) = seen["picked"]
-    x1, y1, x2, y2 = box["pixels"]
-    across, down = box["of_pixels"]
+    x1, y1, x2, y2 = box["box_px"]
+    across, down = box["image_size_px"]
     assert 0 < x1 < across / 2 < x2 < across and down / 2 < y1 < y2 < down
     assert f"{x2 - x1 + 1} × {y2 - y1 + 1} pixels of /camera/depth/image_raw" in told
     assert 0.1 < box["depth_m"] < 10.0 and f"depth there {box['depth_m']:.2f} m" in told

@@ -118,8 +118,10 @@ def test_clouds_scans_and_frames_stand_in_one_space(page: Page, demo_environment
     page.until("document.querySelector('#space .picked')?.textContent.includes('The agent sees it')")
     pictured(page, "space")
     point = picked(demo_environment)
-    assert (point["kind"], point["topic"], point["frame"], point["in_frame"]) == ("point", "/cloud", "laser", "map")
-    assert (point["z_m"], len(point["in_m"])) == (0.0, 3) and abs(point["x_m"]) <= 4.0 and abs(point["y_m"]) <= 2.0
+    assert (point["kind"], point["topic"], point["frame"], point["view_frame"]) == ("point", "/cloud", "laser", "map")
+    assert (
+        (point["z_m"], len(point["view_xyz_m"])) == (0.0, 3) and abs(point["x_m"]) <= 4.0 and abs(point["y_m"]) <= 2.0
+    )
     page.run("document.querySelector('.picked button:last-child').click()")
     page.until("document.querySelector('.picked').hidden")
 

@@ -5,6 +5,7 @@ value out. It has the controller follow a path to each goal of /navigate_to_pose
 from __future__ import annotations
 
 import json
+import os
 import sys
 import threading
 import time
@@ -48,7 +49,8 @@ class Navigator:
         )
         self._executor = MultiThreadedExecutor(8)
         self._executor.add_node(node)
-        threading.Thread(target=self._executor.spin, daemon=True).start()
+        self._spinning = threading.Thread(target=self._executor.spin, daemon=True)
+        self._spinning.start()
         assert self._follow.wait_for_server(30.0) and self._spin.wait_for_server(30.0)
 
     def put(
@@ -65,6 +67,7 @@ class Navigator:
     def leave(self) -> None:
         """Say goodbye to ROS."""
         self._executor.shutdown(1.0)
+        self._spinning.join(2.0)  # else it may still use the node that is destroyed here
         self._node.destroy_node()
         rclpy.shutdown()
 
@@ -118,6 +121,7 @@ def main() -> None:
         command, arguments = json.loads(line)
         print(json.dumps(getattr(navigator, command)(**arguments)), flush=True)
     navigator.leave()
+    os._exit(0)  # an ending interpreter aborts where a thread of the pool is still in a function of C++
 
 
 if __name__ == "__main__":

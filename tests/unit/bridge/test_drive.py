@@ -197,7 +197,7 @@ def test_odometry_that_jumps_ends_it() -> None:
 
 def test_its_time_limit_ends_it() -> None:
     run = Run(asked=asked(distance_m=5.0, time_limit_s=2.0), base=Base())
-    assert run.go().outcome == "time_out"
+    assert run.go().outcome == "timeout"
     assert run.seconds < 5
 
 
@@ -208,7 +208,7 @@ def test_pauses_for_what_is_late_do_not_count_towards_its_time_limit() -> None:
     late = Run(asked=asked(**given, pauses_s=30.0), base=Base(), pauses_s=pauses)
     assert late.go().outcome == "reached"
     assert late.seconds > 10.0
-    assert Run(asked=asked(**given), base=Base(), pauses_s=pauses).go().outcome == "time_out"
+    assert Run(asked=asked(**given), base=Base(), pauses_s=pauses).go().outcome == "timeout"
 
 
 @pytest.mark.parametrize("ramp", [0.1, 0.3, 10.0])
@@ -263,7 +263,15 @@ def test_a_drive_without_a_pose_that_is_finite_does_not_begin_and_names_the_numb
     for number in range(10):
         with pytest.raises(ValueError, match="NaN"):
             drive.hear("odometry", odometry_of(math.nan), number * STEP_S)
-    assert drive.awaits() == "/odom that can be used (pose.pose.position.x is NaN)"
+    why = "that can be used (pose.pose.position.x is NaN)"
+    assert drive.awaits() == f"messages came from /odom, but none {why}"
+
+
+def test_a_topic_of_which_too_little_came_is_not_said_to_have_sent_nothing() -> None:
+    drive = Drive(asked(distance_m=1.0))
+    assert drive.awaits() == "no message came from /odom"
+    drive.hear("odometry", odometry_of(0.0), 0.0)
+    assert drive.awaits().startswith("1 of the 3 messages") and "/odom" in drive.awaits()
 
 
 def odometry_of(x: float, yaw: float = 0.0, *, is_turned: bool = True) -> Any:

@@ -150,9 +150,18 @@ def test_a_topic_of_events_may_be_silent() -> None:
     assert pressed.report()["values"] == {"data": True}
 
 
+def test_the_age_of_a_message_from_before_that_met_it_is_reported() -> None:
+    pressed = until("data", type_name="std_msgs/msg/Bool", has_odometry=False, may_be_silent=True)
+    pressed.hear("condition", decoded("std_msgs/msg/Bool", {"data": False}), 5.0, 20.0)
+    assert pressed.report()["from_before_s"] == 20.0
+    pressed.hear("condition", decoded("std_msgs/msg/Bool", {"data": True}), 5.1, 8.25)
+    pressed.hear("condition", decoded("std_msgs/msg/Bool", {"data": True}), 5.2)  # comes too late to meet it
+    assert (pressed.step(5.2), pressed.report()["from_before_s"]) == (None, 8.25)
+
+
 def test_it_awaits_what_it_hears_before_it_moves() -> None:
     controller = until()
-    assert controller.awaits() == "/scan and /odom"
+    assert controller.awaits() == "no message came from /scan and no message came from /odom"
 
 
 def test_a_message_without_an_answer_is_counted_and_told() -> None:

@@ -48,6 +48,18 @@ def test_a_flood_is_left_for_the_next_look(ear: Callable[[Iterable[Sample]], wat
     assert heard
 
 
+def test_of_a_latched_topic_the_newest_from_before_has_an_age_and_what_comes_has_none(
+    ear: Callable[[Iterable[Sample]], watching.Ear],
+) -> None:
+    now_ns, ages = time.time_ns(), list[float | None]()
+    data = rcl.serialize(interfaces.load(POSE)())
+    sent_s = (9, 8, -1)
+    listening = ear([Sample(now_ns, now_ns - s * 10**9, None, data, 0) for s in sent_s])
+    listening._source.is_latched = True  # type: ignore[misc]
+    listening.hear(lambda _: ages.append(listening.from_before_s))
+    assert [age and round(age) for age in ages] == [8, None]
+
+
 def test_a_type_that_has_not_what_is_read_is_not_heard(ear: Callable[[Iterable[Sample]], watching.Ear]) -> None:
     watchdog = Watchdog(None, RULE)
     ear([sample()]).hear(watching._pose_to(watchdog))

@@ -412,7 +412,7 @@ def test_without_a_server_a_reset_works_on_the_latch_and_is_in_the_audit(tmp_pat
 async def check_reset(folder: StateFolder) -> None:
     code, text = await asked(folder)
     assert code == 1
-    assert "No server of the robot hall-3 runs" in text
+    assert "No server of the robot hall-3 is running" in text
     assert "operate reset" in text
     code, text = await asked(folder, "reset")
     assert code == 0

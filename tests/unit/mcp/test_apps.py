@@ -131,7 +131,7 @@ async def test_the_page_asks_and_what_it_shows_is_told_to_the_model(bag: Path) -
         assert [line for line in answer.content[0].text.splitlines() if line.startswith("Picked")] == PICKED
         (seen,) = (answer.structured_content or {})["pages"]
         point, box, time = seen["picked"]
-        assert (point["z_m"], point["in_m"], box["pixels"], time["values"][0]["value"]) == (
+        assert (point["z_m"], point["view_xyz_m"], box["box_px"], time["values"][0]["value"]) == (
             0.5,
             [3, 2, 1],
             BOX["box"],
@@ -145,7 +145,7 @@ async def test_the_page_asks_and_what_it_shows_is_told_to_the_model(bag: Path) -
             (1.5, -0.25, "map", "free on /map")
         ]
         assert "Picked on the map at 2023-11-14T22:13:20" in answer.content[0].text
-        assert any(line.startswith("map: /map, the robot at (") for line in seen["shows"])
+        assert any(line.startswith("map: /map, the robot at (") for line in seen["panels"])
 
 
 @pytest.mark.parametrize(

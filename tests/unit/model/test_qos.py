@@ -71,7 +71,7 @@ def test_the_chosen_qos_matches_everybody(others: tuple[tuple[str, str], ...]) -
 
 def test_the_reason_counts_who_offers_what() -> None:
     reason = for_subscribing(endpoints((RELIABLE, VOLATILE), (BEST_EFFORT, VOLATILE), (RELIABLE, VOLATILE))).reason
-    assert reason == "of 3 publishers 2 offer reliable, 0 transient_local"
+    assert reason == "3 publishers: 2 reliable, 0 transient_local"
 
 
 @pytest.mark.parametrize(

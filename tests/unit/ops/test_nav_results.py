@@ -31,7 +31,7 @@ def test_a_goal_below_is_told_with_the_one_that_it_is_carried_out_for() -> None:
     other = RunningGoal("/b/follow_path", "nav2_msgs/action/FollowPath", "4" * 32, "EXECUTING")
     assert [goal.action_name for goal in from_above([path])] == ["/follow_path"]
     found = from_above([path, pose, other])
-    assert [(goal.action_name, goal.carried_by) for goal in found] == [
+    assert [(goal.action_name, goal.delegated_to) for goal in found] == [
         ("/navigate_to_pose", ["/follow_path"]),
         ("/b/follow_path", []),
     ]

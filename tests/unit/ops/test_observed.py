@@ -282,7 +282,7 @@ def test_without_anything_that_reports_motion_nothing_is_confirmed() -> None:
 
 def test_what_reported_before_and_is_gone_leaves_it_open() -> None:
     still = Account("/imu_odom", "still", "says 0.00 m/s and 0.00 rad/s")
-    seen = observation([still], missing=["/odom reported motion before, and nobody publishes it any more"])
+    seen = observation([still], missing=["/odom reported motion before, and has no publisher any more"])
     assert seen.is_open and not is_confirmed([], seen, [])
     assert is_confirmed([], observation([still]), [])
 

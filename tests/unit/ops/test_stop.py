@@ -35,11 +35,11 @@ JOINTS_STAND = Observation(verdict="observed still", sentence="Observed still.")
         (StoppedTopic("/cmd_vel", 0, False, error="/cmd_vel got no zero."), "/cmd_vel got no zero."),
         (StoppedTopic("/cmd_vell", 0, False), ""),
         (
-            StoppedTopic("/cmd_vel", 0, None, unreached=2),
+            StoppedTopic("/cmd_vel", 0, None, unreached_subscribers=2),
             "2 subscribers of /cmd_vel did not get the zero: stop again.",
         ),
         (
-            StoppedTopic("/cmd_vel", 1, True, unreached=1),
+            StoppedTopic("/cmd_vel", 1, True, unreached_subscribers=1),
             "1 subscriber of /cmd_vel did not get the zero: stop again.",
         ),
     ],
@@ -56,19 +56,19 @@ def test_a_subscriber_that_never_acknowledges_needs_to_where_nothing_shows_that_
 
 
 def test_a_subscriber_that_left_is_a_doubt_unless_another_stays_and_odometry_shows_that_the_base_stands() -> None:
-    said = ["/base took commands on /cmd_vel and is gone: it may move until it is seen again."]
-    one_left = StoppedTopic("/cmd_vel", 1, True, gone=["/base"])
+    said = ["/base received commands on /cmd_vel and has left the graph: it may still move."]
+    one_left = StoppedTopic("/cmd_vel", 1, True, lost_subscribers=["/base"])
     assert _doubts([one_left], [], UNSEEN) == _doubts([one_left], [], JOINTS_STAND) == said
     assert _doubts([one_left], [], BASE_STANDS) == []
     assert _doubts([replace(one_left, subscribers=0, is_deserted=True)], [], BASE_STANDS) == said
     nameless = StoppedTopic("/cmd_vel", 0, None, is_deserted=True)
-    assert _doubts([nameless], [], BASE_STANDS)[0].startswith("A subscriber took commands on /cmd_vel and is gone")
+    assert _doubts([nameless], [], BASE_STANDS)[0].startswith("A subscriber received commands on /cmd_vel and has left")
 
 
 @pytest.mark.promise("README", "(or nobody listens)")
 def test_that_nobody_listens_is_said() -> None:
-    assert _facts(ENDED, [StoppedTopic("/cmd_vell", 0, None)], [], {}) == ["Nobody subscribes to /cmd_vell now."]
-    assert _facts(ENDED, [StoppedTopic("/cmd_vel", 0, None, unreached=1)], [], {}) == []
+    assert _facts(ENDED, [StoppedTopic("/cmd_vell", 0, None)], [], {}) == ["/cmd_vell has no subscriber now."]
+    assert _facts(ENDED, [StoppedTopic("/cmd_vel", 0, None, unreached_subscribers=1)], [], {}) == []
 
 
 def test_what_cannot_be_stopped_is_named_up_to_a_bound() -> None:

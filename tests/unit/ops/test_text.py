@@ -165,7 +165,7 @@ def test_what_can_be_sent_back_is_exact() -> None:
 def test_a_list_of_objects_is_a_table_and_what_is_equal_in_all_is_said_once() -> None:
     rows = [Row("/scan", 1, 10.01234, ("/lidar",)), Row("/odom", 1, 25.0, ("/base", "/sim"), "slow | late")]
     lines = as_text(Whole(rows=rows)).splitlines()
-    at = lines.index("rows (2; in all count: 1):")
+    at = lines.index("rows (2; every row has count: 1):")
     assert lines[at + 1 : at + 4] == [
         "name | rate_hz | nodes | problem",
         "/scan | 10.012 | /lidar",

@@ -155,7 +155,7 @@ def test_one_outlier_does_not_make_the_picture_black() -> None:
     alone, with_outlier = room(), np.vstack((room(), [[9e5, -1e4, 1]]))
     seen = bird_eye(around(with_outlier), BirdEyeOptions(color_mode="height"))
     assert (pixels(seen) == pixels(bird_eye(around(alone), BirdEyeOptions(color_mode="height")))).all()
-    assert seen.numbers.shown == 2000 and seen.numbers.note.startswith("Left out: 1 point far")
+    assert seen.numbers.shown == 2000 and seen.numbers.note.startswith("Not shown: 1 point far")
     everything = BirdEyeOptions(x_min_m=-1e6, x_max_m=1e6, y_min_m=-1e6, y_max_m=1e6)
     assert bird_eye(around(with_outlier), everything).numbers.shown == 2001
 

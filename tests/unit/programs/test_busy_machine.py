@@ -140,6 +140,27 @@ async def test_a_program_whose_process_dies_says_so(not_run_for: Callable[[float
         assert failed.value.kind == "crash"
 
 
+class StillHeld:
+    """A session that a thread of its pool holds for a while, as `worker_pid` documents it: the id is not known then."""
+
+    def __init__(self, unknown: int) -> None:
+        self._unknown = unknown
+
+    @property
+    def worker_pid(self) -> int | None:
+        self._unknown -= 1
+        return None if self._unknown >= 0 else 4711
+
+
+async def test_no_program_runs_while_its_process_is_unknown_for_it_would_have_no_limits(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(sandbox, "_PROCESS_ID_TRIES", 5)
+    assert await sandbox._process_id(StillHeld(4)) == 4711
+    with pytest.raises(sandbox.Failure, match="its limits cannot be enforced"):
+        await sandbox._process_id(StillHeld(5))
+
+
 def test_the_processor_time_of_a_process_does_not_go_on_while_it_waits() -> None:
     pid = os.fork()
     if pid == 0:

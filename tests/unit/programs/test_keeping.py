@@ -68,9 +68,9 @@ async def test_a_new_version_is_asked_for_and_the_former_one_is_named(made, sett
         await save(made)
     text, value = await save(made, program="print(2)\n", replace=True)
     assert "replaced: look" in text
-    assert value["former"] == str(settings.programs / "former" / "look.v1.md")
+    assert value["previous_file"] == str(settings.programs / "former" / "look.v1.md")
     _, gone = await call(made, "ros2_program_save", name="look", remove=True)
-    assert gone["former"].endswith("look.v2.md")
+    assert gone["previous_file"].endswith("look.v2.md")
     with pytest.raises(CallFailed, match="no kept program"):
         await call(made, "ros2_program_save", name="look", remove=True)
 

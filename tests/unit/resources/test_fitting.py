@@ -16,7 +16,7 @@ def test_a_long_list_is_cut_and_the_cut_is_said() -> None:
     shown = json.loads(text)
     assert len(text) <= 4000
     assert shown["topics"] == [f"/topic_{i:04}" for i in range(len(shown["topics"]))]
-    assert shown["left_out"] == {"topics": f"the first {len(shown['topics'])} of 1000 entries are shown"}
+    assert shown["omitted"] == {"topics": f"the first {len(shown['topics'])} of 1000 entries are shown"}
     assert shown["note"] == "all"
 
 
@@ -29,7 +29,7 @@ def test_lists_give_way_before_what_cannot_be_parted() -> None:
 def test_what_cannot_be_parted_is_left_out_with_its_size() -> None:
     shown = json.loads(fitting({"examples": {"value": "x" * 5000}, "kind": "msg"}, 500))
     assert shown["examples"] is None
-    assert shown["left_out"]["examples"] == "5012 bytes"
+    assert shown["omitted"]["examples"] == "5012 bytes"
     assert shown["kind"] == "msg"
 
 

@@ -145,8 +145,8 @@ async def test_a_subscriber_in_the_graph_that_was_not_matched_is_not_stopped(
     ]
     bridge.zeros = [{"topic": "/cmd_vel", "type": TWIST, "matched": matched, "acked": True if matched else None}]
     stopped = await stop(robot)
-    assert (stopped.confirmed, stopped.topics[0].unreached) == (False, 2 - matched)
-    assert "did not get the zero" in stopped.note and "Nobody" not in stopped.note
+    assert (stopped.confirmed, stopped.topics[0].unreached_subscribers) == (False, 2 - matched)
+    assert "did not get the zero" in stopped.note and "no subscriber" not in stopped.note
     assert robot.moves_for(LOCAL)
     bridge.zeros[0] |= {"matched": 2, "acked": True}
     assert not (await stop(robot)).is_doubted and not robot.moves_for(LOCAL)
@@ -320,7 +320,7 @@ async def test_whoever_took_a_command_and_is_gone_leaves_a_stop_open_until_it_is
     bridge.subscribers = [{**base, "node": "somebody_else"}]
     for _ in range(2):
         stopped = await stop(robot)
-        assert stopped.is_doubted and "/base took commands on /cmd_vel and is gone" in stopped.note
+        assert stopped.is_doubted and "/base received commands on /cmd_vel and has left" in stopped.note
         assert stopped.topics[0].is_deserted
     bridge.subscribers = [{**base, "node": "_NODE_NAME_UNKNOWN_", "namespace": "_NODE_NAMESPACE_UNKNOWN_"}]
     stopped = await stop(robot)

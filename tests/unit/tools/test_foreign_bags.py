@@ -112,7 +112,7 @@ async def test_fields_conditions_statistics_and_plots_work_on_json(
     met = await found.structured(
         "ros2_wait_until", bag="run.mcap", topic_name="/motor", condition="motor.rpm > 450 and on"
     )
-    assert met["met"] and met["looked_at"] == 6
+    assert met["met"] and met["messages_checked"] == 6
     measured = await found.structured("ros2_topic_statistics", bag="run.mcap", topic_names=["/motor"])
     by_field = {row["field"]: row for row in measured["topics"][0]["fields"]}
     assert (by_field["motor.rpm"]["min"], by_field["motor.rpm"]["max"]) == (0, 900)

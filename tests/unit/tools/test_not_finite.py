@@ -180,10 +180,10 @@ async def test_a_scene_shows_the_rest_and_names_what_it_cannot_show(tools: Tools
 async def test_the_robot_in_brief_says_unknown_with_the_field(tools: Toolset) -> None:
     said = await told(tools, "ros2_robot", bag="broken_frames", whole=True)
     for known in (
-        "The robot's place is unknown: of /odom, pose.pose.position.x is NaN",
+        "The robot's pose is unknown: in /odom, pose.pose.position.x is NaN",
         "map → odom is refused: its translation.x is NaN",
         "base_link → camera is refused: its translation.y is infinite",
-        "/local_costmap/published_footprint is no outline: polygon.points[0].x is NaN",
+        "/local_costmap/published_footprint is not a valid footprint: polygon.points[0].x is NaN",
         "/scan_step has no bearings: angle_increment is 0",
         "range unknown (range_min is NaN)",
         "/speed Float32 unknown (NaN)",

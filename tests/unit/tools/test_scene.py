@@ -214,8 +214,8 @@ async def test_without_a_map_the_scan_shows_the_room(tools: Toolset) -> None:
         ({"frame": "mapp"}, r"There is no frame mapp\..*Did you mean map\?"),
         ({"grid": "/nowhere"}, "/nowhere"),
         ({"grid": "/scan"}, "/scan is a sensor_msgs/msg/LaserScan"),
-        ({"bag": "lost", "radius_m": 2}, "Without the robot's place in map"),
-        ({"bag": "mapless", "grid": "costmap"}, "Nobody publishes a costmap"),
+        ({"bag": "lost", "radius_m": 2}, "The robot's pose in map is unknown"),
+        ({"bag": "mapless", "grid": "costmap"}, "No costmap has a publisher"),
     ],
 )
 async def test_what_cannot_be_shown_is_refused_with_the_reason(

@@ -29,7 +29,15 @@ def test_all_kinds_are_kept_as_they_are(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "change",
-    [{"kind": "goal"}, {"pixels": [1]}, {"pixels": None}, {"frame": 5}, {"in_m": [1]}, {"values": {}}, {"x_m": "1"}],
+    [
+        {"kind": "goal"},
+        {"box_px": [1]},
+        {"box_px": None},
+        {"frame": 5},
+        {"view_xyz_m": [1]},
+        {"values": {}},
+        {"x_m": "1"},
+    ],
 )
 def test_what_is_none_of_ours_is_not_taken(tmp_path: Path, change: dict[str, Any]) -> None:
     folder = StateFolder(tmp_path)

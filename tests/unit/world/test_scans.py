@@ -126,7 +126,7 @@ def test_a_scan_of_the_front_alone_says_nothing_of_the_rear(scan: Any) -> None:
 
 def test_a_scan_without_limits_is_taken_as_far_as_it_saw(scan: Any) -> None:
     meaning = scan_meaning(scan({0: 7.0}, range_min=0.0, range_max=0.0))
-    assert meaning.reach_m == pytest.approx(7.0) and meaning.nearest_m == pytest.approx(4.0)
+    assert meaning.range_max_m == pytest.approx(7.0) and meaning.nearest_m == pytest.approx(4.0)
 
 
 def test_an_empty_scan_and_one_without_valid_beams_say_so(scan: Any) -> None:

@@ -5,7 +5,7 @@ import { Frame, Sheet, ageText, bytesOf, colour, rateText } from "../dom.ts";
 import type { Kind, Panel } from "../panel.ts";
 import type { Picks } from "../picks.ts";
 
-type Shown = { why?: string; topic?: string; topics?: string[]; at_s?: number; rate_hz?: number | null; mime?: string; width?: number; height?: number; note?: string; bulk?: string; whole?: number[]; frame?: string };
+type Shown = { why?: string; topic?: string; topics?: string[]; at_s?: number; from_before?: boolean; rate_hz?: number | null; mime?: string; width?: number; height?: number; note?: string; bulk?: string; whole?: number[]; frame?: string };
 type Rectangle = [left: number, top: number, right: number, bottom: number];
 
 const STALE_S = 2;
@@ -149,7 +149,7 @@ export class ImagePanel implements Panel {
     this.nowS = nowS;
     if (!this.picture || this.shown.at_s === undefined) return this.frame.tellAge("", false);
     const age = nowS - this.shown.at_s, isOld = lost || age > STALE_S;
-    this.frame.tellAge(`${rateText(this.shown.rate_hz, isOld)}${ageText(age)}`, isOld);
+    this.frame.tellAge(`${rateText(this.shown.rate_hz, isOld)}${ageText(age, this.shown.from_before)}`, isOld);
   }
 
   mark(): void {

@@ -1,7 +1,7 @@
 // The map: what is around the robot, from above. Drag moves, the wheel or + and - zoom, 0 shows all; a click picks a
 // place, with Shift one more; Enter picks the middle.
 
-import { Frame, Notes, Sheet, ageText, bytesOf, colour } from "../dom.ts";
+import { Frame, Notes, Sheet, ageText, bytesOf, colour, oldIn } from "../dom.ts";
 import type { Kind, Page, Panel } from "../panel.ts";
 
 type Mark = { name: string; x: number; y: number; yaw: number | null };
@@ -11,7 +11,7 @@ type Around = {
   robot?: { x: number; y: number; z: number; yaw: number; at_s: number | null; reckoned: { x: number; y: number; z: number; yaw: number; at_s: number } | null } | null;
   grid?: Grid | null; footprint?: [number, number][] | null; limbs?: Limb[];
   paths?: { name: string; points: [number, number][] }[]; goals?: Mark[]; places?: Mark[];
-  layers?: { kind: string; name: string; at_s: number | null }[]; missing?: string[]; bulk?: string[];
+  layers?: { kind: string; name: string; at_s: number | null }[]; missing?: string[]; old?: string[]; bulk?: string[];
 };
 /** A link that joints move, from above; `bone` leads to it from the link that holds it. */
 type Limb = { outline: [number, number][]; bone: [[number, number], [number, number]] | null; jointed: boolean };
@@ -102,7 +102,7 @@ export class MapPanel implements Panel {
     if (this.trail.length > MOST_TRAIL) this.trail = this.trail.filter((_, index) => index % 2 === 0);
     this.frame.offer(around.grids ?? [], this.chosen || around.grid?.name || "");
     this.frame.tell(around.why ?? "");
-    this.notes.tell(around.missing ?? [], this.note);
+    this.notes.tell(around.missing ?? [], [this.note, oldIn(around.old)].filter(Boolean).join(" "));
     if (around.grid) void this.fetchCells(around.grid.key);
     this.sheet.canvas.setAttribute("aria-label", this.inWords());
     this.draw();

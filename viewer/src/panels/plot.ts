@@ -6,7 +6,7 @@ import type { Kind, Panel, Topics } from "../panel.ts";
 import type { Picks } from "../picks.ts";
 
 type Field = { name: string; unit: string };
-type Told = { why?: string; topic?: string; fields?: Field[]; since_s?: number; first?: number; at_s?: number | null; whole?: boolean; rate_hz?: number | null; notes?: string[]; bulk?: string };
+type Told = { why?: string; topic?: string; fields?: Field[]; since_s?: number; first?: number; at_s?: number | null; from_before?: boolean; whole?: boolean; rate_hz?: number | null; notes?: string[]; bulk?: string };
 type Column = (number | null | undefined)[];
 
 const SPANS_S = [10, 30, 60];
@@ -340,7 +340,7 @@ export class PlotPanel implements Panel {
     if (at === undefined || at === null) return this.frame.tellAge("", false);
     const age = nowS - at, rate = this.told.rate_hz, isOld = lost || age > Math.max(2, rate ? 5 / rate : 2);
     const seen = this.still ? " · stands still (0 or double click: goes on)" : "";
-    this.frame.tellAge(`${rateText(rate, isOld)}${ageText(age)}${seen}`, isOld);
+    this.frame.tellAge(`${rateText(rate, isOld)}${ageText(age, this.told.from_before)}${seen}`, isOld);
     if (!this.still && !lost) this.draw(false);
     if (this.sheet.clientWidth && !lost) this.sheet.setAttribute("aria-label", this.inWords());
   }

@@ -1,18 +1,18 @@
 // What is around the robot in three dimensions. It is begun when it is first seen, and drawn only when something is new.
 
 import type { BufferGeometry } from "three";
-import { Frame, Notes, ageText, bytesOf, colour, make } from "../dom.ts";
+import { Frame, Notes, ageText, bytesOf, colour, make, oldIn } from "../dom.ts";
 import type { Kind, Page, Panel } from "../panel.ts";
 import { type Body, type MeshFacts, meshOf } from "../solids.ts";
 import { Stage, type Cloud, type Place, type Shape } from "../stage.ts";
 
-type Whence = { name: string; frame: string; at_s: number; pose: number[] };
+type Whence = { name: string; frame: string; at_s: number; from_before: boolean; pose: number[] };
 type Space = {
   why?: string; frame?: string; base?: string; frames?: Place[]; clouds?: string[];
   cloud?: (Cloud & Whence & { key: string; points: number; cell_m: number }) | null;
   scans?: Whence[]; model?: { key: string; shapes: number; meshes: number } | null;
   markers?: { key: string; count: number; poses: number[][]; at_s: number } | null;
-  missing?: string[]; told_s?: number | null; bulk?: string[];
+  missing?: string[]; old?: string[]; told_s?: number | null; bulk?: string[];
 };
 
 const STALE_S = 3;
@@ -87,7 +87,7 @@ export class SpacePanel implements Panel {
   update(space: Space): void {
     if (!this.works) return;
     this.tellWhy(space.why);
-    this.notes.tell([...(space.why && this.shown.frame ? [space.why] : []), ...missingIn(space)]);
+    this.notes.tell([...(space.why && this.shown.frame ? [space.why] : []), ...missingIn(space)], oldIn(space.old));
     if (space.frame === undefined || !this.begin()) return;
     const isOther = space.frame !== this.shown.frame;
     this.shown = space;
@@ -204,7 +204,7 @@ export class SpacePanel implements Panel {
     const times = [cloud?.at_s, ...scans.map((scan) => scan.at_s), told_s].filter((at): at is number => typeof at === "number");
     const age = nowS - Math.max(...times);
     const isOld = times.length > 0 && age > STALE_S || (!!cloud && nowS - cloud.at_s > STALE_S);
-    this.frame.tellAge(times.length ? `${frame} · ${cloud ? `cloud ${ageText(nowS - cloud.at_s)}` : ageText(age)}` : frame, lost || isOld);
+    this.frame.tellAge(times.length ? `${frame} · ${cloud ? `cloud ${ageText(nowS - cloud.at_s, cloud.from_before)}` : ageText(age)}` : frame, lost || isOld);
   }
 
   repaint(): void { this.stage?.paint(colour("deep"), colour("line-deep"), colour("soft"), document.documentElement.dataset.theme === "dark"); }

@@ -3,7 +3,7 @@
 import { Frame, ageText, make, rateText, say } from "../dom.ts";
 import type { Kind, Panel, Topics } from "../panel.ts";
 
-type Values = { why?: string; topic?: string; type?: string; at_s?: number; rate_hz?: number | null; publishers?: string[]; value?: unknown };
+type Values = { why?: string; topic?: string; type?: string; at_s?: number; from_before?: boolean; rate_hz?: number | null; publishers?: string[]; value?: unknown };
 
 export class ValuesPanel implements Panel {
   chosen = "";
@@ -91,7 +91,7 @@ export class ValuesPanel implements Panel {
   tick(nowS: number, lost: boolean): void {
     if (this.shown.at_s === undefined) return this.frame.tellAge("", false);
     const age = nowS - this.shown.at_s, rate = this.shown.rate_hz, isOld = lost || age > Math.max(2, rate ? 5 / rate : 2);
-    this.frame.tellAge(`${rateText(rate, isOld)}${ageText(age)}`, isOld);
+    this.frame.tellAge(`${rateText(rate, isOld)}${ageText(age, this.shown.from_before)}`, isOld);
   }
 }
 

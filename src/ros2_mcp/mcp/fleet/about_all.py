@@ -36,9 +36,9 @@ _logger = logging.getLogger(__name__)
 class RobotState:
     """One robot: `state` is connected, connecting or away; `note` says why it is not connected.
 
-    `link_rtt_s` is the shortest way to it and back of the last minute, `clock_offset_s` how far its clock is ahead of
-    this machine's; null until they are known. `policy` names what is in force, empty where nothing is. `latched`:
-    nothing acts until an operator resets the latch.
+    `link_rtt_s` is the shortest round-trip time of the last minute, `clock_offset_s` how far the robot's clock is ahead
+    of this machine's; null until measured. `policy` names the policies in force, empty if there are none. `latched`: no
+    command is carried out until an operator resets the latch.
     """
 
     robot: str
@@ -74,7 +74,7 @@ class RobotStates:
 
 @dataclass(frozen=True, slots=True)
 class StoppedRobot:
-    """What was stopped on one robot."""
+    """The result of a stop on one robot."""
 
     robot: str
     stopped: stopping.Stopped
@@ -82,7 +82,7 @@ class StoppedRobot:
 
 @dataclass(frozen=True, slots=True)
 class StoppedRobots:
-    """What was stopped, for each robot; `confirmed` if it is for all of them."""
+    """The result of a stop for each robot; `confirmed` if it is confirmed for all of them."""
 
     robots: Sequence[StoppedRobot]
     confirmed: bool

@@ -1,1 +1,1 @@
-"""How clients connect: standard streams, a Unix socket, HTTP."""
+"""The transports for clients: standard streams, a Unix socket, HTTP."""

@@ -45,8 +45,9 @@ _SPOKEN = "FCU: "
 
 @dataclass(frozen=True, slots=True)
 class StoppedFlight:
-    """A vehicle that was told to stand: the `mode` it took, what its state said of that mode (`confirmed`) and of its
-    motors (`armed`; null: nothing). It is not disarmed: in the air it stays there.
+    """A vehicle that was commanded to hold its position. `mode` is the mode that was set; `confirmed`: the vehicle's
+    state reports that mode. `armed` is the state of its motors (null: unknown). The vehicle is not disarmed: in the air
+    it hovers.
     """
 
     vehicle: str
@@ -59,10 +60,11 @@ class StoppedFlight:
     def sentence(self) -> str:
         """The state of the vehicle, as a sentence."""
         if self.error:
-            return f"{named(self.vehicle)} was NOT seen to stand: {quoted(self.error)}"
+            return f"{named(self.vehicle)} was NOT confirmed to hold its position: {quoted(self.error)}"
         if self.armed is False:
             return f"{named(self.vehicle)} is disarmed."
-        return f"{named(self.vehicle)} stands in {self.mode}, still armed: in the air it stays there until LAND or RTL."
+        until = "still armed: in the air it stays there until LAND or RTL"
+        return f"{named(self.vehicle)} holds its position in {self.mode}, {until}."
 
 
 async def brake_flights(robot: Robot) -> list[StoppedFlight]:
@@ -97,8 +99,8 @@ async def outcome(
     if service_type == SET_MODE:
         return await _outcome_of_mode(robot, vehicle, flight, str(request.get("custom_mode", "")), response, since_ns)
     if response.get("success"):
-        stop = f"ros2_stop makes it stand ({BRAKE_MODES[0]} or the like), and never disarms it"
-        return f"Until {named(vehicle)} says that it is disarmed, {stop}." if flight else ""
+        stop = f"ros2_stop makes it hold its position ({BRAKE_MODES[0]} or similar), and never disarms it"
+        return f"Until {named(vehicle)} reports that it is disarmed, {stop}." if flight else ""
     code = response.get("result")
     result = f" (MAV_RESULT {code}, {RESULTS.get(code, 'unknown')})" if isinstance(code, int) else ""
     return f"Refused{result}. {await _reasons(robot, vehicle, flight, since_ns)}".rstrip()

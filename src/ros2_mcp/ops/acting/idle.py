@@ -1,5 +1,6 @@
-"""Why what is commanded may not move: its controller, the hardware below it or the node that listens is not active, or
-a node is frozen."""
+"""Reasons why a command may have no effect: a controller, hardware component or node is not active, or a node is
+frozen.
+"""
 
 from __future__ import annotations
 
@@ -29,15 +30,14 @@ _ACTIVE = "active"
 async def why_idle(
     robot: Robot, commands: str = "", feedback: str = "", action: str = "", *, is_in_doubt: bool = False
 ) -> str:
-    """Sentences on what keeps the listeners of a topic with commands, the publishers of one with feedback, or the
-    server of an action from acting: their controllers and hardware, by each controller manager, and lifecycle nodes
-    that are not active; empty where nothing does, or nobody knows.
+    """Return sentences on what keeps nodes from acting: inactive controllers and hardware components, as their
+    controller managers report, and inactive lifecycle nodes. Empty if nothing does, or if it is unknown.
 
     The nodes in question are the subscribers of the topic `commands`, the publishers of the topic `feedback`, and the
     server of `action`.
 
-    `is_in_doubt`: something did not move. Then nodes on which no controller manager reports are asked for a sign of
-    life, too. Takes up to some tenths of a second, 1.5 s if a node is frozen. Raises no `RobotError`.
+    `is_in_doubt`: something did not move. Then nodes that no controller manager reports on are also checked for a sign
+    of life. Takes up to some tenths of a second, 1.5 s if a node is frozen. Raises no `RobotError`.
     """
     try:
         rows = await robot.graph.services()
@@ -66,7 +66,7 @@ async def with_reason(
 
 
 async def _nodes(robot: Robot, commands: str, feedback: str, action: str) -> set[str]:
-    """Return the nodes that are commanded, and those that report."""
+    """Return the nodes that receive the commands, and those that publish the feedback."""
     found: set[str] = set()
     if commands:
         found |= {one.node for one in (await robot.graph.endpoints(commands)).subscribers if not one.ours}

@@ -12,6 +12,7 @@ from ros2_mcp.model.commands import Principal
 from ros2_mcp.model.errors import BadInput, RobotError, TimedOut
 from ros2_mcp.model.text import quoted
 from ros2_mcp.ops.results.results import told_values
+from ros2_mcp.ops.sources.from_before import FromBefore, told_as_met
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.goals import CANCELLED_S, CancelWhen, Goal, WhenMet
 from ros2_mcp.robot.jobs import Job
@@ -74,9 +75,11 @@ class ConditionalCancel(Job):
             return f"It was cancelled because its condition could no longer be checked: {quoted(self.problem)}."
         if not self.met:
             return ""
-        shown = told_values(self.met.report["values"])
+        report = self.met.report
+        shown = told_values(report["values"])
+        old = told_as_met(str(FromBefore.one(report["from_before_s"])), True)
         was = "It was cancelled" if self.met.was_taken else "Its server refused to cancel it"
-        return f"{was} when {self.asked.condition} was met on {self.asked.topic} ({shown})."
+        return f"{was} when {self.asked.condition} was met on {self.asked.topic}{old} ({shown})."
 
 
 def job_id(goal_id: str) -> str:

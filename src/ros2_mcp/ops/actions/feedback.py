@@ -28,7 +28,9 @@ class FeedbackMessage:
 
 @dataclass(frozen=True, slots=True)
 class FeedbackMessages:
-    """The feedback of an action during a call, of one goal or of all."""
+    """The feedback that an action published during the call, for one goal or for all. `omitted` counts messages that
+    did not fit.
+    """
 
     topic: str
     action_type: str
@@ -87,5 +89,5 @@ async def follow_feedback(
                 break
     note = "" if messages else "No feedback: no goal is running, or the server publishes none."
     if omitted:
-        note = f"Left out to keep the answer short: the last {counted(omitted, 'message')}."
+        note = f"Not shown, to keep the answer short: the last {counted(omitted, 'message')}."
     return FeedbackMessages(topic, action_type, only_goal, monotonic() - started, messages, omitted, note)

@@ -31,7 +31,7 @@ _AT_LEAST_S = 0.1
 
 @dataclass(frozen=True, slots=True)
 class GoalResult:
-    """The result of a goal, whoever sent it; `TIMEOUT` (code 0) if it had not ended in time."""
+    """The result of a goal from any client; `status` is `TIMEOUT` (code 0) if the goal had not ended in time."""
 
     service: str
     goal_id: str = field(metadata=SAID)
@@ -146,6 +146,8 @@ async def result_of(
         note = ended_by(LEASE)
     elif STATUS.get(code) == "CANCELED" and goal and robot.graph.latched_at > goal.started_at:
         note = ended_by(reason_of(robot, "latch"))
+    elif STATUS.get(code) == "CANCELED" and goal and robot.graph.kept_out_at > goal.started_at:
+        note = ended_by(reason_of(robot, "keep_out"))
     result = response["result"] if code in TERMINAL else None
     note = " ".join(filter(None, (told_by_result(action_type, result), note, note_on(robot, goal_id))))
     return GoalResult(service, goal_id, True, timeout_s, code, STATUS.get(code, str(code)), result, note)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.goals import TERMINAL
-from ros2_mcp.model.nav2 import BELOW, CANNOT_MOVE, FOLLOW_WAYPOINTS, NAVIGATORS
+from ros2_mcp.model.nav2 import BELOW, CANNOT_MOVE, DOCK, FOLLOW_WAYPOINTS, NAVIGATORS
 from ros2_mcp.model.text import listed, named
 from ros2_mcp.ops.actions.status import states_now
 from ros2_mcp.robot import Robot
@@ -21,17 +21,17 @@ _MOST_NAMED = 3
 
 @dataclass(frozen=True, slots=True)
 class RunningGoal:
-    """A goal that its server says has not ended; `ours` if this server sent it.
+    """A goal whose action server reports that it has not ended. `from_this_server`: this server sent it.
 
-    `carried_by` are the actions of servers below that run for it.
+    `delegated_to` are the actions that the server in turn uses to carry out the goal.
     """
 
     action_name: str
     action_type: str
     goal_id: str
     status: str
-    ours: bool = False
-    carried_by: Sequence[str] = ()
+    from_this_server: bool = False
+    delegated_to: Sequence[str] = ()
 
     @property
     def ended_by(self) -> str:
@@ -41,8 +41,8 @@ class RunningGoal:
     @property
     def sentence(self) -> str:
         """A sentence about the goal, with the call that ends it."""
-        through = f", carried out by {listed(self.carried_by, _MOST_NAMED)}" if self.carried_by else ""
-        whose = "this server's own" if self.ours else "another client's"
+        through = f", carried out by {listed(self.delegated_to, _MOST_NAMED)}" if self.delegated_to else ""
+        whose = "this server's own" if self.from_this_server else "another client's"
         return (
             f"{named(self.action_name)} runs {whose} goal {self.goal_id} ({self.status}{through}): it may move the "
             f"robot. To end it: {self.ended_by}."
@@ -85,7 +85,7 @@ def _is_ours(robot: Robot, action: str, goal_id: str) -> bool:
 
 def from_above(goals: Sequence[RunningGoal]) -> list[RunningGoal]:
     """Return the goals without those that Nav2's servers carry out for another goal in the list. That goal names them
-    in `carried_by`; ending it ends them, too.
+    in `delegated_to`; ending it ends them, too.
     """
     carried: dict[str, list[str]] = {}
     for goal in goals:
@@ -93,7 +93,7 @@ def from_above(goals: Sequence[RunningGoal]) -> list[RunningGoal]:
             carried.setdefault(above.goal_id, []).append(goal.action_name)
     below = {name for actions in carried.values() for name in actions}
     return [
-        replace(goal, carried_by=sorted(carried.get(goal.goal_id, ())))
+        replace(goal, delegated_to=sorted(carried.get(goal.goal_id, ())))
         for goal in goals
         if goal.action_name not in below
     ]
@@ -105,4 +105,6 @@ def _is_above(one: RunningGoal, goal: RunningGoal) -> bool:
         return False
     if one.action_type == FOLLOW_WAYPOINTS:
         return goal.action_type in NAVIGATORS - {FOLLOW_WAYPOINTS}
-    return one.action_type in NAVIGATORS and goal.action_type in BELOW
+    if one.action_type == DOCK:  # the docking server has the navigator drive to the place before the dock
+        return goal.action_type in NAVIGATORS | BELOW - {DOCK}
+    return goal.action_type != DOCK and one.action_type in NAVIGATORS and goal.action_type in BELOW

@@ -45,9 +45,10 @@ first goal is delayed by this."""
 
 @dataclass(frozen=True, slots=True)
 class GoalOutcome:
-    """What became of a goal.
+    """The outcome of sending a goal.
 
-    `status` is `TIMEOUT` (code 0) if the waiting ended first; the goal then goes on. `result` is null until it ended.
+    `status` is `TIMEOUT` (code 0) if the wait timed out; the goal then continues. `result` is null until the goal has
+    ended.
     """
 
     action_name: str = field(metadata=SAID)

@@ -52,7 +52,7 @@ class StatusFrame:
 
 @dataclass(frozen=True, slots=True)
 class StatusFrames:
-    """How the goals of an action changed during a call."""
+    """The changes of the states of an action's goals during the call."""
 
     topic: str
     duration_sec: float = field(metadata=SAID)
@@ -66,8 +66,8 @@ class StatusFrames:
 
 @dataclass(frozen=True, slots=True)
 class KnownGoal:
-    """A goal of any action; `ours` if this server sent it. `age_sec` since it was accepted is null where the action
-    server keeps another time than this machine, as in a simulation.
+    """A goal of any action. `from_this_server`: this server sent it. `age_sec` is the time since the goal was accepted;
+    null if the action server's clock differs from this machine's, as in a simulation.
     """
 
     action_name: str
@@ -75,19 +75,19 @@ class KnownGoal:
     status_code: int
     status: str
     age_sec: float | None
-    ours: bool
+    from_this_server: bool
 
 
 @dataclass(frozen=True, slots=True)
 class KnownGoals:
-    """Every goal whose state an action server publishes, the newest first."""
+    """All goals whose state an action server publishes, the newest first."""
 
     goals: Sequence[KnownGoal]
     actions: Sequence[str]
     note: str = field(metadata=IF_ANY)
 
     def summary(self) -> str:
-        """One line."""
+        """Return the counts in one line."""
         return f"{counted(len(self.goals), 'goal')}; {counted(len(self.actions), 'action')} known. {self.note}".rstrip()
 
 

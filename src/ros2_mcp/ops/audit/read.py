@@ -30,11 +30,12 @@ others: they are read in a second."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AuditedAct:
-    """One act as the audit has it. `outcome` is empty while it runs, and where its server ended first.
+    """One entry of the audit. `outcome` is empty while the command runs, or if its server ended before the command did.
 
-    `verb` is `goal ended` of the end of a goal, and `refused` of a call that was refused before it was known what it
-    would do. `program` is the program that gave it and the line there: `program_0f3a9c21, line 3`.
-    `value` is the message, request, goal or parameters; what is none of them, such as a transition, is in its `value`.
+    `verb` is the kind of command; `goal ended` for the end of a goal, `refused` for a call that was refused before its
+    command was known. `program` is the program and its line that gave the command: `program_0f3a9c21, line 3`. `value`
+    is the message, request, goal or parameters; other commands, such as a lifecycle transition, are stored under its
+    key `value`.
     """
 
     number: int
@@ -58,18 +59,20 @@ class AuditedAct:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AuditExcerpt:
-    """The newest acts of the client that asks, the oldest first. `head` is the end of the chain."""
+    """The newest audit entries of the calling client, the oldest first. `head` is the hash at the end of the chain;
+    `error` says why the audit cannot be written.
+    """
 
-    acts: Sequence[AuditedAct]
+    entries: Sequence[AuditedAct]
     head: str
-    failed: str
+    error: str
     note: str = ""
     shown: Sequence[str] = field(default=(), metadata=HIDDEN)
 
     def summary(self) -> list[str]:
-        """A line for each of the newest."""
-        entries = counted(len(self.acts), "audit entry", "audit entries")
-        return [f"{entries} for this client; end of the chain: {self.head}.", *self.shown]
+        """Return the count, and a line for each of the newest entries."""
+        entries = counted(len(self.entries), "audit entry", "audit entries")
+        return [f"{entries} for this client; last hash of the chain: {self.head}.", *self.shown]
 
 
 async def read(robot: Robot, session: Session, limit: int = 50) -> AuditExcerpt:
@@ -81,13 +84,13 @@ async def read(robot: Robot, session: Session, limit: int = 50) -> AuditExcerpt:
     bounded("limit", limit, 1, MOST, "acts")
     auditing = robot.guard.audit
     if not isinstance(auditing, Auditing) or auditing.log.path is None:
-        return AuditExcerpt(acts=(), head="", failed="", note="This server keeps no audit.")
+        return AuditExcerpt(entries=(), head="", error="", note="This server keeps no audit.")
     await auditing.log.written()  # it then has what this client has just done
     acts = await to_thread.run_sync(_acts, auditing.log.path, session.principal.name, limit)
     return AuditExcerpt(
-        acts=acts,
+        entries=acts,
         head=auditing.log.head.short,
-        failed=auditing.log.failed,
+        error=auditing.log.failed,
         note=f"The audit cannot be written: {auditing.log.failed}." if auditing.log.failed else "",
         shown=[act.in_words() for act in acts[-_LINES:]],
     )

@@ -8,6 +8,7 @@ from typing import Any
 
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadName
+from ros2_mcp.model.text import counted_of
 from ros2_mcp.ops.results.results import IF_ANY, LINES, SAID, list_note
 from ros2_mcp.robot import Robot
 
@@ -22,15 +23,15 @@ class InterfaceList:
 
     def summary(self) -> str:
         """Return the result in one line."""
-        return f"{len(self.interfaces)} of {self.total} interfaces. {self.note}".rstrip()
+        return f"{counted_of(len(self.interfaces), self.total, 'interface')}. {self.note}".rstrip()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Definition:
-    """The whole definition of an interface, and an example value for each of its sides, ready to fill in.
+    """The whole definition of an interface, with an example value for each side, ready to fill in.
 
-    `fields` is name → type, for a service or action one level deeper: side → name → type. `text` is the definition as
-    a listing with every nested type; `examples` has the key `message`, or `request` and `response`, or `goal`,
+    `fields` maps names to types; for a service or action it is one level deeper: side → name → type. `text` is the
+    definition with every nested type; `examples` has the key `message`, or `request` and `response`, or `goal`,
     `result` and `feedback`.
     """
 

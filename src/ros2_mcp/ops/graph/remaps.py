@@ -1,5 +1,6 @@
-"""Remappings that lead nowhere: a topic is published that nobody hears, and one of the same type and nearly the same
-name is awaited that nobody publishes."""
+"""Probable missing remappings: a topic that is published but has no subscriber, and one of the same type and nearly the
+same name that has a subscriber but no publisher.
+"""
 
 from __future__ import annotations
 

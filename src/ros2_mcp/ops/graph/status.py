@@ -24,14 +24,14 @@ _LAST_RESTARTS = 5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Status:
-    """The state of the server and its bridge; `limitations` says in words what is not possible here and why.
+    """The state of the server and its bridge; `limitations` says what is not possible here, and why.
 
-    `policy` names what is in force, or says that nothing is; `policy_strength` and `policy_digest` are then empty.
-    `mode` is what holds now: the policy's, or the stricter one that the operator has chosen. `latched`: nothing acts
-    until an operator resets the latch. `audit_head` is the end of the audit: who copies it can tell later whether all
-    was written anew. `clock_offset_s` is how far the robot's clock, by which all its times are, is ahead of this
-    machine's (0 where they cannot be told apart); `link_rtt_s` is how long the way to the bridge and back takes at
-    least. Both are null until they are known.
+    `policy` names the policies in force, or says that there are none; `policy_strength` and `policy_digest` are then
+    empty. `mode` is the mode in force: the policy's, or a stricter one that the operator has set. `latched`: no command
+    is carried out until an operator resets the latch. `audit_head` is the hash at the end of the audit: compare it with
+    an earlier copy to detect a rewritten audit. `clock_offset_s` is how far the robot's clock, used for all times, is
+    ahead of this machine's clock (0 if the difference is not measurable); `link_rtt_s` is the shortest round-trip time
+    to the bridge. Both are null until measured.
     """
 
     server_version: str

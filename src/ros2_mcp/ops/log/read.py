@@ -63,31 +63,34 @@ class LogLine:
 
 @dataclass(frozen=True, slots=True)
 class Log:
-    """The newest lines that were asked for, the oldest first.
+    """The newest of the requested lines, the oldest first.
 
-    `matched` lines met the conditions, `kept` are in memory, `dropped` had to go from there. `listening_since` is when
-    this server began to listen; lines from a few seconds before may be there too. Of a recording `seconds_in` says when
-    each line was recorded, counted from its beginning.
+    `matched` lines match the filters, `kept` lines are in this server's memory, `dropped` older ones no longer are.
+    `subscribed_since` is when this server subscribed to /rosout; lines from a few seconds before may be included. For a
+    recording, `seconds_in` gives the receive time of each line as an offset from its start.
     """
 
     lines: Sequence[LogLine]
     matched: int = field(metadata=SAID)
     kept: int = field(metadata=SAID)
     dropped: int
-    listening_since: str
+    subscribed_since: str
     note: str = field(metadata=IF_ANY)
     source: str = "live"
     seconds_in: Sequence[float] = field(default=(), metadata=beside("lines"))
 
     def summary(self) -> str:
         """Return the result in one line."""
-        of = f"{self.kept} kept" if self.source == "live" else f"{self.kept} in {self.source}"
-        return f"{len(self.lines)} of {counted(self.matched, 'line')}, {of}. {self.note}".rstrip()
+        where = "in memory" if self.source == "live" else f"in {self.source}"
+        if not self.kept:
+            return f"No lines {where}. {self.note}".rstrip()
+        shown = f", the newest {len(self.lines)} shown" if len(self.lines) < self.matched else ""
+        return f"{counted(self.kept, 'line')} {where}, {self.matched} matching{shown}. {self.note}".rstrip()
 
 
 @dataclass(frozen=True, slots=True)
 class LogRequest:
-    """The requested lines: since and up to when (seconds ago or ISO 8601), of which node, level and text."""
+    """The filters of the lines: a time span (seconds ago or ISO 8601), a node, a minimum level and a text."""
 
     since: str = ""
     until: str = ""
@@ -123,11 +126,11 @@ async def read(robot: Robot, request: LogRequest, max_bytes: int = 32_000) -> Lo
     lines, matched = _fitting(found.messages, max_bytes), found.matched
     notes = [found.skipped] if found.skipped else []
     if len(lines) < matched:
-        notes.append(f"The newest {len(lines)} are shown: narrow the pattern, or raise limit.")
+        notes.append("Narrow the pattern, or raise limit, to see the others.")
     if robot.log.dropped and (not matched or not since_ns or since_ns < kept[0].received_ns):
-        notes.append(f"No longer kept: {counted(robot.log.dropped, 'older line')}.")
+        notes.append(f"{counted(robot.log.dropped, 'older line')} no longer in memory.")
     if since_ns and since_ns < robot.log.since_ns and kept:
-        notes.append(f"This server has listened only since {iso_time(robot.log.since_ns)}.")
+        notes.append(f"This server subscribed to /rosout only at {iso_time(robot.log.since_ns)}.")
     if robot.log.interruptions:
         notes.append(
             f"The connection to the bridge was lost {counted(robot.log.interruptions, 'time')}: lines from then may be "
@@ -136,9 +139,9 @@ async def read(robot: Robot, request: LogRequest, max_bytes: int = 32_000) -> Lo
     if not kept and (absence := await robot.graph.absence()):
         notes.append(absence)
     if not kept:
-        began = f"No line was published on /rosout in the {_listened_s(robot):.0f} s since this server subscribed"
+        began = f"Nothing was published on /rosout in the {_listened_s(robot):.0f} s since this server subscribed"
         notes.append(
-            f"{began}: lines logged more than about 10 s before that are not available. "
+            f"{began}, and /rosout replays only about 10 s of older lines. "
             "ros2_topic_subscribe of /rosout waits for the next line."
         )
     return Log(
@@ -146,7 +149,7 @@ async def read(robot: Robot, request: LogRequest, max_bytes: int = 32_000) -> Lo
         matched=matched,
         kept=len(kept),
         dropped=robot.log.dropped,
-        listening_since=iso_time(robot.log.since_ns),
+        subscribed_since=iso_time(robot.log.since_ns),
         note=" ".join(notes),
     )
 
@@ -187,13 +190,13 @@ async def read_recorded(source: Source, request: LogRequest, max_bytes: int) -> 
     found = capture.kept
     lines = _fitting(found.messages, max_bytes)
     shown_ns = list(found.received_ns)[len(found.received_ns) - len(lines) :]
-    notes = [f"The newest {len(lines)} are shown."] if len(lines) < found.matched else []
+    notes: list[str] = []
     return Log(
         lines=lines,
         matched=found.matched,
         kept=capture.received,
         dropped=capture.dropped,
-        listening_since=iso_time(capture.start_ns),
+        subscribed_since=iso_time(capture.start_ns),
         note=" ".join(filter(None, (*notes, found.skipped))),
         source=source.words,
         seconds_in=[seconds for at_ns in shown_ns if (seconds := seconds_in(at_ns, source.began_ns)) is not None],

@@ -447,7 +447,7 @@ class Columns(Arrivals):
             return ""
         rows = len(self._read)
         until = f", up to {recorded_time(self._read[-1], began_ns)}" if rows else ""
-        return f"{what} of only the first {rows} of {self.decoded} messages{until}: later values did not fit in memory."
+        return f"{what} only the first {rows} of {self.decoded} messages{until}: later values did not fit in memory."
 
 
 def value_of(path: FieldPath, message: object) -> Any:

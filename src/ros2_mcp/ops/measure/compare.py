@@ -12,6 +12,7 @@ from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.model.text import counted, listed
 from ros2_mcp.ops.results.results import SAID, Report, silent
+from ros2_mcp.ops.sources.from_before import FromBefore
 from ros2_mcp.ops.sources.source import Capture, Missing, Source, Stream
 
 if TYPE_CHECKING:
@@ -40,13 +41,13 @@ class FieldComparison:
 
     `compared_as`: a quaternion is one `rotation`, whose difference is the angle between the two; an `angle` (by its
     name: yaw, heading, steering_angle, ...) differs by at most half a turn; all other values are a `number`. `unit` is
-    empty if it is that of the field. Percentages refer to `scale`: the range of values within a topic (max - min, the
-    larger of the two; at least a thousandth of the largest magnitude, at most all of it); the magnitude if neither
-    topic varies; at least 0.001° for latitude and longitude; half a turn for angles. `correlation` is Pearson's, null
-    if one topic does not vary. `delay_s` is the delay of the second topic behind the first (by cross-correlation of the
-    values over the time of receipt), null if the two do not correlate. `not_compared` counts values that are missing,
-    or NaN or infinite, in only one topic, and rotations that were never set (all 0) in only one. `alike` counts pairs
-    that are identical but cannot be subtracted (NaN, infinity, unset).
+    empty if the difference has the unit of the field. Percentages refer to `scale`: the range of values within a topic
+    (max - min, the larger of the two; at least a thousandth of the largest magnitude, at most all of it); the magnitude
+    if neither topic varies; at least 0.001° for latitude and longitude; half a turn for angles. `correlation` is
+    Pearson's, null if one topic does not vary. `delay_s` is the delay of the second topic behind the first (by
+    cross-correlation of the values over the time of receipt), null if the two do not correlate. `not_compared` counts
+    pairs in which only one of the values is missing, NaN, infinite, or a rotation that was never set (all 0).
+    `equal_not_numeric` counts pairs that are identical but cannot be subtracted (NaN, infinity, unset).
     """
 
     field: str
@@ -62,17 +63,17 @@ class FieldComparison:
     correlation: float | None = None
     delay_s: float | None = None
     not_compared: int = 0
-    alike: int = 0
+    equal_not_numeric: int = 0
 
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """How two topics differ.
+    """The differences between two topics.
 
-    `IDENTICAL`: every field agrees within the tolerance, and every message has its partner (but for the edges).
-    `SIMILAR`: the root of the mean squared difference is at most 5 % of the field's scale in every field;
-    `DIFFERENT`: at most 50 %; `VERY DIFFERENT`: more, or nothing to compare. `receive_delay_s` is by how much the
-    second topic's message of a pair is received later, in the mean.
+    `IDENTICAL`: every field agrees within the tolerance, and every message has a partner, except at the start and the
+    end. `SIMILAR`: in every field, the root mean square (RMS) difference is at most 5 % of the field's scale;
+    `DIFFERENT`: at most 50 %; `VERY DIFFERENT`: more, or no pair could be compared. `receive_delay_s`: the second
+    message of a pair was received this much later than the first, on average.
     """
 
     topic1: str = field(metadata=SAID)
@@ -121,7 +122,8 @@ async def compare(
         if isinstance(capture, Missing):
             raise capture.error
         captures.append(capture)
-    return await asyncio.to_thread(evaluate, *captures, tolerance_percent=tolerance_percent, by_stamp=by_stamp)
+    found = await asyncio.to_thread(evaluate, *captures, tolerance_percent=tolerance_percent, by_stamp=by_stamp)
+    return replace(found, source=_from_before(*captures).beside(found.source)) if source.is_live else found
 
 
 def keeping(types: Sequence[str], fields: Sequence[str]) -> Callable[[Stream], Paired]:
@@ -136,7 +138,7 @@ def keeping(types: Sequence[str], fields: Sequence[str]) -> Callable[[Stream], P
     def keep(stream: Stream) -> Paired:
         side = 0 if stream.type == types[0] else 1
         common = [pair[side] for pair in common_fields(stream.codec.definitions, types, fields)]
-        return Paired(stream.codec, stream.type, common, room, whole_lists=True)
+        return Paired(stream.codec, stream.type, common, room, whole_lists=True, is_replayed=stream.is_replayed)
 
     return keep
 
@@ -182,7 +184,13 @@ def evaluate(
         earlier, later = (first, second) if delay_s > 0 else (second, first)
         reasons.append(f"By its values, {later.topic} is {1000 * abs(delay_s):.3g} ms behind {earlier.topic}.")
     for capture in (first, second):
-        troubles = (capture.mixed, capture.kept.skipped, capture.kept.bounds("Compared are those", capture.began_ns))
+        old = _from_before(capture)
+        troubles = (
+            f"{old}." if old.count else "",
+            capture.mixed,
+            capture.kept.skipped,
+            capture.kept.bounds("The comparison covers", capture.began_ns),
+        )
         reasons += [f"{capture.topic}: {trouble}" for trouble in troubles if trouble]
     return Comparison(
         topic1=first.topic,
@@ -202,6 +210,13 @@ def evaluate(
     )
 
 
+def _from_before(*captures: Capture[Paired]) -> FromBefore:
+    """Return which of the messages of these topics were sent before the subscriptions."""
+    kept = [capture.kept for capture in captures]
+    found = FromBefore.of(sum(one.replayed for one in kept), max(one.replayed_ns for one in kept), captures[0].end_ns)
+    return replace(found, all_of=sum(one.seen for one in kept))
+
+
 def _period_s(capture: Capture[Paired]) -> float:
     """Return the mean period between messages in s; infinite if there are fewer than two."""
     read_ns = capture.kept.read_ns
@@ -219,7 +234,7 @@ def _pairing_times(
     if stamps[0] is None or stamps[1] is None:
         reason = ": not both topics have a header" if by_stamp else ""
     elif not len(stamps[0]) or not len(stamps[1]):
-        reason = ": a topic is silent"
+        reason = ": a topic has no messages"
     elif any(own[-1] <= 0 or (own[1:] <= own[:-1]).any() for own in (stamps[0], stamps[1])):
         reason = ": the stamps do not increase"
     elif stamps[0][-1] < stamps[1][0] or stamps[1][-1] < stamps[0][0]:
@@ -246,7 +261,7 @@ def _row(difference: Difference) -> FieldComparison:
         compared_as=difference.kind,
         unit=difference.unit,
         not_compared=difference.not_compared,
-        alike=difference.alike,
+        equal_not_numeric=difference.equal_not_numeric,
     )
     if not len(values):
         return row
@@ -284,35 +299,34 @@ def _judge(
         without = [capture for capture in (first, second) if not capture.kept.rows]
         lost = " and ".join(capture.topic for capture in without if capture.holes)
         silent_topics = " and ".join(capture.topic for capture in without if not capture.holes)
-        reasons = (
-            [f"Nothing was compared: of {lost} nothing can be read, for the recording is damaged."] if lost else []
-        )
-        reasons += [f"{silent_topics} sent nothing."] if silent_topics else []
+        damaged = f"Nothing was compared: the recording is damaged, and no message of {lost} can be read."
+        reasons = [damaged] if lost else []
+        reasons += [f"No message was received on {silent_topics}."] if silent_topics else []
         return "VERY DIFFERENT", reasons or ["No two messages are close in time."]
 
     def percent(row: FieldComparison) -> float:
         return math.inf if row.rms_percent is None else row.rms_percent  # null: too large for a float
 
     one_sided = [row.field for row in compared if not row.compared and row.not_compared]
-    absent = [row.field for row in compared if not (row.compared or row.not_compared or row.alike)]
+    absent = [row.field for row in compared if not (row.compared or row.not_compared or row.equal_not_numeric)]
     differing = [row for row in compared if row.compared and (row.max_percent is None or row.max_percent > tolerance)]
     differing.sort(key=percent, reverse=True)
     reasons = [
         f"{row.field} differs by {row.rms_difference or 0.0:.3g} {row.unit}".rstrip()
         + f" ({row.rms_percent or 0.0:.3g} %) RMS, "
-        f"{row.max_difference or 0.0:.3g} at most."
+        f"at most {row.max_difference or 0.0:.3g}."
         for row in differing[:_MAX_REASONS]
     ]
     if len(differing) > _MAX_REASONS:
-        reasons.append(f"{counted(len(differing) - _MAX_REASONS, 'more field')} with differences.")
+        reasons.append(f"{counted(len(differing) - _MAX_REASONS, 'more field')} differ.")
     unpaired = max(counts) - pairs - max(_in_holes(first, second), _in_holes(second, first))
     if unpaired > max(_EDGES, _UNPAIRED_SHARE * max(counts)):
-        reasons.append(f"{counted(unpaired, 'message')} without a partner ({counts[0]} and {counts[1]} received).")
+        reasons.append(f"{counted(unpaired, 'message')} have no partner ({counts[0]} and {counts[1]} received).")
     if not_compared := sum(row.not_compared for row in compared if row.compared_as != "rotation"):
-        reasons.append(f"{counted(not_compared, 'value')} not finite, or missing, on one topic only.")
+        reasons.append(f"{counted(not_compared, 'value')} are missing or not finite on one topic only.")
     if not_compared := sum(row.not_compared for row in compared if row.compared_as == "rotation"):
-        reasons.append(f"{counted(not_compared, 'rotation')} missing, or never set, on one topic only.")
-    nothing = [f"Nothing to compare in either: {listed(absent, _MAX_REASONS)}."] if absent else []
+        reasons.append(f"{counted(not_compared, 'rotation')} are missing or never set on one topic only.")
+    nothing = [f"No value on either topic: {listed(absent, _MAX_REASONS)}."] if absent else []
     if len(absent) == len(compared):
         return "VERY DIFFERENT", reasons + nothing
     if not reasons:

@@ -54,8 +54,8 @@ class Difference:
     """The differences of one field, second minus first, over the pairs that can be compared.
 
     Differences of angles lie within half a turn to either side; those of rotations are angles from 0 to π. `scale` is
-    the reference of percentages: half a turn, or for numbers as in `_scale`. `alike` counts pairs that are identical
-    but cannot be subtracted: NaN, the same infinity, a quaternion that was never set.
+    the reference of percentages: half a turn, or for numbers as in `_scale`. `equal_not_numeric` counts pairs that are
+    identical but cannot be subtracted: NaN, the same infinity, a quaternion that was never set.
     """
 
     field: str
@@ -66,7 +66,7 @@ class Difference:
     correlation: float | None
     delay_s: float | None
     not_compared: int
-    alike: int = 0
+    equal_not_numeric: int = 0
 
 
 def differences(first: Capture[Paired], second: Capture[Paired], partners: Partners) -> Iterator[Difference]:
@@ -165,12 +165,12 @@ def _scale(path: FieldPath, sides: Sequence[Numbers]) -> float:
 def _of_numbers(number: int, first: _Side, second: _Side, *, turn: float, has_unit: bool) -> Difference:
     path = first.column(number).path
     one, other, not_compared = _paired(number, first, second)
-    alike = 0
+    equal_not_numeric = 0
     with np.errstate(over="ignore", invalid="ignore"):  # differences at the ends of the range may be infinite
         both = np.isfinite(one) & np.isfinite(other)
         if not both.all():
-            alike = int(np.count_nonzero(~both & _alike(one, other)))
-            not_compared += int(np.count_nonzero(~both)) - alike
+            equal_not_numeric = int(np.count_nonzero(~both & _alike(one, other)))
+            not_compared += int(np.count_nonzero(~both)) - equal_not_numeric
             one, other = one[both], other[both]
         turn = turn if _is_turning(turn, has_unit, (one, other)) else 0.0
         scale = turn / 2 or _scale(path, (one, other))
@@ -185,15 +185,15 @@ def _of_numbers(number: int, first: _Side, second: _Side, *, turn: float, has_un
     if not path.is_list and len(difference):
         delay_s = _delay(*first.series(number, turn), *second.series(number, turn))
     kind = "angle" if turn else "number"
-    return Difference(path.path, kind, unit, difference, scale, correlation, delay_s, not_compared, alike)
+    return Difference(path.path, kind, unit, difference, scale, correlation, delay_s, not_compared, equal_not_numeric)
 
 
 def _of_rotations(name: str, numbers: Sequence[int], first: _Side, second: _Side) -> Difference:
     found = [_paired(each, first, second) for each in numbers]
     one, other = (np.array([row[side] for row in found]) for side in (0, 1))
     usable = _usable(one) & _usable(other)
-    alike = int(np.count_nonzero(~usable & _alike(one, other).all(axis=0)))
-    not_compared = found[0][2] + int(np.count_nonzero(~usable)) - alike
+    equal_not_numeric = int(np.count_nonzero(~usable & _alike(one, other).all(axis=0)))
+    not_compared = found[0][2] + int(np.count_nonzero(~usable)) - equal_not_numeric
     angles, delay_s = _angles(one[:, usable], other[:, usable]), None
     if not first.column(numbers[0]).path.is_list and len(angles):
         # The series is the angle from one orientation, which does not depend on the sign of a quaternion.
@@ -204,7 +204,7 @@ def _of_rotations(name: str, numbers: Sequence[int], first: _Side, second: _Side
             kept = _usable(turned)
             series += [side.times(side.column(numbers[0]).rows[kept]), _angles(turned[:, kept], origin)]
         delay_s = _delay(*series)
-    return Difference(name, "rotation", "rad", angles, math.pi, None, delay_s, not_compared, alike)
+    return Difference(name, "rotation", "rad", angles, math.pi, None, delay_s, not_compared, equal_not_numeric)
 
 
 def _usable(quaternions: Numbers) -> NDArray[np.bool_]:

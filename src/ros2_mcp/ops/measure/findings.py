@@ -45,5 +45,5 @@ def _as_one(findings: Sequence[Finding]) -> Finding:
         for finding in findings[:_MOST_JOINED]
     ]
     more = len(findings) - _MOST_JOINED
-    told += [f"And {more} more topics of this node."] if more > 0 else []
+    told += [f"{more} more topics of this node have a problem."] if more > 0 else []
     return Finding(worst.severity, cause, " ".join(told), worst.recommendation, cause)

@@ -98,23 +98,24 @@ _NO_FAULT: Sequence[State] = ("OK", "QUIET", "NOT MEASURED")
 class Health:
     """A report on the robot.
 
-    `CRITICAL`: no robot is there, or nothing comes of it and none of its nodes answers; something expected is missing
-    or silent, what was published earlier in this session has no publisher any more, or diagnostics report an error.
-    `DEGRADED`: a sensor is silent, has stopped, was interrupted, is slow, has old stamps or values of motion that are
-    not finite, a node has left, endpoints cannot match, nodes share a name or offer the same service, a type is unknown
-    where the bridge runs, diagnostics warn or name an inactive part, frames, lifecycle nodes, controllers, parameters
-    or clocks are not as they should be, or nothing could be measured at all; of a recording also if diagnostics
-    reported something that was over before its end. Topics that nobody
-    listens to, or nobody publishes on, are listed but are no fault by themselves. What is wrong with one node and its
-    topics is one finding. A `rate_hz` of null: too few messages came. `services` and `nodes` are those that are
-    expected. `counts` says how many there are where a list is cut; the worst come first. `in_short` has the other
-    topics with their state, as `OK, 10 Hz`.
+    `CRITICAL`: there is no robot, or no messages arrive and none of its nodes answers; an expected name is missing, or
+    an expected topic has no messages; a topic that had a publisher earlier in this session has none any more; or
+    diagnostics report an error. `DEGRADED`: a sensor sends no messages, has stopped, was interrupted, is slow, has old
+    stamps, or sends motion values that are not finite; a node has left; endpoints cannot match; nodes share a name or
+    offer the same service; a type is unknown where the bridge runs; diagnostics warn or report an inactive component;
+    frames, lifecycle nodes, controllers, parameters or clocks have a fault; nothing could be measured at all; or, in a
+    recording, diagnostics reported a problem that was over before the end. Topics without a subscriber or a publisher
+    are listed, but are not faults by themselves. All faults of one node and its topics are one finding.
+
+    A `rate_hz` of null means too few messages. `services` and `nodes` are the expected ones. `counts` has the full
+    length of each shortened list; the worst entries come first. `other_topics` maps the remaining topics to their
+    state, such as `OK, 10 Hz`.
     """
 
     verdict: Verdict = field(metadata=SAID)
     findings: Sequence[Finding] = field(metadata=SAID)
     topics: Sequence[TopicRow]
-    in_short: Mapping[str, str]
+    other_topics: Mapping[str, str]
     services: Mapping[str, Presence]
     nodes: Mapping[str, Presence]
     diagnostics: Sequence[Diagnostic]
@@ -237,8 +238,8 @@ def _nothing_measured(evidence: Evidence) -> list[Finding]:
     parts = (any(flow.count for flow in evidence.flows.values()), evidence.diagnostics.rows, evidence.lifecycle)
     if is_expected_there or controllers or any(parts):
         return []
-    what = "no topic was listened to" if not evidence.expected.check_rates else "no message came on any topic"
-    problem = f"Nothing was measured: {what}, and no component told of itself. That it is healthy is not known."
+    what = "topics were not read" if not evidence.expected.check_rates else "no message came on any topic"
+    problem = f"Nothing was measured: {what}, and no diagnostics were published. The health of the robot is unknown."
     advice = "Name what must be there in expected_topics, expected_services and expected_nodes."
     return [Finding("warning", "robot", problem, advice)]
 
@@ -267,7 +268,7 @@ def _report(
         verdict="HEALTHY" if not findings else "CRITICAL" if findings[0].severity == "critical" else "DEGRADED",
         findings=findings[:MAX_FINDINGS],
         topics=in_full[:MAX_ROWS],
-        in_short={row.topic_name: _in_short(row) for row in visible[len(in_full) : MAX_ROWS]},
+        other_topics={row.topic_name: _state_in_words(row) for row in visible[len(in_full) : MAX_ROWS]},
         services=_presence(expected.services, graph.services),
         nodes=_presence(expected.nodes, graph.nodes),
         diagnostics=[replace(row, values={}) if row.level == "OK" else row for row in diagnostics.rows[:MAX_STATUSES]],
@@ -339,7 +340,7 @@ def flow(capture: Capture[AgedArrivals]) -> Flow:
     )
 
 
-def _in_short(row: TopicRow) -> str:
+def _state_in_words(row: TopicRow) -> str:
     if row.from_before:
         return f"{row.state}, {row.from_before}"
     return row.state if row.rate_hz is None else f"{row.state}, {row.rate_hz:g} Hz"

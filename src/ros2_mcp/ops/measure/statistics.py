@@ -122,7 +122,7 @@ class TopicStatistics:
 
 @dataclass(frozen=True, slots=True)
 class Statistics:
-    """Several topics over the same time; an `error` of one leaves the others."""
+    """Several topics over the same time span; an `error` concerns only its topic."""
 
     source: str
     topics: Sequence[TopicStatistics]
@@ -221,7 +221,7 @@ def evaluate(capture: Capture[Columns], most_fields: int = 80) -> TopicStatistic
     notes = [
         capture.odd_times,
         kept.skipped,
-        kept.bounds("Jumps and stuck values are searched in those", capture.began_ns),
+        kept.bounds("Jumps and stuck values were searched in", capture.began_ns),
     ]
     if not kept.all_kept:
         until = recorded_time(int(kept.times_ns[-1]), capture.began_ns) if len(kept.times_ns) else "its beginning"
@@ -238,7 +238,7 @@ def evaluate(capture: Capture[Columns], most_fields: int = 80) -> TopicStatistic
             f"{FromBefore.of(kept.replayed, kept.replayed_ns, capture.end_ns)}: measured, but not counted in the rate.",
         )
     if not kept.seen:
-        notes.insert(0, "No message in this time." if capture.publishers else "Nobody published on this topic.")
+        notes.insert(0, "No message in this time." if capture.publishers else "The topic had no publisher.")
     elif capture.dropped:
         notes.insert(0, f"{capture.dropped} older messages did not fit in memory and are not counted.")
     rate = kept.rate_hz(holes)

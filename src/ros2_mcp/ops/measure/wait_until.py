@@ -16,7 +16,7 @@ from ros2_mcp.model.text import counted, in_quotes
 from ros2_mcp.model.times import recorded_time, seconds_in
 from ros2_mcp.model.values import NOT_FINITE
 from ros2_mcp.ops.results.results import HIDDEN, IF_ANY, SAID, Report, iso_time, reporting, silent
-from ros2_mcp.ops.sources.from_before import from_before
+from ros2_mcp.ops.sources.from_before import from_before, told_as_met
 from ros2_mcp.ops.sources.selection import undecodable
 from ros2_mcp.ops.sources.source import Source, Stream
 from ros2_mcp_common.finite import word_for
@@ -34,12 +34,13 @@ _VALUE_BYTES = 2000
 
 @dataclass(frozen=True, slots=True)
 class Wait:
-    """Whether a condition came true, with the message that met it; else the last one that came.
+    """Whether the condition was met, and the message that met it; if it was not met, the last message received.
 
-    `looked_at` messages were examined; `undecided` of them had no answer (a list too short, a division by zero).
-    `values` are the fields that the condition names, and what it computes. `dropped` messages came too fast to be
-    looked at. `seconds_in` is `at` counted from a recording's beginning. `from_before` says that the message was sent
-    before this was asked for, and how old it is; then nothing newer came.
+    `messages_checked` counts the messages for which the condition was evaluated; for `not_evaluable` of them it had no
+    value (a list too short, a division by zero). `values` has the fields that the condition names, and the values of
+    its functions. `dropped` messages arrived faster than they could be checked. `at` is when the message was received,
+    `seconds_in` the same as an offset from the start of the recording. `from_before` is set if the message had been
+    published before this call and no newer one was received; it gives the age.
     """
 
     topic_name: str = field(metadata=SAID)
@@ -49,8 +50,8 @@ class Wait:
     at: str
     seconds_in: float | None
     waited: float = field(metadata=SAID)
-    looked_at: int
-    undecided: int
+    messages_checked: int
+    not_evaluable: int
     dropped: int
     values: Mapping[str, Any] = field(metadata=SAID)
     message: dict[str, Any] | None
@@ -69,8 +70,7 @@ class Wait:
         when = f"after {self.waited:.3f} s" if self.is_live else f"in {self.source}{seen}"
         said = {path: self.odd.get(path) or in_quotes(value) for path, value in self.values.items()}
         values = ", ".join(f"{path} = {value}" for path, value in said.items())
-        if self.from_before:
-            when += f" by {self.from_before}; nothing newer came" if self.met else f"; the last: {self.from_before}"
+        when += told_as_met(self.from_before, self.met)
         line = f"{self.topic_name}: {self.condition} {outcome} {when} ({values or 'no message'})."
         return f"{line} {self.note}".rstrip()
 
@@ -97,7 +97,7 @@ async def wait_until(
         search = _Search(stream, asked, None if source.is_live else _excerpts(stream, asked))
 
         def progress() -> str:
-            return f"{stream.topic}: {search.looked_at} messages, not met"
+            return f"{stream.topic}: {search.messages_checked} messages, not met"
 
         async with reporting(report, source.duration_s, progress):
             await search.run()
@@ -132,9 +132,9 @@ class _Search:
     last: Sample | None = None
     is_old: bool = False
     met: bool = False
-    looked_at: int = 0
-    undecided: int = 0
-    why_undecided: str = ""
+    messages_checked: int = 0
+    not_evaluable: int = 0
+    why_not_evaluable: str = ""
     undecodable: int = 0
 
     async def run(self) -> None:
@@ -156,11 +156,11 @@ class _Search:
             if message is None:
                 continue
             self.last, self.is_old, self.met = sample, self.stream.is_replayed(sample), False
-            self.looked_at += 1
+            self.messages_checked += 1
             holds = self.condition.holds(message)
             if holds is None:
-                self.undecided += 1
-                self.why_undecided = self.why_undecided or self.condition.why_undecided(message)
+                self.not_evaluable += 1
+                self.why_not_evaluable = self.why_not_evaluable or self.condition.why_undecided(message)
             elif holds:
                 self.met = True
                 if not self.is_old:
@@ -203,13 +203,13 @@ class _Search:
         notes: list[str] = []
         if self.undecodable:
             notes.append(undecodable(self.undecodable))
-        elif not self.looked_at:
+        elif not self.messages_checked:
             notes.append(
-                "No message came." if self.stream.publishers else "No message came: nobody publishes on this topic."
+                "No message came." if self.stream.publishers else "No message came: the topic has no publisher."
             )
-        if self.undecided:
-            why = f"{self.undecided} of {counted(self.looked_at, 'message')} could not be checked"
-            notes.append(f"{why}: {self.why_undecided}")
+        if self.not_evaluable:
+            why = f"{self.not_evaluable} of {counted(self.messages_checked, 'message')} could not be checked"
+            notes.append(f"{why}: {self.why_not_evaluable}")
         if dropped:
             notes.append(f"{counted(dropped, 'message')} came too fast to be checked.")
         return Wait(
@@ -220,8 +220,8 @@ class _Search:
             at=iso_time(at_ns) if self.last else "",
             seconds_in=seconds_in(at_ns, source.began_ns) if self.last else None,
             waited=round(waited_s, 6),
-            looked_at=self.looked_at,
-            undecided=self.undecided,
+            messages_checked=self.messages_checked,
+            not_evaluable=self.not_evaluable,
             dropped=dropped,
             values=values,
             message=message,

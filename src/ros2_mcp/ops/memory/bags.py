@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.meanings import Meaning
-from ros2_mcp.model.text import counted, named
+from ros2_mcp.model.text import counted, counted_of, named
 from ros2_mcp.model.times import recorded_time
 from ros2_mcp.model.values import summarised
 from ros2_mcp.ops.memory.bag_store import BagStore
@@ -46,7 +46,7 @@ class BagEntry:
 
 @dataclass(frozen=True, slots=True)
 class BagList:
-    """The bags below the folder that this server may read; `note` names recordings that are not among them."""
+    """The bags in the folder that this server may read; `note` names recordings stored elsewhere."""
 
     bags: Sequence[BagEntry]
     total: int = field(metadata=SAID)
@@ -55,15 +55,16 @@ class BagList:
 
     def summary(self) -> str:
         """Return the result in one line."""
-        return f"{len(self.bags)} of {self.total} bags in {self.folder}. {self.note}".rstrip()
+        return f"{counted_of(len(self.bags), self.total, 'bag')} in {self.folder}. {self.note}".rstrip()
 
 
 @dataclass(frozen=True, slots=True)
 class BagTopic:
-    """A topic of a bag; `has_definition` tells whether the bag itself says what its bytes mean, in a usable way.
+    """A topic of a bag; `has_definition`: the bag itself contains a usable definition of the type.
 
-    The type of what is no ROS 2 message begins with its encoding, such as `json:app.Log` or `protobuf:foxglove.Grid`.
-    `messages` is the number in all files; a black box has the last latched messages of a topic in each of its files.
+    Types that are not ROS 2 messages begin with their encoding, such as `json:app.Log` or `protobuf:foxglove.Grid`.
+    `messages` is the number in all files; a black box repeats the last latched messages of a topic in each of its
+    files.
     """
 
     topic_name: str
@@ -74,9 +75,9 @@ class BagTopic:
 
 @dataclass(frozen=True, slots=True)
 class BagInfo:
-    """What is in a bag; `problems` say what is damaged or missing. `start` and `end` may be empty.
+    """The contents of a bag; `problems` lists what is damaged or missing. `start` and `end` may be empty.
 
-    `note` says whether all of it was read to find damage.
+    `note` says whether the whole bag was checked for damage.
     """
 
     bag: str = field(metadata=SAID)
@@ -100,8 +101,8 @@ class BagInfo:
 class BagMessages:
     """Messages of one topic of a bag, received by the recorder `times_s` seconds after the bag's `start`.
 
-    `truncated` names paths whose values are summaries; `problems` say what of the bag is damaged or missing. `meaning`
-    is that of the newest message of a laser scan, a point cloud or a depth image, seen from the robot's base.
+    `truncated` lists the paths of shortened values; `problems` lists what is damaged or missing in the bag. `meaning`
+    interprets the newest message of a laser scan, a point cloud or a depth image, seen from the robot's base.
     """
 
     bag: str

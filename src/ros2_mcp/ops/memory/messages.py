@@ -29,12 +29,12 @@ _ANY = "any"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoredMessages:
-    """Messages of the past with the times at which they were stored (empty where the source does not say).
+    """Stored messages with the times at which they were stored (empty if the source does not give them).
 
-    Of a recording `times_s` are the same in seconds from its beginning, `start` (else both are empty).
-    Of `found` messages `count` are shown; `note` tells if there are earlier ones that were not read. `truncated` names
-    paths whose values are summaries. `meaning` is that of the newest message of a laser scan, a point cloud or a depth
-    image, seen from the robot's base.
+    For a recording, `times_s` has the same times in seconds from `start`, its beginning (otherwise both are empty).
+    `count` of the `found` messages are shown; `note` says if there are earlier ones that were not read. `truncated`
+    lists the paths of shortened values. `meaning` interprets the newest message of a laser scan, a point cloud or a
+    depth image, seen from the robot's base.
     """
 
     source: str = field(metadata=SAID)

@@ -80,7 +80,8 @@ class PlayRequest:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PlaybackState:
-    """A playback. `state` is `playing`, `ended`, `stopped` or `failed`; `late_s` how far it lags behind its rhythm.
+    """A playback. `state` is `playing`, `ended`, `stopped` or `failed`; `late_s` is how far it lags behind the recorded
+    timing.
 
     `at` is the playback position as a recorded time, `seconds_in` the same as an offset from the start of the bag.
     """
@@ -106,7 +107,7 @@ class PlaybackState:
 
 @dataclass(frozen=True, slots=True)
 class PlaybackStates:
-    """The playbacks that run, and the last ones that ended."""
+    """All running playbacks, and those that ended last."""
 
     playbacks: Sequence[PlaybackState]
 
@@ -186,7 +187,7 @@ class Playback(Job):
                 unheard = [topic for topic, relay in feeds.items() if relay and not relay.matched]
                 if unheard:
                     more = f" and {len(unheard) - _MOST_NAMED} more" if len(unheard) > _MOST_NAMED else ""
-                    self._note = f"Nobody subscribed to {', '.join(unheard[:_MOST_NAMED])}{more} when it began."
+                    self._note = f"No subscriber when it began: {', '.join(unheard[:_MOST_NAMED])}{more}."
                 self.begun()
                 await self._play()
                 publishers.cancel_scope.cancel()
@@ -220,7 +221,7 @@ class Playback(Job):
         slower = sum(counts.limited for counts in ended.values() if counts)
         left_out = "; ".join(f"{listed(found, _MOST_NAMED)} ({why})" for why, found in self._left_out.items())
         told = (
-            f"Left out: {left_out}." if left_out else "",
+            f"Not played: {left_out}." if left_out else "",
             self._guarded,
             held_back(refused) if refused else "",
             limited(slower) if slower else "",

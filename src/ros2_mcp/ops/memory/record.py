@@ -80,7 +80,8 @@ _logger = logging.getLogger(__name__)
 class RecordRequest:
     """The settings of a recording; without topics and patterns, everything that is not hidden is recorded.
 
-    A topic is left out as soon as it has a message larger than `largest` bytes (0: never), unless it is latched.
+    A topic is dropped from the recording as soon as it has a message larger than `largest` bytes (0: never), unless it
+    is latched.
     """
 
     topics: Sequence[str] = ()
@@ -104,11 +105,11 @@ class RecordRequest:
 
 @dataclass(frozen=True, slots=True)
 class TopicCounts:
-    """One topic of a recording.
+    """The counts of one topic of a recording.
 
-    `written` messages are in the file; `dropped` were discarded because they were not written fast enough, or this
-    server was too busy; `lost` never arrived, as gaps between those that did show: not what is missing at the end (null
-    where that cannot be known). `other_types` are those of publishers that came later, and are not recorded.
+    `written` messages are in the file; `dropped` were discarded because they could not be written fast enough, or this
+    server was too busy; `lost` never arrived, as far as sequence numbers show (null if unknown; losses after the last
+    message do not show). `other_types` are types of publishers that appeared later, and are not recorded.
     """
 
     topic_name: str
@@ -162,7 +163,7 @@ class RecordingState:
 
 @dataclass(frozen=True, slots=True)
 class RecordingStates:
-    """The recordings that run, and the last ones that ended."""
+    """All running recordings, and those that ended last."""
 
     recordings: Sequence[RecordingState]
 
@@ -223,7 +224,7 @@ class Recording(Job):
         return self._folder.name if self._folder else self._request.name
 
     async def run(self) -> None:
-        """Record until a limit is reached or it is told to end. However it ends, the files are closed."""
+        """Record until a limit is reached or the recording is stopped. The files are closed in any case."""
         calls = ExitStack()
         try:
             # A thread cannot be cancelled: anyio waits for it, so that what it has opened is always closed again.
@@ -306,7 +307,7 @@ class Recording(Job):
             topics.append(replace(row, other_types=joined.other_types))
         if CALLS in written:
             topics.append(TopicCounts(CALLS, _TEXT, written[CALLS], discarded.get(CALLS, 0), 0))
-        absent = "nobody publishes it yet; recording begins within a second after somebody does."
+        absent = "no publisher yet; recording begins within a second after one appears."
         notes = [*self._notes, *(recorder.notes if recorder else ())]
         why_dropped = drops_in_words(busy, sum(discarded.values()), is_remote=self._robot.graph.is_remote)
         notes += [f"{why_dropped}."] if why_dropped else []
@@ -437,7 +438,7 @@ class Recording(Job):
                     samples = await listening.take(0.0)
                     sizes = [len(sample.data) for sample in samples]
                     if largest and (size := max(sizes, default=0)) > largest:
-                        what = f"Left out: it has messages of {size} bytes, more than {largest}."
+                        what = f"Not recorded: it has messages of {size} bytes, more than {largest}."
                         raise Refused(what, "Name the topic to record it.")
                     recorder.put(name, samples)
                     await anyio.sleep(_SHORT_TURN_S if sum(sizes) > _MUCH_BYTES else _TURN_S)

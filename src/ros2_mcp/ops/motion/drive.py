@@ -33,7 +33,7 @@ MAX_M, MAX_DEG, MAX_RADIUS_M = 100.0, 3600.0, 100.0
 MIN_MPS, MAX_MPS, MIN_DEGPS, MAX_DEGPS = 0.01, 3.0, 2.0, 180.0
 MIN_GUARD_M, MAX_GUARD_M = 0.1, 5.0
 """A distance below the first is no more than the noise of a scan and the distance that a robot rolls while stopping."""
-_NOT_MOVED = frozenset({"silent", "stuck", "time_out", "missed", "nobody_listens"})
+_NOT_MOVED = frozenset({"silent", "stuck", "timeout", "missed", "no_subscriber"})
 """Outcomes whose reason may be a controller that is not active, or a node that is frozen."""
 BLIND_M = 1.0
 """A longer drive without any sensor is reported as blind; a shorter one ends where the caller has looked."""
@@ -56,7 +56,7 @@ class DriveRequest:
     """The settings of a drive: `distance_m` (negative: backwards) or `angle_deg` (positive: to the left), which with
     `radius_m` is a forward arc. `speed` is in m/s, or in °/s for a turn in place. `guard_m` is kept free ahead of the
     outline: `DEFAULT_GUARD_M` if it is None and the robot has a scan or a cloud; 0 uses no sensor. Topics that are not
-    given are found.
+    given are found. `time_limit_s` is a shorter time limit than that of the course.
     """
 
     distance_m: float | None = None
@@ -67,6 +67,7 @@ class DriveRequest:
     topic_name: str = ""
     odometry: str = ""
     scan: str = ""
+    time_limit_s: float = math.inf
 
     @property
     def is_turn(self) -> bool:
@@ -101,7 +102,7 @@ class DriveRequest:
         elif self.speed is not None:
             bounded("speed", self.speed, MIN_MPS, MAX_MPS, "m/s")
         if self.guard_m == 0 and self.scan:
-            raise BadInput("guard_m=0 looks at no sensor, and scan names one.", "Leave one of them out.")
+            raise BadInput("guard_m=0 uses no sensor, but scan names one.", "Leave one of them out.")
         if self.guard_m:
             bounded("guard_m", self.guard_m, MIN_GUARD_M, MAX_GUARD_M, "m")
 
@@ -113,33 +114,34 @@ DriveEnd = Literal[
     "stuck",
     "jumped",
     "missed",
-    "time_out",
+    "timeout",
     "refused",
-    "nobody_listens",
-    "ended",
+    "no_subscriber",
+    "interrupted",
 ]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Driven:
-    """What a drive came to.
+    """The result of a drive.
 
-    `outcome` is `reached`, or what ended it: `guard`, `silent` (odometry or scan), `stuck`, `jumped`, `missed`,
-    `time_out`, `refused` (by the policy on the way), `nobody_listens`, `ended` (by a stop or the like; `note` says by
-    what). `measured` is the distance or angle by odometry, and `error` what lacks of `asked`, in `unit` (`m`, `deg`);
-    `aside_m` how far it stands to the left of its course, `heading_deg` how its heading differs, by odometry, too.
-    Null where nothing was measured. `guard_m` is what it kept free ahead of its outline by the topics `scan`, 0 where
-    it looked at none; `free_m` the distance from its outline to the nearest thing in the way at the end, which is less
-    than the mean distance to a wall by the noise of the sensor.
+    `outcome` is `reached`, or what ended the drive early: `guard` (an obstacle), `silent` (no odometry or scan),
+    `stuck`, `jumped` (the odometry), `missed` (still off the target after all corrections), `timeout`, `refused` (by
+    the policy), `no_subscriber`, `interrupted` (by a stop, for example; `note` says by what). `measured` is the
+    distance or angle by odometry, `error` what is left to `requested`, both in `unit` (`m`, `deg`). `lateral_error_m`
+    is the offset to the left of the course, `heading_error_deg` the error of the heading, also by odometry. These are
+    null if nothing was measured. `guard_m` is the distance that was kept free ahead of the robot's outline by the
+    topics in `scan`; 0 without a sensor. `free_m` is the distance from the outline to the nearest obstacle at the end;
+    sensor noise makes it smaller than the true distance.
     """
 
     outcome: DriveEnd = field(metadata=SAID)
-    asked: float = field(metadata=SAID)
+    requested: float = field(metadata=SAID)
     measured: float | None = field(metadata=SAID)
     error: float | None = field(metadata=SAID)
     unit: str = field(metadata=SAID)
-    aside_m: float | None = None
-    heading_deg: float | None = None
+    lateral_error_m: float | None = None
+    heading_error_deg: float | None = None
     guard_m: float = field(metadata=SAID)
     free_m: float | None = None
     elapsed_s: float = field(metadata=SAID)
@@ -151,19 +153,19 @@ class Driven:
     @property
     def has_failed(self) -> bool:
         """Return whether the drive did not reach its end. A drive that a stop ended has not failed."""
-        return self.outcome not in ("reached", "ended")
+        return self.outcome not in ("reached", "interrupted")
 
     def summary(self) -> str:
         """Return the result in one line."""
         unit = "°" if self.unit == "deg" else " m"
         if self.measured is None:
-            return f"{self.outcome}: nothing was driven. {self.note}".rstrip()
+            return f"{self.outcome}: the robot was not moved. {self.note}".rstrip()
         error = "" if self.error is None else f", {abs(self.error):.3g}{unit} {self._side(self.error)},"
-        went = f"{self.measured:.3f}{unit} of {self.asked:g}{unit}{error} by {named(self.odometry)}"
+        went = f"{self.measured:.3f}{unit} of {self.requested:g}{unit}{error} by {named(self.odometry)}"
         return f"{self.outcome}: {went} in {self.elapsed_s:.1f} s. {self.note}".rstrip()
 
     def _side(self, error: float) -> str:
-        return "short" if error * self.asked >= 0 else "too far"
+        return "short" if error * self.requested >= 0 else "too far"
 
 
 async def drive(robot: Robot, session: Session, request: DriveRequest, report: Report = silent) -> Driven:
@@ -223,10 +225,10 @@ def _looked(request: DriveRequest, guard: Guarding | None, moved: Moved) -> str:
     if guard:
         return f"{guard.note} {WITHOUT}" if moved.outcome == "guard" else guard.note
     if request.guard_m == 0:
-        return "Obstacles were not looked at: guard_m was 0."
+        return "Obstacles were not checked: guard_m was 0."
     if not request.is_turn and request.length > BLIND_M:
         return "It drove blind: the robot has no laser scan and no point cloud."
-    return "Obstacles were not looked at: the robot has no laser scan and no point cloud."
+    return "Obstacles were not checked: the robot has no laser scan and no point cloud."
 
 
 def _fastest(request: DriveRequest, type_name: str, base: str) -> Mapping[str, Any]:
@@ -244,7 +246,8 @@ def _fastest(request: DriveRequest, type_name: str, base: str) -> Mapping[str, A
 
 def _within_policy(robot: Robot, request: DriveRequest, move: Move) -> Move:
     """Return the command with a rate and a time limit that fit the course and the policy."""
-    limit_s, pauses_s, settles_s = _PATIENCE * request.length / request.rate + _ROOM_S, _PAUSES_S, _SETTLES_S
+    limit_s = min(_PATIENCE * request.length / request.rate + _ROOM_S, request.time_limit_s)
+    pauses_s, settles_s = _PAUSES_S, _SETTLES_S
     rate_hz = move.rate_hz
     if ruling := robot.policy.ruling(move):
         rate_hz = min(rate_hz, ruling.most("rate_hz") or rate_hz)
@@ -286,13 +289,13 @@ def _driven(
         return cast("float", told[name]) if has_moved and told.get(name) is not None else None
 
     return Driven(
-        outcome=cast("DriveEnd", moved.outcome or "ended"),
-        asked=round(request.length if is_arc else sign * request.length, 4),
+        outcome=cast("DriveEnd", moved.outcome or "interrupted"),
+        requested=round(request.length if is_arc else sign * request.length, 4),
         measured=measured("done"),
         error=measured("error"),
         unit="deg" if request.is_turn else "m",
-        aside_m=measured("aside_m"),
-        heading_deg=None if request.is_turn else measured("heading_deg"),
+        lateral_error_m=measured("aside_m"),
+        heading_error_deg=None if request.is_turn else measured("heading_deg"),
         guard_m=guard.guard_m if guard else 0.0,
         free_m=measured("nearest_m"),
         elapsed_s=round(sent.elapsed_s, 2) if sent.sent else 0.0,

@@ -52,7 +52,7 @@ async def command_input(robot: Robot, given: str = "") -> Destination:
         found = [row.name for row in rows if row.subscribers and set(row.types) & set(DRIVEN_TYPES)]
         if not found:
             raise await robot.graph.missing(
-                f"Nobody listens to a topic of type {' or '.join(DRIVEN_TYPES)}.",
+                f"No topic of type {' or '.join(DRIVEN_TYPES)} has a subscriber.",
                 "Start the base's driver, or give the topic as topic_name; ros2_topic_list shows the topics.",
             )
         given = _only("command input", "topic_name", found, _INPUTS)
@@ -96,8 +96,11 @@ async def located_on(robot: Robot, frame: str, base_frame: str) -> Located | Non
     try:
         return await pose_in(Live(robot), base_frame, frame)
     except RobotError as error:
-        problem = f"The position of {named(frame)} on the robot is unknown, so what it shows cannot guard: {error}"
-        raise NotFound(problem, "ros2_tf_tree shows the frames. guard_m=0 drives without looking.") from error
+        useless = "so the sensor cannot be used to detect obstacles"
+        problem = f"The position of {named(frame)} on the robot is unknown, {useless}: {error}"
+        raise NotFound(
+            problem, "ros2_tf_tree shows the frames. guard_m=0 drives without checking for obstacles."
+        ) from error
 
 
 async def base_frame_of(robot: Robot, odometry: Found) -> str:

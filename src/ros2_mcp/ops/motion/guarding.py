@@ -25,7 +25,7 @@ _USUAL = "scan"
 """The usual name of the scan that other nodes use, if several topics are from the same scanner."""
 _DERIVED = ("costmap", "clearing_endpoints", "voxel", "map")
 """Parts of the names of clouds that no sensor sent, but a planner or a mapper computed."""
-WITHOUT = "guard_m=0 drives without looking at obstacles."
+WITHOUT = "guard_m=0 drives without checking for obstacles."
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +81,7 @@ async def guarding(
         raise NotFound("; ".join(reasons) + ".", WITHOUT)
     distance_m = DEFAULT_GUARD_M if guard_m is None else guard_m
     topics = [one.found.topic for one in sights]
-    unused = list(dict.fromkeys(f"Not looked at: {error.message}" for error in problems))
+    unused = list(dict.fromkeys(f"Not used: {error.message}" for error in problems))
     return Guarding(
         guard_m=distance_m,
         topics=topics,
@@ -119,7 +119,7 @@ async def _sight(robot: Robot, found: Found, base_frame: str, is_given: bool) ->
     try:
         message = await first_decoded(robot, found)
         if found.type == SCAN and (why := no_bearings(message)):
-            raise BadData(f"{named(found.topic)} has no bearings, so it cannot guard: {why}.")
+            raise BadData(f"{named(found.topic)} has no bearings, so it cannot be used to detect obstacles: {why}.")
         frame = str(message.header.frame_id).lstrip("/")
         located = await located_on(robot, frame, base_frame)
         if located is None:
@@ -127,7 +127,7 @@ async def _sight(robot: Robot, found: Found, base_frame: str, is_given: bool) ->
         elif is_given or _is_carried(located):
             mount = {"translation": list(located.pose.translation), "rotation": list(located.pose.rotation)}
         else:
-            return BadInput(f"{named(found.topic)} is told in {named(frame)}, which is not carried by the robot.")
+            return BadInput(f"{named(found.topic)} is in the frame {named(frame)}, which is not on the robot.")
     except RobotError as error:
         if is_given:
             raise

@@ -53,8 +53,8 @@ async def _past_a_monitor(robot: Robot, topic: str, publishers: Sequence[str]) -
             inputs = [one.name for one in (await robot.graph.node(node)).subscribers if _is_velocity(one.types)]
         except RobotError:
             return ""
-        where = f" What comes on {listed(inputs, 2)} is: drive there to be held by it." if inputs else ""
-        return f"{named(topic)} is the output of {named(node)}: what is published there is not held by it.{where}"
+        where = f" It does check commands on {listed(inputs, 2)}." if inputs else ""
+        return f"{named(topic)} is the output of {named(node)}: it does not check commands published there.{where}"
     return ""
 
 
@@ -63,10 +63,10 @@ def _is_velocity(types: Sequence[str]) -> bool:
 
 
 async def why_it_stands(robot: Robot, topic: str, odometry: Found, scan: str = "") -> Sequence[str]:
-    """Return sentences on what may hold a robot that was commanded on a topic: the nearest obstacle by its
+    """Return sentences on what may keep a robot from moving that was commanded on a topic: the nearest obstacle in its
     scan, and velocity limits of 0.
 
-    `scan` is the topic of a scan; if it is empty, one is found. Anything that cannot be determined is left out.
+    `scan` is the topic of a scan; if it is empty, one is found. What cannot be determined is omitted.
     """
     told = await asyncio.gather(_near(robot, topic, odometry, scan), _limits(robot, topic))
     return [each for each in told if each]

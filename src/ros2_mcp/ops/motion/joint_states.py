@@ -48,9 +48,9 @@ class JointStates:
                 await anyio.sleep(_LOOK_S)
             return
         missing = [joint for joint in joints if joint not in self.positions]
-        heard = f"reported are {listed(sorted(self.positions), 12)}" if self.positions else "no joint is reported"
+        heard = f"only {listed(sorted(self.positions), 12)}" if self.positions else "no joint is reported"
         raise NotFound(
-            f"Nothing reports the position of {listed(missing, 6)}: {heard} on {listed(self.topics, 4) or 'no topic'}.",
+            f"No joint state reports {listed(missing, 6)}: {heard} on {listed(self.topics, 4) or 'no topic'}.",
             "Start the joint state broadcaster; ros2_topic_info shows who publishes.",
         )
 
@@ -70,7 +70,7 @@ async def joint_states(robot: Robot) -> AsyncGenerator[JointStates, None]:
     topics = sorted(row.name for row in rows if JOINT_STATE in row.types and row.publishers)[:_MOST_TOPICS]
     if not topics:
         raise await robot.graph.missing(
-            f"Nobody publishes joint states ({JOINT_STATE}): the joints' positions are unknown.",
+            f"Joint states ({JOINT_STATE}) have no publisher: the joints' positions are unknown.",
             "Start the robot's joint state broadcaster.",
         )
     states = JointStates(topics)

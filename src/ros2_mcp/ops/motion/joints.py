@@ -73,7 +73,7 @@ _RIVALS_S = 0.2
 """Time to read the goals that the controller has: its status is latched, and comes within milliseconds of matching."""
 _GOING = (1, 2, 3)
 """Accepted, executing and cancelling, in action_msgs/msg/GoalStatus."""
-_NOT_MOVED = ("failed", "time_out", "silent")
+_NOT_MOVED = ("aborted", "timeout", "silent")
 """Outcomes whose reason may be in the robot's log, or in the states of its controllers."""
 _ROUNDED = 1e-6
 _CODES: Mapping[int, str] = {
@@ -102,7 +102,9 @@ class JointRequest:
 
 @dataclass(frozen=True, slots=True)
 class JointResult:
-    """One joint: where it was, was to go, and is; `error` is what is missing. In `unit`, rad or m."""
+    """One joint: its `start`, `target` and `measured` position, and the `error` (target - measured), all in `unit` (rad
+    or m).
+    """
 
     name: str
     start: float
@@ -112,22 +114,22 @@ class JointResult:
     unit: str
 
 
-JointsEnd = Literal["reached", "silent", "time_out", "failed", "rejected", "nobody_listens", "ended"]
+JointsEnd = Literal["reached", "silent", "timeout", "aborted", "rejected", "no_subscriber", "interrupted"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JointsMoved:
     """The result of a joint motion.
 
-    `outcome` is `reached`, or why the motion ended early: `silent` (no joint states), `time_out`, `failed` (the
-    controller aborted it), `rejected`, `nobody_listens` (no subscriber), `ended` (by a stop, for example); `note` says
-    more. `way` is the action or topic that was used.
+    `outcome` is `reached`, or why the motion ended early: `silent` (no joint states), `timeout`, `aborted` (by the
+    controller), `rejected` (by the controller), `no_subscriber`, `interrupted` (by a stop, for example); `note` has the
+    details. `interface` is the action or topic that was used.
     """
 
     outcome: JointsEnd = field(metadata=SAID)
     joints: Sequence[JointResult]
     controller: str
-    way: str
+    interface: str
     planned_s: float
     elapsed_s: float = field(metadata=SAID)
     note: str = ""
@@ -135,7 +137,7 @@ class JointsMoved:
     @property
     def has_failed(self) -> bool:
         """Return whether the joints did not arrive. A move that a stop ended has not failed."""
-        return self.outcome not in ("reached", "ended")
+        return self.outcome not in ("reached", "interrupted")
 
     def summary(self) -> str:
         """Return the result in one line."""
@@ -271,7 +273,7 @@ async def planned_move(
 def _check_limits(joint: Joint, target: float) -> None:
     if not joint.limits.known:
         problem = (
-            f"{named(joint.name)}: its limits are unknown, because they are no numbers in the robot's description."
+            f"{named(joint.name)}: its limits are unknown, because they are not numbers in the robot's description."
         )
         raise BadInput(
             problem, "Correct the limits in the URDF: without them nothing keeps the joint within its range."
@@ -301,7 +303,7 @@ class JointMotion(Job):
     """A robot has few controllers; each takes one motion at a time."""
 
     def __init__(self, robot: Robot, session: Session, plan: Plan, states: JointStates) -> None:
-        super().__init__(owner=session.principal, moves=[plan.controller.way])
+        super().__init__(owner=session.principal, moves=[plan.controller.interface])
         self._robot, self._session = robot, session
         self._plan = plan
         self._states = states
@@ -354,12 +356,12 @@ class JointMotion(Job):
         ]
         word, why = self.outcome_word, self.why
         if not word:
-            word, why = "ended", ended_by(self.stop_reason or "a request to cancel it")
+            word, why = "interrupted", ended_by(self.stop_reason or "a request to cancel it")
         return JointsMoved(
             outcome=cast("JointsEnd", word),
             joints=rows,
             controller=plan.controller.name,
-            way=plan.controller.way,
+            interface=plan.controller.interface,
             planned_s=round(plan.planned_s, 3),
             elapsed_s=round(self.elapsed_s, 3),
             note=" ".join(filter(None, (why, *self.notes))),
@@ -392,7 +394,7 @@ class JointMotion(Job):
         async with anyio.create_task_group() as group:
             group.start_soon(self._await_result, action)
             await self._watch()
-            if self.outcome_word != "ended":
+            if self.outcome_word != "interrupted":
                 with anyio.move_on_after(_RESULT_S):  # a goal that has just succeeded is not cancelled
                     await self._has_result.wait()
             group.cancel_scope.cancel()
@@ -436,7 +438,7 @@ class JointMotion(Job):
         self.has_left = True
         sent = await self._robot.do(command, self._session)
         if not sent.matched:
-            self._end("nobody_listens", f"Nobody received the trajectory on {named(to.topic)}.")
+            self._end("no_subscriber", f"No subscriber received the trajectory on {named(to.topic)}.")
             return
         await self._watch()
         if self.outcome_word == "reached":
@@ -455,19 +457,19 @@ class JointMotion(Job):
             latch = self._robot.guard.latch.look()
             if latch.is_set:  # the bridge has ended the move, and may not have reported the cause yet
                 by = f"{named(latch.by)}: {quoted(latch.reason)}" if latch.by else ""
-                self._end("ended", ended_by(latch_set_by(by)))
+                self._end("interrupted", ended_by(latch_set_by(by)))
             elif self._robot.graph.lapsed_at > began:
-                self._end("ended", ended_by(LEASE))
+                self._end("interrupted", ended_by(LEASE))
             elif age_s > _SILENT_S:
                 self._end(
                     "silent", f"No joint state was received for {age_s:.1f} s: the joints were commanded to hold."
                 )
             elif self._failed:
-                self._end("failed", f"{self._failed} {self._where()}")
+                self._end("aborted", f"{self._failed} {self._where()}")
             elif self._has_arrived(watched, names):
                 self._end("reached", "")
             elif monotonic() > deadline:
-                self._end("time_out", f"{self._where()} The joints were commanded to hold.")
+                self._end("timeout", f"{self._where()} The joints were commanded to hold.")
 
     def _has_arrived(self, watched: _Watched, names: Sequence[str]) -> bool:
         positions = self._states.of(names)

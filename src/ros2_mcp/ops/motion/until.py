@@ -20,6 +20,7 @@ from ros2_mcp.ops.motion.find import Found, base_frame_of, command_input, first_
 from ros2_mcp.ops.motion.held import others_on, why_it_stands
 from ros2_mcp.ops.motion.job import run_motion
 from ros2_mcp.ops.results.results import SAID, Report, silent, told_values
+from ros2_mcp.ops.sources.from_before import FromBefore, told_as_met
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.session import Session
 from ros2_mcp_common.language.scans import LASER_SCAN
@@ -53,16 +54,18 @@ class UntilRequest:
     odometry_topic: str = ""
 
 
-UntilEnd = Literal["met", "distance", "time_out", "silent", "nobody_listens", "refused", "ended"]
+UntilEnd = Literal["met", "distance", "timeout", "silent", "no_subscriber", "refused", "interrupted"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MovedUntil:
-    """What ended a motion: `outcome` is `met`, `distance`, `time_out`, `silent`, `nobody_listens`, `refused`, or
-    `ended` by something else, which `note` names.
+    """The result of a motion. `outcome` says what ended it: `met`, `distance` (max_distance_m), `timeout`, `silent` (a
+    topic or odometry stopped publishing), `no_subscriber`, `refused` (by the policy), or `interrupted` (`note` says by
+    what).
 
-    `values` are those of the last message that was looked at, which met the condition if one did; of `undecided` ones
-    it could not be said. `distance_m` is the way by odometry until the end of the commands, null without odometry.
+    `values` has the fields of the condition from the last message checked; `from_before` is set if that message had
+    been published before this call, and gives its age. For `not_evaluable` of the `messages_checked` the condition had
+    no value. `distance_m` is the distance by odometry until the last command; null without odometry.
     """
 
     outcome: UntilEnd
@@ -71,8 +74,8 @@ class MovedUntil:
     topic_type: str
     condition: str = field(metadata=SAID)
     values: Mapping[str, Any] = field(metadata=SAID)
-    looked_at: int
-    undecided: int
+    messages_checked: int
+    not_evaluable: int
     command_topic: str
     velocity: Mapping[str, float]
     sent: int
@@ -81,22 +84,24 @@ class MovedUntil:
     odometry_topic: str = field(default="", metadata=SAID)
     stopped_with_zero: bool = False
     note: str = ""
+    from_before: str = field(default="", metadata=SAID)
 
     @property
     def has_failed(self) -> bool:
         """Return whether something went wrong. A limit of time or distance that the caller
         gave, and a stop, are no failures.
         """
-        return self.outcome in ("silent", "nobody_listens", "refused")
+        return self.outcome in ("silent", "no_subscriber", "refused")
 
     def summary(self) -> str:
-        """One line."""
+        """Return the result in one line."""
         way = (
             ""
             if self.distance_m is None
             else f" The robot moved {self.distance_m:.2f} m by {named(self.odometry_topic)}."
         )
-        outcome = f"{'is met' if self.met else 'was not met'} after {self.elapsed:.2f} s ({told_values(self.values)})"
+        outcome = f"{'is met' if self.met else 'was not met'} after {self.elapsed:.2f} s"
+        outcome += f"{told_as_met(self.from_before, self.met)} ({told_values(self.values)})"
         return f"{named(self.topic_name)}: {self.condition} {outcome}.{way} {self.note}".rstrip()
 
 
@@ -222,14 +227,14 @@ def _result(command: Move, moved: Moved, reason: str, known: str) -> MovedUntil:
         notes.append("A zero command was sent at the end.")
     odometry = asked["odometry"]
     return MovedUntil(
-        outcome="ended" if reason else cast("UntilEnd", moved.outcome),
+        outcome="interrupted" if reason else cast("UntilEnd", moved.outcome),
         met=told["met"],
         topic_name=asked["topic"],
         topic_type=asked["type"],
         condition=asked["condition"],
         values=told["values"],
-        looked_at=told["looked_at"],
-        undecided=told["undecided"],
+        messages_checked=told["looked_at"],
+        not_evaluable=told["undecided"],
         command_topic=command.name,
         velocity=asked["velocity"],
         sent=sent.sent,
@@ -238,4 +243,5 @@ def _result(command: Move, moved: Moved, reason: str, known: str) -> MovedUntil:
         odometry_topic=odometry["topic"] if odometry else "",
         stopped_with_zero=sent.stopped_with_zero,
         note=" ".join(filter(None, notes)),
+        from_before=str(FromBefore.one(told["from_before_s"])),
     )

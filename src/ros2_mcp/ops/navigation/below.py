@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass
 from time import monotonic
 
@@ -120,11 +120,11 @@ async def _answers(robot: Robot, node: str) -> bool:
 
 
 class _Ending:
-    """Cancels the goals of Nav2's servers below the navigator of `action`. A goal that the policy refuses to cancel is
-    not asked for again."""
+    """Cancels the goals of these kinds in the namespace of `action`, those of Nav2's servers below it. A goal that the
+    policy refuses to cancel is not asked for again."""
 
-    def __init__(self, robot: Robot, session: Session, action: str) -> None:
-        self._robot, self._session, self._action = robot, session, action
+    def __init__(self, robot: Robot, session: Session, action: str, kinds: Set[str]) -> None:
+        self._robot, self._session, self._action, self._kinds = robot, session, action, kinds
         self._refused: dict[str, str] = {}
         self.ended: dict[str, None] = {}
         self.left: list[str] = []
@@ -137,7 +137,7 @@ class _Ending:
             known = await self._robot.types.actions()
             own = {name: kinds for name, kinds in known.items() if name.rpartition("/")[0] == namespace}
             running = await running_goals(
-                self._robot, {name: kinds for name, kinds in own.items() if not BELOW.isdisjoint(kinds)}
+                self._robot, {name: kinds for name, kinds in own.items() if not self._kinds.isdisjoint(kinds)}
             )
         except RobotError as error:
             self.left = [f"What runs below {named(self._action)} could not be read: {error.message}"]
@@ -172,15 +172,20 @@ class _Ending:
 
 
 async def settle(
-    robot: Robot, session: Session, action: str, tell: Callable[[str], None], most_s: float = MOST_S
+    robot: Robot,
+    session: Session,
+    action: str,
+    tell: Callable[[str], None],
+    most_s: float = MOST_S,
+    kinds: Set[str] = BELOW,
 ) -> Below:
-    """Cancel the goals below a navigator, and wait until the robot stands and no goal is running.
+    """Cancel the goals below a navigator, those of these kinds, and wait until the robot stands and no goal is running.
 
     The wait ends after `most_s`, or 30 s after the robot came to a stop. `tell` gets a sentence on the state in each
     round. Raises no `RobotError`.
     """
     end, unseen = monotonic() + most_s, 0
-    ending, stands_since = _Ending(robot, session, action), math.inf
+    ending, stands_since = _Ending(robot, session, action, kinds), math.inf
     while True:
         is_ending = await ending.again()
         await asyncio.sleep(_AFTER_S if is_ending else 0.0)

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import json
 import math
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, cast
 
 from ros2_mcp.guard.state import StateFolder
-from ros2_mcp.model.errors import BadData, BadInput, NotFound, RobotError
+from ros2_mcp.model.errors import BadInput, NotFound
 from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.model.text import is_unicode, listed, quoted
+from ros2_mcp.ops.navigation.state_files import damaged, read_state, write_state
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.kept import Kept
-from ros2_mcp_common.files import PLAIN, replace
 
 FILE = "places.json"
 MOST_PLACES = 1000
@@ -25,8 +23,6 @@ MOST_CHARACTERS = 80
 """Longest name: as long as a quotation in our texts."""
 _MOST_NAMED = 15
 """Number of names in an error; ros2_place_list shows all."""
-_MOST_BYTES = 1_000_000
-"""Largest file, several times the size of all places together. A larger file was not written by this server."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,36 +108,21 @@ class Places(Kept):
         return place
 
     def _read(self) -> dict[str, NamedPlace]:
-        file = self.kept_in
-        if file is None:
+        if self._folder is None:
             return dict(self._in_memory)
-        try:
-            descriptor = os.open(file, os.O_RDONLY | PLAIN)
-        except FileNotFoundError:
+        value = read_state(self._folder, FILE, "places")
+        if value is None:
             return {}
-        except OSError as error:
-            raise BadData(f"The places cannot be read: {error}.") from error
-        with os.fdopen(descriptor, "rb") as opened:
-            text = opened.read(_MOST_BYTES + 1)
         try:
-            return {name: _place(name, fields) for name, fields in json.loads(text)["places"].items()}
+            return {name: _place(name, fields) for name, fields in value["places"].items()}
         except (ValueError, KeyError, TypeError, AttributeError) as error:
-            raise BadData(
-                f"The file of places {file} is damaged: {error!r}.", "Repair the file, or move it away."
-            ) from error
+            raise damaged(self._folder, FILE, "places", error) from error
 
     def _write(self, places: Mapping[str, NamedPlace]) -> None:
         self._in_memory = dict(places)
-        if self._folder is None:
-            return
-        kept = {name: _fields(place) for name, place in places.items()}
-        folder = self._folder.make()
-        draft = folder / f"{FILE}.{os.getpid()}"
-        try:
-            draft.write_text(json.dumps({"places": kept}, indent=1), encoding="utf-8")
-            replace(draft, folder / FILE)
-        except OSError as error:
-            raise RobotError(f"The places cannot be written: {error}.") from error
+        if self._folder:
+            kept = {name: _fields(place) for name, place in places.items()}
+            write_state(self._folder, FILE, {"places": kept}, "places")
 
 
 def places_of(robot: Robot) -> Places:

@@ -1,20 +1,23 @@
-"""`ros2_nav_localize`: publish an initial pose, and measure whether localisation accepted it and the scan fits the
-map."""
+"""`ros2_nav_localize`: publish an initial pose that was given, found or kept, and measure whether localisation accepted
+it and the scan fits the map."""
 
 from __future__ import annotations
 
 import asyncio
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from time import monotonic
 
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.model.text import named
+from ros2_mcp.ops.navigation.find_pose import Found, PoseFit, find_pose, last_pose
 from ros2_mcp.ops.navigation.known_places import places_of
+from ros2_mcp.ops.navigation.last_pose import note_last_pose
 from ros2_mcp.ops.navigation.scan_fit import ScanFit, scan_fit
 from ros2_mcp.ops.navigation.targets import MAP_FRAME, Target, targets_of
 from ros2_mcp.ops.navigation.whereabouts import Whereabouts, whereabouts
-from ros2_mcp.ops.results.results import SAID
+from ros2_mcp.ops.results.results import SAID, Report, silent
 from ros2_mcp.ops.topics.publish import PublishRequest, publish
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.session import Session
@@ -33,84 +36,164 @@ _LOST = 0.4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class LocalizeRequest:
+    """Where the robot is: `at` a place or pose, or to be found. With `search`, `at` is a guess, and `radius_m` how far
+    around it to search; `last` takes the pose that was kept."""
+
+    at: object = None
+    search: bool = False
+    radius_m: float | None = None
+    last: bool = False
+    topic: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class NavLocalized:
     """The pose that was told (m, degrees, in `frame`), and where the transforms say the robot is before and after.
 
-    `is_taken` says whether localisation now has it there (null: its pose is not known); `fit_before` and `fit_after`
-    the share of laser beams that end at something the map has there (null: not known).
+    `is_published` false: nothing was told, and `doubt` says why; x, y and yaw are those of the best pose, if there is
+    one. `is_taken` says whether localisation now has it there (null: its pose is not known); `fit_before` and
+    `fit_after` the share of laser beams that end at something the map has there (null: not known). `found` are the
+    poses that a search found, the best first, or the one that was kept.
     """
 
     topic_name: str
     frame: str
-    x_m: float
-    y_m: float
-    yaw_deg: float
+    x_m: float | None
+    y_m: float | None
+    yaw_deg: float | None
+    is_published: bool = field(metadata=SAID)
     before: str = field(metadata=SAID)
     after: str = field(metadata=SAID)
     is_taken: bool | None
     fit_before: float | None = None
     fit_after: float | None = None
     fit: str = field(default="", metadata=SAID)
-    note: str = ""
+    found: Sequence[PoseFit] = field(default=(), metadata=SAID)
+    how: str = field(default="", metadata=SAID)
+    doubt: str = field(default="", metadata=SAID)
+    note: str = field(default="", metadata=SAID)
 
     @property
     def has_failed(self) -> bool:
-        """Whether localisation did not accept the pose."""
-        return self.is_taken is False
+        """Whether localisation did not accept the pose, or nothing was published."""
+        return not self.is_published or self.is_taken is False
 
     def summary(self) -> list[str]:
         """Return whether the pose was accepted, and how well the scan fits."""
+        how = [self.how] if self.how else []
+        if not self.is_published:
+            several = [f"{number}. {pose}" for number, pose in enumerate(self.found, 1)]
+            return [f"NOT localised, and nothing was published: {self.doubt}. {self.note}".rstrip(), *how, *several]
         verdict = {True: "Localised", False: "NOT localised there", None: "Told; not known whether it was taken"}
         told = f"({self.x_m:.2f}, {self.y_m:.2f}) facing {self.yaw_deg:.0f}° in {named(self.frame)}"
-        return [f"{verdict[self.is_taken]}: {told}. Before: {self.before} Now: {self.after}", self.fit, *self._more()]
+        first = f"{verdict[self.is_taken]}: {told}. Before: {self.before} Now: {self.after}"
+        second = [f"The second best: {self.found[1]}."] if len(self.found) > 1 else []
+        return [first, *how, *second, self.fit, *([self.note] if self.note else [])]
 
-    def _more(self) -> list[str]:
-        return [self.note] if self.note else []
 
-
-async def localize(robot: Robot, session: Session, at: object, topic: str = "") -> NavLocalized:
+async def localize(robot: Robot, session: Session, request: LocalizeRequest, report: Report = silent) -> NavLocalized:
     """Publish an initial pose, and wait until the transforms place the robot there.
+
+    A pose that was found, or kept, is published only if it is beyond doubt.
 
     Raises:
         BadInput: for a malformed place, or one without a heading if the present heading is unknown.
-        NotFound: for an unknown place, or if the topic has no subscriber.
+        NotFound: for an unknown place, if the topic has no subscriber, if there is nothing to search with, or no pose
+            was kept.
         RobotError: what publishing raises.
     """
-    (target, *more) = targets_of(at, places_of(robot))
-    if more:
-        raise BadInput("The robot is at one place.", "Give one pose, or the name of one place.")
-    if target.frame != MAP_FRAME:
-        raise BadInput(f"An initial pose is in {MAP_FRAME}, not in {named(target.frame)}.", "Give the pose in map.")
-    listening = (await robot.graph.endpoints(topic or TOPIC)).subscribers
+    target = _target(robot, request)
+    listening = (await robot.graph.endpoints(request.topic or TOPIC)).subscribers
     if not any(not one.ours for one in listening):
         raise await robot.graph.missing(
-            f"Nobody listens to {named(topic or TOPIC)}: no localiser runs, or on another topic. Nothing was sent.",
+            f"Nobody listens to {named(request.topic or TOPIC)}: no localiser runs, or on another topic. Nothing was "
+            "sent.",
             "ros2_topic_list pattern=initialpose shows such topics: give topic_name.",
         )
     before, fit_before = await asyncio.gather(whereabouts(robot, MAP_FRAME), scan_fit(robot))
+    found: Found | None = None
+    if request.search:
+        found = await find_pose(robot, target, request.radius_m, report)
+    elif request.last:
+        found = await last_pose(robot, fit_before)
+    if found and found.doubt:
+        return _unpublished(request, found, before, fit_before)
+    if found:
+        first = found.poses[0]
+        target = Target("", MAP_FRAME, first.x_m, first.y_m, math.radians(first.yaw_deg))
+    assert target
     if target.yaw_rad is None:
         if before.yaw_rad is None:
-            raise BadInput("The pose has no heading, and the robot's is not known.", "Give yaw_deg.")
+            raise BadInput("The pose has no heading, and the robot's is not known.", "Give yaw_deg, or search=true.")
         target = replace(target, yaw_rad=before.yaw_rad)
-    published = await publish(robot, session, _request(target, topic or TOPIC))
+    published = await publish(robot, session, _request(target, request.topic or TOPIC))
     after, is_taken = await _taken(robot, target)
     fit_after = await scan_fit(robot)
     notes = [published.note, *session.notes]
-    if isinstance(fit_after, ScanFit) and fit_after.share < _LOST:
+    if isinstance(fit_after, ScanFit) and fit_after.of_all < _LOST:
         notes.append("The scan does NOT fit the map there: the pose is wrong, or the map is of another place.")
+    if is_taken:
+        await note_last_pose(robot)
     return NavLocalized(
         topic_name=published.topic_name,
         frame=target.frame,
         x_m=target.x_m,
         y_m=target.y_m,
         yaw_deg=round(math.degrees(target.yaw_rad or 0.0), 1),
+        is_published=True,
         before=_in_words(before),
         after=_in_words(after),
         is_taken=is_taken,
         fit_before=fit_before.share if isinstance(fit_before, ScanFit) else None,
         fit_after=fit_after.share if isinstance(fit_after, ScanFit) else None,
         fit=f"Fit of the scan to the map: before {_fit(fit_before)}; now {_fit(fit_after)}.",
+        found=found.poses if found else (),
+        how=found.how if found else "",
         note=" ".join(filter(None, notes)),
+    )
+
+
+def _target(robot: Robot, request: LocalizeRequest) -> Target | None:
+    """Return the pose or the guess that was given, if any; raises for arguments that contradict each other."""
+    if request.radius_m is not None and not (request.search and request.at is not None):
+        raise BadInput("radius_m is how far around a guess to search.", "Give search=true and at, too.")
+    if request.last and (request.search or request.at is not None):
+        raise BadInput("last takes the pose that was kept: it goes with neither at nor search.", "Give one of them.")
+    if request.at is None:
+        if request.search or request.last:
+            return None
+        raise BadInput("at, where the robot is, is not given.", "Give a pose or a place, or search=true, or last=true.")
+    (target, *more) = targets_of(request.at, places_of(robot))
+    if more:
+        raise BadInput("The robot is at one place.", "Give one pose, or the name of one place.")
+    if target.frame != MAP_FRAME:
+        raise BadInput(f"An initial pose is in {MAP_FRAME}, not in {named(target.frame)}.", "Give the pose in map.")
+    return target
+
+
+def _unpublished(
+    request: LocalizeRequest, found: Found, before: Whereabouts, fit_before: ScanFit | str
+) -> NavLocalized:
+    first = found.poses[0] if found.poses else None
+    helps = "Give the right one with at; or search=true with at, a guess of where it is, and its yaw_deg."
+    if request.last:
+        helps = "Publish it all the same with at, or search=true with at and radius_m around it."
+    return NavLocalized(
+        topic_name=request.topic or TOPIC,
+        frame=MAP_FRAME,
+        x_m=first.x_m if first else None,
+        y_m=first.y_m if first else None,
+        yaw_deg=first.yaw_deg if first else None,
+        is_published=False,
+        before=_in_words(before),
+        after=_in_words(before),
+        is_taken=None,
+        fit_before=fit_before.share if isinstance(fit_before, ScanFit) else None,
+        found=found.poses,
+        how=found.how,
+        doubt=found.doubt,
+        note=f"{helps} Localisation has it at {_in_words(before)} There: {_fit(fit_before)}.",
     )
 
 

@@ -13,16 +13,16 @@ from typing import Any
 import anyio
 
 from ros2_mcp.guard.policy import bounded
-from ros2_mcp.model import names
 from ros2_mcp.model.commands import Route
-from ros2_mcp.model.errors import LEASE, ApprovalNeeded, BadInput, NotFound, RobotError, TypeConflict
+from ros2_mcp.model.errors import LEASE, ApprovalNeeded, BadInput, NotFound, RobotError
 from ros2_mcp.model.goals import STATUS, TERMINAL
 from ros2_mcp.model.nav2 import NAVIGATE, NO_PROGRESS
-from ros2_mcp.model.text import counted, listed, named, quoted
+from ros2_mcp.model.text import counted, named, quoted
 from ros2_mcp.ops.acting.endings import ended_by, reason_of
 from ros2_mcp.ops.actions.result import result_of
 from ros2_mcp.ops.actions.running import running_goals
 from ros2_mcp.ops.actions.send_goal import GoalOutcome, follow, send_goal
+from ros2_mcp.ops.navigation.action_names import action_of
 from ros2_mcp.ops.navigation.below import settle, why_lost
 from ros2_mcp.ops.navigation.drive_watch import DriveWatch
 from ros2_mcp.ops.navigation.explain import Explanation, Failure, explain
@@ -30,7 +30,9 @@ from ros2_mcp.ops.navigation.follow_drive import follow_drive
 from ros2_mcp.ops.navigation.health import health_of
 from ros2_mcp.ops.navigation.hold import MOST_PAUSED_S, Pausing
 from ros2_mcp.ops.navigation.home import FirstStood, targets_in
+from ros2_mcp.ops.navigation.last_pose import note_last_pose
 from ros2_mcp.ops.navigation.navigated import Leg, LegState, Navigated, not_begun
+from ros2_mcp.ops.navigation.planned_path import check_places, judge_path
 from ros2_mcp.ops.navigation.route_plan import MOST_ROUTE_S, ONCE, RoutePlan, Visits, headed, key_of, pending_routes
 from ros2_mcp.ops.navigation.targets import MAP_FRAME, Target
 from ros2_mcp.ops.navigation.whereabouts import in_frame, whereabouts
@@ -93,7 +95,7 @@ class Navigation(Job):
         self.ending = ""
         """Text on the end of the goal if the navigator did not end it."""
         self.pausing = Pausing()
-        self._lost = self._doing = ""
+        self._lost = self._doing = self._unchecked = ""
         self._final: LegState | None = None
         self._stuck_s = math.inf if stuck_s is None else stuck_s
         self._is_stuck = self._is_missed = False
@@ -104,6 +106,7 @@ class Navigation(Job):
         robot = self._robot
         robot.log.start()  # the log from now on helps to explain a failure
         where, _ = await asyncio.gather(whereabouts(robot, MAP_FRAME), hear_plans(robot))
+        check_places(robot.policy, self._targets)
         robot.kept.get(FirstStood, FirstStood).note(where)
         start = (where.x_m, where.y_m) if where.x_m is not None and where.y_m is not None else None
         asked = key_of(self._session.principal, self.action, self._targets, self.plan)
@@ -218,6 +221,7 @@ class Navigation(Job):
         self._goal, self.explanation = None, None
         self._doing = self._lost = self.ending = ""
         self._is_stuck = self._is_missed = False
+        self._unchecked = await judge_path(robot, self._session, self.action, target)
         sent = await send_goal(robot, self._session, self.action, NAVIGATE, {"pose": target.pose()}, route=route)
         self.sent.add(sent.goal_id)
         self._note(outcome="under way", goal_id=sent.goal_id)
@@ -374,6 +378,7 @@ class Navigation(Job):
         took_s = monotonic() - self._leg_at
         self._note(duration_s=round(took_s, 2))
         await self._measure(target)
+        await note_last_pose(self._robot)
         if ended.status == "SUCCEEDED":
             away_m = self.legs[self.now].away_m
             far = away_m is not None and away_m > _FAR_M
@@ -483,7 +488,7 @@ class Navigation(Job):
             duration_s=round(self.elapsed_s, 2),
             legs=legs,
             explanation=self.explanation,
-            note=note,
+            note=f"{note} {self._unchecked}".strip(),
         )
 
 
@@ -559,28 +564,3 @@ async def wait_for(robot: Robot, job: Navigation, timeout_s: float, report: Repo
         return ()
     seen = job.watch.sees(monotonic()) if not job.pausing.hold else ""
     return [*([seen] if seen else []), *health]
-
-
-async def action_of(robot: Robot, kind: str, given: str = "") -> str:
-    """Return the name of an action of this type: the given one, or the only one.
-
-    Raises:
-        NotFound: if there is none; names the others, or says that there is no robot.
-        TypeConflict: if the given one has another type, or there are several and none is given.
-    """
-    actions = await robot.types.actions()
-    if given:
-        name = names.absolute(given, "action")
-        await robot.types.action(name, kind)
-        return name
-    found = sorted(name for name, types in actions.items() if kind in types)
-    if len(found) == 1:
-        return found[0]
-    if found:
-        raise TypeConflict(f"Several actions have the type {kind}: {listed(found, 5)}.", "Give action_name.")
-    others = f" Other actions: {listed(sorted(actions), 5)}; ros2_send_action_goal sends them goals." if actions else ""
-    raise await robot.graph.missing(
-        f"There is no action of type {kind}: no server of that type is seen. Nav2 is not running, or not configured."
-        f"{others}",
-        "ros2_lifecycle_state shows whether its servers are configured.",
-    )

@@ -65,13 +65,14 @@ class Navigated:
 
     def summary(self) -> list[str]:
         """Return the outcome, one line per leg, and the cause of a failure."""
-        lines = [f"{self.outcome} after {self.duration_s:.1f} s. {self.note}".strip(), *map(line_of, self.legs)]
-        lines += self.health
-        if self.explanation:
-            why = self.explanation
-            lines += [f"Cause: {why.cause}", *([f"Nav2 says: {why.error}"] if why.error else [])]
-            lines += [f"What would help: {' '.join(why.helps)}"]
-        return lines
+        why = self.explanation
+        ended = f"{self.outcome} after {self.duration_s:.1f} s."
+        if why is None:
+            return [f"{ended} {self.note}".strip(), *map(line_of, self.legs), *self.health]
+        note = "" if self.note.startswith(why.cause) or not self.note else f" {self.note}"
+        lines = [f"{ended} Cause: {why.cause}{note}", f"What would help: {' '.join(why.helps)}"]
+        lines += [f"Nav2 says: {why.error}"] if why.error else []
+        return [*lines, *map(line_of, self.legs), *self.health]
 
 
 def line_of(leg: Leg) -> str:

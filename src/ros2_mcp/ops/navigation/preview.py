@@ -14,15 +14,14 @@ from ros2_mcp.model import parameters
 from ros2_mcp.model.aside import aside
 from ros2_mcp.model.costs import Narrowest, cost_in_words
 from ros2_mcp.model.errors import BadInput, NotFound, RobotError
-from ros2_mcp.model.goals import STATUS, goal_id_bytes
 from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.model.nav2 import COMPUTE_PATH
 from ros2_mcp.model.text import counted, listed, named, quoted
-from ros2_mcp.ops.actions.send_goal import send_goal
+from ros2_mcp.ops.navigation.action_names import action_of
 from ros2_mcp.ops.navigation.below import idle_server
 from ros2_mcp.ops.navigation.explain import Explanation, Failure, error_in_words, explain
 from ros2_mcp.ops.navigation.home import targets_in
-from ros2_mcp.ops.navigation.navigate import action_of
+from ros2_mcp.ops.navigation.planner import PLAN_S, Rejected, planned
 from ros2_mcp.ops.navigation.situation import costmap_of
 from ros2_mcp.ops.navigation.targets import MAP_FRAME, Target
 from ros2_mcp.ops.nodes.own_services import ask_node
@@ -32,14 +31,11 @@ from ros2_mcp.ops.space.plans import hear_plans
 from ros2_mcp.ops.space.scene import scene
 from ros2_mcp.ops.space.scene_picture import ScenePicture, SceneRequest, Way
 from ros2_mcp.robot import Robot
-from ros2_mcp.robot.goals import Goal
 from ros2_mcp.robot.session import Session
 
 if TYPE_CHECKING:
     from ros2_mcp.world.costmap import CostGrid
 
-PLAN_S = 30.0
-"""Planners answer within tenths of a second; a lattice planner on a large map needs some seconds."""
 _MOST_POINTS = 24
 """Number of points of the path in an answer: enough to follow it in a picture."""
 _PLUGINS = "planner_plugins"
@@ -125,10 +121,10 @@ async def preview(
     await hear_plans(robot)
     began_at = monotonic()
     async with reporting(report, PLAN_S, f"{action}: planning"):
-        sent = await send_goal(robot, session, action, COMPUTE_PATH, goal)
-        if not sent.accepted:
-            return _not_asked(action, f"{named(action)} rejected the goal. {sent.note}")
-        result: Mapping[str, Any] = await _result(robot, action, sent.goal_id)
+        try:
+            result = await planned(robot, session, action, goal)
+        except Rejected as error:
+            return _not_asked(action, str(error))
     path: Mapping[str, Any] = result.get("path") or {}
     points, unknown = _points(path)
     code, text = int(result.get("error_code", 0)), str(result.get("error_msg", ""))
@@ -225,30 +221,6 @@ def _one(to: object, robot: Robot) -> Target:
     if len(found) != 1:
         raise BadInput("A preview takes one place.", "Give one place; preview each leg by itself, with start.")
     return found[0]
-
-
-async def _result(robot: Robot, action: str, goal_id: str) -> Mapping[str, Any]:
-    """Return all fields of the planner's result."""
-    try:
-        answer = await robot.ask_service(
-            f"{action}/_action/get_result",
-            f"{COMPUTE_PATH}_GetResult",
-            {"goal_id": {"uuid": goal_id_bytes(goal_id)}},
-            timeout_s=PLAN_S,
-        )
-    except BaseException:  # cancelled or timed out: the result is no longer needed
-        await asyncio.shield(_give_up(robot, goal_id))
-        raise
-    fields = await robot.fields_of(answer)
-    robot.goal_ended(action, goal_id, STATUS.get(int(fields["status"]), ""))
-    return fields["result"]
-
-
-async def _give_up(robot: Robot, goal_id: str) -> None:
-    goal = robot.jobs.get(Goal, goal_id)
-    if goal and goal.is_running:
-        with suppress(RobotError):
-            await goal.request_cancel(1.0)
 
 
 async def _grid(robot: Robot, action: str, frame: str) -> tuple[CostGrid | None, str]:

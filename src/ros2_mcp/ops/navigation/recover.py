@@ -15,7 +15,7 @@ from ros2_mcp.model.nav2 import MANAGE
 from ros2_mcp.model.pictures import OCCUPANCY_GRID
 from ros2_mcp.model.text import counted, listed, named
 from ros2_mcp.ops.actions.send_goal import send_goal
-from ros2_mcp.ops.navigation.navigate import action_of
+from ros2_mcp.ops.navigation.action_names import action_of
 from ros2_mcp.ops.navigation.whereabouts import Whereabouts, whereabouts
 from ros2_mcp.ops.nodes.lifecycle import states
 from ros2_mcp.ops.nodes.stacks import COMMANDS, Stack, stacks_of

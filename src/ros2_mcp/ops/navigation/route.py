@@ -11,8 +11,9 @@ from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model.errors import BadValue
 from ros2_mcp.model.nav2 import NAVIGATE
 from ros2_mcp.model.text import counted, quoted
+from ros2_mcp.ops.navigation.action_names import action_of
 from ros2_mcp.ops.navigation.home import targets_in
-from ros2_mcp.ops.navigation.navigate import Navigation, action_of, known_job, wait_for
+from ros2_mcp.ops.navigation.navigate import Navigation, known_job, wait_for
 from ros2_mcp.ops.navigation.navigated import Leg
 from ros2_mcp.ops.navigation.route_plan import MOST_LOOPS, RoutePlan, Visits
 from ros2_mcp.ops.results.results import SAID, Report, silent

@@ -46,11 +46,12 @@ class Offer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NodeInfo:
-    """What one node offers and uses; `left_out` counts what is not shown: the services that every node
-    has for its parameters, and names that ROS hides, such as the parts of actions.
+    """What one node publishes, subscribes to, serves and calls. `omitted` counts its services that are not shown: those
+    that every node has for its parameters, and hidden ones, such as the services of its actions.
 
-    `ours`: it is this server's own. `parameters` is how many it has and `lifecycle_state` its state, null where it has
-    none or did not answer at once. `settled` is false if discovery was still under way, or has told nothing of it.
+    `from_this_server`: the node belongs to this server. `parameters` is the number of its parameters, `lifecycle_state`
+    its lifecycle state; each is null if the node has none or did not answer in time. `settled` is false if discovery
+    was still under way, or has not reported the node's endpoints.
     """
 
     node: str = field(metadata=SAID)
@@ -64,22 +65,22 @@ class NodeInfo:
     is_lifecycle: bool
     parameters: int | None = field(metadata=SAID)
     lifecycle_state: str | None = field(metadata=SAID)
-    ours: bool = field(default=False, metadata=SAID)
-    left_out: int = field(default=0, metadata=SAID)
+    from_this_server: bool = field(default=False, metadata=SAID)
+    omitted: int = field(default=0, metadata=SAID)
     settled: bool = field(default=True, metadata=SAID)
 
     def summary(self) -> str:
         """Return the result in one line."""
         has = "" if self.parameters is None else f" It has {self.parameters} parameters."
         state = f" Its lifecycle state is {named(self.lifecycle_state)}." if self.lifecycle_state else ""
-        services = counted(self.left_out, "service")
-        hidden = f" Left out: {services} for its parameters and actions; ros2_service_list lists them."
+        services = counted(self.omitted, "service")
+        hidden = f" Not shown: {services} for its parameters and actions; ros2_service_list lists them."
         unsettled = " Discovery had not settled: the lists may be incomplete. Ask again."
-        who = f"{self.node} (this server)" if self.ours else self.node
+        who = f"{self.node} (this server)" if self.from_this_server else self.node
         return (
             f"{who} publishes {len(self.publishes)} and subscribes to {len(self.subscribes)} topics, "
             f"offers {counted(len(self.services), 'service')} and {counted(len(self.actions), 'action')}.{has}{state}"
-            f"{hidden if self.left_out else ''}{'' if self.settled else unsettled}"
+            f"{hidden if self.omitted else ''}{'' if self.settled else unsettled}"
         )
 
 
@@ -120,9 +121,9 @@ async def node_info(robot: Robot, node: str) -> NodeInfo:
         service_clients=_offers(found.clients),
         actions=_actions(found.servers),
         action_clients=_actions(found.clients),
-        ours=node in robot.graph.own_nodes,
+        from_this_server=node in robot.graph.own_nodes,
         settled=settled,
-        left_out=len(own_parameters & served) + sum(names.is_hidden(row.name) for row in all_of_it),
+        omitted=len(own_parameters & served) + sum(names.is_hidden(row.name) for row in all_of_it),
         has_parameters=own_parameters <= served,
         is_lifecycle=service_of(node, CHANGE_STATE) in served,
         parameters=None if listed is None else len(listed["result"]["names"]),

@@ -59,8 +59,8 @@ class LifecycleStates:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Transition:
-    """The result of a transition: the states before and after, and what is possible now. `note` has the warnings and
-    errors that the robot logged meanwhile, where it failed.
+    """The result of a transition: the states before and after, and the transitions that are possible now. If it failed,
+    `note` has the warnings and errors that the robot logged meanwhile.
     """
 
     node: str = field(metadata=SAID)

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from ros2_mcp.model import names
+from ros2_mcp.model.text import counted_of
 from ros2_mcp.ops.results.results import IF_ANY, SAID, list_note
 from ros2_mcp.robot import Robot
 
@@ -24,7 +25,7 @@ class NodeList:
 
     def summary(self) -> str:
         """Return the result in one line."""
-        return f"{len(self.nodes)} of {self.total} nodes. {self.note}".rstrip()
+        return f"{counted_of(len(self.nodes), self.total, 'node')}. {self.note}".rstrip()
 
 
 async def list_nodes(robot: Robot, pattern: str = "", include_hidden: bool = False, limit: int = 200) -> NodeList:

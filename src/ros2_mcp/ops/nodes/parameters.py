@@ -30,10 +30,11 @@ values, as many are shown as fit."""
 _MAX_NAMED = 5
 """Parameters that are named in a summary, which is one line."""
 _LONG_HINT = (
-    "left_out gives the length; ros2_parameter_get with its name and whole=true returns it, "
-    'or a part of it, such as names=["robot_description[0:8000]"].'
+    "omitted gives the length; ros2_parameter_get with its name and whole=true returns it if it fits in an answer, "
+    "or a part of it,"
 )
-_WHOLE_HINT = "Call again with that parameter's name and whole=true"
+_WHOLE_HINT = "Call again with that parameter's name and whole=true, or a part of it,"
+_PARTS_HINT = "No answer has room for it, with whole=true neither: ask for its parts,"
 _PART_OF = re.compile(r"(?P<name>.+)\[(?P<start>\d*):(?P<end>\d*)\]")
 """A part of a long text or list, as in a path to a field."""
 _PART_LENGTH = 8000
@@ -61,10 +62,10 @@ _UNANSWERED = "The change may still take effect: read it with ros2_parameter_get
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Parameter:
-    """One parameter with what its descriptor says; `range` is null where any value is allowed.
+    """One parameter and its descriptor; `range` is null if any value is allowed.
 
-    `left_out` says of a value that is too long to be shown (and is null here) how long it is. `not_set`: it is declared
-    and has no value yet (and is null here).
+    `omitted` gives the length of a value that is too long to show (the value is then null). `not_set`: the parameter is
+    declared but has no value yet (the value is then null).
     """
 
     name: str
@@ -74,7 +75,7 @@ class Parameter:
     read_only: bool = False
     range: dict[str, Any] | None = None
     constraints: str = ""
-    left_out: str = ""
+    omitted: str = ""
     not_set: bool | None = field(default=None, metadata=ON_REQUEST)
 
 
@@ -102,47 +103,51 @@ class ParameterList:
 
 @dataclass(frozen=True, slots=True)
 class Dump:
-    """All parameters of a node as name → value, in the form that setting takes.
+    """All parameters of a node as name → value, in the form that ros2_parameter_set takes.
 
-    `left_out` says of values that are too long to be shown how long they are: setting the others back leaves these
-    as they are. `not_set` has the declared types of parameters without a value, `empty_lists` those of empty lists,
-    `parts` what was asked for as `robot_description[0:8000]`.
+    `omitted` gives the lengths of values that are too long to show: setting the others back does not change these.
+    `unset_types` has the declared types of parameters without a value, `empty_list_types` those of empty lists. `parts`
+    has parts of long values that were requested, such as `robot_description[0:8000]`. `fits_whole`: an answer has room
+    for each omitted value.
     """
 
     node: str = field(metadata=SAID)
     parameters: dict[str, Any]
     read_only: Sequence[str]
-    left_out: dict[str, str] = field(metadata=IF_ANY)
+    omitted: dict[str, str] = field(metadata=IF_ANY)
     note: str = ""
-    not_set: dict[str, str] = field(default_factory=dict[str, str])
-    empty_lists: dict[str, str] = field(default_factory=dict[str, str])
+    unset_types: dict[str, str] = field(default_factory=dict[str, str])
+    empty_list_types: dict[str, str] = field(default_factory=dict[str, str])
     parts: dict[str, Any] = field(default_factory=dict[str, Any], metadata=IF_ANY)
+    fits_whole: bool = field(default=True, metadata=HIDDEN)
 
     def summary(self) -> str:
         """Return the result in one line."""
         count = counted(len(self.parameters), "parameter")
-        declared = f" {len(self.not_set)} declared without a value." if self.not_set else ""
+        declared = f" {len(self.unset_types)} declared without a value." if self.unset_types else ""
         line = f"{self.node}: {count}, {len(self.read_only)} read-only.{declared} {self.note}".rstrip()
-        if not self.left_out:
+        if not self.omitted:
             return line
-        long = ", ".join(f"{named(name)} ({size})" for name, size in list(self.left_out.items())[:_MAX_NAMED])
+        long = ", ".join(f"{named(name)} ({size})" for name, size in list(self.omitted.items())[:_MAX_NAMED])
         return (
-            f"{line} Too long to show: {long}. {_WHOLE_HINT}, or a part of it, {_part_hint(next(iter(self.left_out)))}."
+            f"{line} Too long to show: {long}. {_WHOLE_HINT if self.fits_whole else _PARTS_HINT} "
+            f"{_part_hint(next(iter(self.omitted)))}."
         )
 
 
 @dataclass(frozen=True, slots=True)
 class SetOne:
-    """Whether the node took one value, and what it said if not; `value` is read back afterwards.
+    """Whether the node accepted one value, and its reason if not; `value` is read back afterwards.
 
-    `left_out` says of a value that is too long to be shown (and is null here) how long it is. `before` is what it was.
+    `omitted` gives the length of a value that is too long to show (the value is then null). `before` is the previous
+    value.
     """
 
     name: str
     successful: bool
     reason: str = field(metadata=IF_ANY)
     value: Any = field(metadata=EXACT)
-    left_out: str = ""
+    omitted: str = ""
     before: Any = field(default=None, metadata=HIDDEN)
 
 
@@ -160,7 +165,7 @@ class SetResult:
         """Return one line, and one for each refusal."""
         taken = [one for one in self.parameters if one.successful]
         changes = [
-            f"{named(one.name)} = {one.left_out or in_quotes(one.value)} (was {_before(one.before)})" for one in taken
+            f"{named(one.name)} = {one.omitted or in_quotes(one.value)} (was {_before(one.before)})" for one in taken
         ]
         more = f" and {len(taken) - _MAX_NAMED} more" if len(taken) > _MAX_NAMED else ""
         now = f": {', '.join(changes[:_MAX_NAMED])}{more}" if changes else ""
@@ -184,27 +189,31 @@ def _before(value: Any) -> str:
 
 
 class _Room:
-    """The bytes of an answer that are left for long values of parameters. Values that do not fit are left out."""
+    """The bytes of an answer that remain for long values of parameters. Values that do not fit are omitted."""
 
     def __init__(self, max_bytes: int) -> None:
         self._left = max_bytes
 
     def shown(self, parameter: Parameter) -> Parameter:
         """Return the parameter with its texts cut, and without its value if that does not fit."""
-        size = len(json.dumps(parameter.value, ensure_ascii=False).encode("utf-8", "surrogatepass"))
-        left_out = ""
+        size = _bytes_of(parameter)
+        omitted = ""
         if size > _SHORT_BYTES:
             if size > self._left:
-                left_out = _size_in_words(parameter.value)
+                omitted = _size_in_words(parameter.value)
             else:
                 self._left -= size
         return replace(
             parameter,
-            value=None if left_out else parameter.value,
-            left_out=left_out,
+            value=None if omitted else parameter.value,
+            omitted=omitted,
             description=_cut(parameter.description),
             constraints=_cut(parameter.constraints),
         )
+
+
+def _bytes_of(parameter: Parameter) -> int:
+    return len(json.dumps(parameter.value, ensure_ascii=False).encode("utf-8", "surrogatepass"))
 
 
 def _size_in_words(value: Any) -> str:
@@ -218,20 +227,19 @@ def _cut(text: str) -> str:
 
 
 async def describe(robot: Robot, nodes: Sequence[str], pattern: str = "", limit: int = 200) -> ParameterList:
-    """Return parameters with values and descriptors, of several nodes at once; the `error`
-    of one does not stop the others.
+    """Return the parameters of several nodes with values and descriptors; an `error` concerns one node only.
 
-    Without nodes: of every node. Without a pattern, the parameters that every node has are left out if they are at
-    their defaults, and all `qos_overrides.`.
+    Without nodes, those of every node. Without a pattern, parameters that every node has are omitted if they are at
+    their defaults, and so are all `qos_overrides.`.
     """
-    left_out = 0
+    omitted = 0
 
     async def described(node: str) -> NodeParameters:
-        nonlocal left_out
+        nonlocal omitted
         declared = await _names(robot, node)
         found = await _read(robot, node, names.matching(declared, pattern), declared)
         meant = [one for one in found if pattern or not _is_usual(one)]
-        left_out += len(found) - len(meant)
+        omitted += len(found) - len(meant)
         return NodeParameters(node, meant)
 
     chosen = [names.absolute(node, "node") for node in nodes] or list((await list_nodes(robot)).nodes)
@@ -244,12 +252,12 @@ async def describe(robot: Robot, nodes: Sequence[str], pattern: str = "", limit:
             continue  # this node was not named, and has no such parameter
         shown.append(NodeParameters(node.node, [room.shown(one) for one in node.parameters[:left]], node.error))
         left = max(left - len(node.parameters), 0)
-    long = [one.name for node in shown for one in node.parameters if one.left_out]
+    long = [one.name for node in shown for one in node.parameters if one.omitted]
     notes = [await shared_names(robot, [node.node for node in shown]), list_note(total, limit)]
-    notes += [f"Too long to show: {counted(len(long), 'value')}; {_LONG_HINT}"] if long else []
-    if left_out:
+    notes += [f"Too long to show: {counted(len(long), 'value')}; {_LONG_HINT} {_part_hint(long[0])}."] if long else []
+    if omitted:
         usual = ", ".join((*(f"{name} at its default" for name in _OF_EVERY_NODE), f"{_OVERRIDES}*"))
-        notes.append(f"Left out: {left_out} standard parameters ({usual}); give a pattern to show them.")
+        notes.append(f"Not shown: {omitted} standard parameters ({usual}); give a pattern to show them.")
     return ParameterList(shown, " ".join(filter(None, notes)))
 
 
@@ -291,19 +299,20 @@ async def dump(robot: Robot, node: str, asked: Sequence[str] | None = None, *, w
         for one in shown
         if isinstance(one.value, str) and len(one.value) > _PART_LENGTH
     ]
-    values = {one.name: one.value for one in shown if not (one.not_set or one.left_out)}
-    left_out = {one.name: one.left_out for one in shown if one.left_out}
+    values = {one.name: one.value for one in shown if not (one.not_set or one.omitted)}
+    omitted = {one.name: one.omitted for one in shown if one.omitted}
     return Dump(
         node,
         values,
         [parameter.name for parameter in found if parameter.read_only],
-        left_out,
+        omitted,
         " ".join(filter(None, notes)),
-        not_set={one.name: one.type for one in found if one.not_set},
-        empty_lists={
+        unset_types={one.name: one.type for one in found if one.not_set},
+        empty_list_types={
             one.name: one.type for one in found if one.type.endswith("_array") and not (one.value or one.not_set)
         },
         parts={name: _part_of(name, part, read_for_parts[part["name"]]) for name, part in asked_parts.items()},
+        fits_whole=all(_bytes_of(one) < answer_bytes(robot) for one in found if one.name in omitted),
     )
 
 
@@ -352,17 +361,17 @@ async def set_values(
     ones: list[SetOne] = []
     for name in values:
         result = result_of.get(name, kept)
-        value, left_out = (now[name].value, now[name].left_out) if name in now else (None, "")
+        value, omitted = (now[name].value, now[name].omitted) if name in now else (None, "")
         was = before.get(name)
-        ones.append(SetOne(name, result["successful"], _cut(result["reason"]), value, left_out, before=was))
+        ones.append(SetOne(name, result["successful"], _cut(result["reason"]), value, omitted, before=was))
     return SetResult(node, all(one.successful for one in ones), atomic, ones, await shared_names(robot, [node]))
 
 
 async def _set(robot: Robot, session: Session, command: SetParameters) -> dict[str, Mapping[str, Any]]:
-    """What the node answers for each parameter of the request.
+    """Set the parameters, and return the node's answer for each.
 
-    One that answers for fewer than it is asked to set (micro-ROS with little memory takes one at a time, and answers
-    nothing to a list) is asked for each in turn.
+    A node that answers for fewer parameters than it was asked to set (micro-ROS with little memory takes one at a time,
+    and answers nothing to a list) is asked again for each in turn.
     """
     messages = cast("Mapping[str, Any]", command.value)["parameters"]
     answering = robot.do(command, session)

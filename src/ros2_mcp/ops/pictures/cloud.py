@@ -20,14 +20,14 @@ from ros2_mcp.ops.sources.source import Source
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CloudPicture(WithPictures):
-    """A point cloud from above, x to the right, y up, in the frame `frame_id`, whose z is up; or `note` says that its z
-    may not be, or that an optical frame was turned.
+    """A point cloud from above, x to the right, y up, in the frame `frame_id`. Its z axis points up, unless `note` says
+    that it may not, or that an optical frame was rotated.
 
-    Pixel (`left_px` + column, `top_px` + row) begins at x = `x_min_m` + column · `metres_per_pixel`,
-    y = `y_max_m` - row · `metres_per_pixel`; the rest are axes. Of `points`, `not_finite` have no place, and `shown`
-    lie within the limits asked for, or without limits near the others. The robot's place is null where nobody says it.
-    `color_low` and `color_high` are the values at the ends of the colours; null for rgb. `seconds_in` counts from a
-    recording's beginning.
+    Pixel (`left_px` + column, `top_px` + row) has its corner at x = `x_min_m` + column · `metres_per_pixel`, y =
+    `y_max_m` - row · `metres_per_pixel`; outside are the axes. Of all `points`, `not_finite` have no position, and
+    `shown` lie within the requested limits (without limits: all except far outliers). The robot's pose is null if
+    unknown. `color_low` and `color_high` are the values at the ends of the colour scale; null for rgb. `seconds_in` is
+    the receive time as an offset from the start of a recording.
     """
 
     topic_name: str = field(metadata=SAID)

@@ -24,11 +24,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class MapPicture(WithPictures):
-    """A map. `width` and `height` in cells; the origin is the pose of the corner of cell (0, 0), lower left in the
-    picture, null where it is not finite; `free`, `occupied` (50 % and more) and `unknown` are shares of all cells.
+    """A map. `width` and `height` are in cells. The origin is the pose of the corner of cell (0, 0), at the lower left
+    of the picture; null if it is not finite. `free`, `occupied` (50 % and more) and `unknown` are shares of all cells.
 
-    The map's upper left pixel is at `left_px`, `top_px`, a pixel is `metres_per_pixel` wide; the rest are axes. Where
-    the robot is in `frame_id` is null where nobody says so. `seconds_in` counts from a recording's beginning.
+    The upper left pixel of the map is at `left_px`, `top_px`, and a pixel is `metres_per_pixel` wide; outside are the
+    axes. The robot's pose in `frame_id` is null if unknown. `seconds_in` is the receive time as an offset from the
+    start of a recording.
     """
 
     topic_name: str = field(metadata=SAID)

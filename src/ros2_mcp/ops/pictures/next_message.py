@@ -78,5 +78,5 @@ async def _next(source: Source, topic: str, type_name: str, limit: int) -> Next:
                 return Next(message, sample, where, note, left_out, old.age)
         if skipped:
             raise trouble
-        hint = f"It is published by {', '.join(stream.nodes)}." if stream.publishers else "Nobody publishes on it."
+        hint = f"It is published by {', '.join(stream.nodes)}." if stream.publishers else "It has no publisher."
         raise TimedOut(f"No message on {topic} ({source.words}).", hint)

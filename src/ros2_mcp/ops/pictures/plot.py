@@ -64,9 +64,9 @@ class Series:
 
 @dataclass(frozen=True, slots=True)
 class Plot(WithPictures):
-    """What the picture shows. Times by the receiver's clock; `note` names what is not shown, and why.
+    """The plotted series. Times are receive times; `note` lists what is not shown, and why.
 
-    `seconds_in` is `started_at` counted from a recording's beginning.
+    `seconds_in` is `started_at` as an offset from the start of a recording.
     """
 
     source: str = field(metadata=SAID)
@@ -179,7 +179,7 @@ def _drawn(title: str, found: Sequence[tuple[Capture[Columns], str]], request: P
         by_name |= {value.name: value for value in curves.values_of(capture, fields)}
     values = list(by_name.values())
     for topic, capture in captures.items():
-        troubles = capture.odd_times, capture.kept.skipped, capture.kept.bounds("Drawn are those", capture.began_ns)
+        troubles = capture.odd_times, capture.kept.skipped, capture.kept.bounds("The plot shows", capture.began_ns)
         notes += [f"{topic}: {trouble}" for trouble in troubles if trouble]
     if not is_xy and len(values) > curves.MAX_CURVES:
         shown = ([value for value in values if not value.is_constant] or values)[: curves.MAX_CURVES]
@@ -191,7 +191,7 @@ def _drawn(title: str, found: Sequence[tuple[Capture[Columns], str]], request: P
         most = 2 * curves.MAX_CURVES
         raise BadInput(f"{len(values)} series are too many for one picture.", f"Give at most {most}.")
     series = [_series(value) for value in values]
-    notes += [f"{topic} was silent." for topic, capture in captures.items() if not capture.kept.seen]
+    notes += [f"{topic} had no messages." for topic, capture in captures.items() if not capture.kept.seen]
     notes += [
         f"{topic}: {FromBefore.of(capture.kept.replayed, capture.kept.replayed_ns, capture.end_ns)}."
         for topic, capture in captures.items()

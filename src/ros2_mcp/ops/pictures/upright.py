@@ -50,13 +50,19 @@ async def upright_of(source: Source, frame: str, at_ns: int) -> Upright:
             if (located := tree.newest(world, bare)) is not None:
                 return _shown(frame, world, located.pose)
     if bare.endswith(_OPTICAL_FRAME):
-        note = f"{named(frame)} is turned by REP 103, as nobody tells where it is: x ahead of the camera, y left, z up."
+        note = (
+            f"{named(frame)} is rotated as in REP 103, because it has no transform to the base: x ahead of the camera, "
+            "y left, z up."
+        )
         return Upright(frame, OPTICAL, note)
     of = f"of {named(frame)}" if frame else "of a cloud without a frame"
-    return Upright(frame, None, f"Seen along the z axis {of}, which may not be up: nobody tells where that frame is.")
+    note = f"Seen along the z axis {of}, which may not be up: the frame has no transform to the base."
+    return Upright(frame, None, note)
 
 
 def _shown(frame: str, upright: str, pose: Pose) -> Upright:
     if rotated(pose.rotation, (0.0, 0.0, 1.0))[2] >= _UP:
         return Upright(frame)
-    return Upright(upright, pose, f"Shown in {named(upright)}, whose z is up: that of {named(frame)} is not.")
+    return Upright(
+        upright, pose, f"Shown in {named(upright)}, whose z axis points up; that of {named(frame)} does not."
+    )

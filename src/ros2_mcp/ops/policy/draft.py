@@ -143,7 +143,7 @@ async def _look(robot: Robot) -> Found:
 
 async def _arms(robot: Robot) -> Sequence[Arm]:
     """Return the joint trajectory controllers whose joints are known."""
-    found = [one for one in (await controllers(robot)).values() if is_name(one.way) and one.joints]
+    found = [one for one in (await controllers(robot)).values() if is_name(one.interface) and one.joints]
     joints: Mapping[str, Joint] = {}
     with suppress(RobotError):  # no description, several, or an unreadable one: the draft says so
         joints = (await described(robot)).joints if found else joints

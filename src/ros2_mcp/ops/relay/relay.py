@@ -38,6 +38,8 @@ Transform = Callable[[Sample], "bytes | None"]
 TRANSFORMS = {"identity": "identity", "rate_limit": "rate_limit", "on_change": "on_change", "filter": "on_change"}
 MAX_RELAY_S = 86_400.0
 """A day: longer than any task of a robot, and short enough that a forgotten relay ends."""
+DEFAULT_RATE_HZ = 10.0
+"""The rate limit if none is given: fast enough to follow a robot, and the default of the relay prompt."""
 _STARTED_S = 5.0
 """A relay that has not begun by then (the bridge is busy) is reported as `starting`, and goes on."""
 _MATCH_S = 1.0
@@ -60,13 +62,15 @@ does not matter, small enough that no request takes long."""
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RelayRequest:
-    """The settings of a relay. `duration_s` 0: until stopped. `destination_type` matters only with a mapping."""
+    """The settings of a relay. `duration_s` 0: until stopped. `destination_type` is allowed only with a mapping,
+    `target_rate_hz` only with the transform `rate_limit` (default: `DEFAULT_RATE_HZ`).
+    """
 
     source_topic: str
     destination_topic: str
     message_type: str = ""
     transform: str = "identity"
-    target_rate_hz: float = 10.0
+    target_rate_hz: float | None = None
     duration_s: float = 60.0
     tolerances: Mapping[str, float] = field(default_factory=dict[str, float])
     mapping: Mapping[str, str] = field(default_factory=dict[str, str])
@@ -75,13 +79,13 @@ class RelayRequest:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RelayState:
-    """A relay and what became of the messages so far.
+    """A relay and its message counts.
 
-    `state` is `starting`, `running`, `ended` (its time was over), `stopped` or `failed`. `passed` messages were
-    published on the destination; `dropped` were held back by the transform; `lost` never reached the relay or had to
-    be left out for want of time, null where that cannot be known; `failed` could not be decoded or mapped, or was a
-    velocity that is not finite.
-    `subscribers` and `publishers` are those matched now, or last.
+    `state` is `starting`, `running`, `ended` (its duration was over), `stopped` or `failed`. `published` messages were
+    published on the destination; `filtered_out` were omitted by the transform; `lost` did not reach the relay, or
+    arrived faster than it could compare them (null if unknown); `errors` could not be decoded or mapped, or were
+    velocities that are not finite. `subscribers` and `publishers` are the numbers matched now, or when the relay ended.
+    `process` is where the relay runs: `bridge` or `server`.
     """
 
     relay_id: str = field(metadata=SAID)
@@ -94,14 +98,14 @@ class RelayState:
     target_rate_hz: float | None
     duration_sec: float
     elapsed_sec: float
-    passed: int = field(metadata=SAID)
-    dropped: int = field(metadata=SAID)
+    published: int = field(metadata=SAID)
+    filtered_out: int = field(metadata=SAID)
     lost: int | None
-    failed: int
+    errors: int
     publishers: int | None
     subscribers: int
     stopped_with_zero: bool
-    runs_in: str
+    process: str
     qos: Sequence[str]
     note: str = field(metadata=IF_ANY)
 
@@ -109,13 +113,13 @@ class RelayState:
         """Return the result in one line."""
         return (
             f"{self.relay_id} ({self.transform}) {self.source_topic} → {self.destination_topic}: {self.state}, "
-            f"{self.passed} passed, {self.dropped} dropped. {self.note}"
+            f"{self.published} published, {self.filtered_out} filtered out. {self.note}"
         ).rstrip()
 
 
 @dataclass(frozen=True, slots=True)
 class RelayList:
-    """Every relay that runs, and the last ones that ended."""
+    """All running relays, and those that ended last."""
 
     relays: Sequence[RelayState]
     running: int
@@ -154,7 +158,7 @@ class Relay(Job):
         self.at_most_s = request.duration_s or math.inf
         self._types = source_type, destination_type
         self._transform = TRANSFORMS[request.transform]
-        self._rate_hz = request.target_rate_hz if self._transform == "rate_limit" else None
+        self._rate_hz = (request.target_rate_hz or DEFAULT_RATE_HZ) if self._transform == "rate_limit" else None
         self._in_server = self._transform == "on_change" or bool(request.mapping)
         self._pass = self._make_transform()
         self._choose_qos(source, destination)
@@ -169,7 +173,7 @@ class Relay(Job):
     def check_beside(self, running: Sequence[Job]) -> None:
         """Raise `BadInput` if this relay would feed itself through others, or if the same relay already runs."""
         others = [job for job in running if isinstance(job, Relay)]
-        topics = way(((other.source, other.destination) for other in others), self.destination, self.source)
+        topics = path_between(((other.source, other.destination) for other in others), self.destination, self.source)
         if topics:
             raise BadInput(
                 f"This relay would feed itself: relays already lead from {' to '.join(topics)}.",
@@ -214,7 +218,7 @@ class Relay(Job):
         is_told = isinstance(self.failure, Stopped) and self.stop_reason  # `ended_by` says it
         notes: list[str] = [str(self.failure)] if self.failure and not is_told else []
         if self._failed:
-            notes.append(f"{counted(self._failed, 'message')} could not be passed on; last error: {self._last_error}")
+            notes.append(f"{counted(self._failed, 'message')} could not be published; last error: {self._last_error}")
         notes.append(guarded(counts.stopper_s, counts.unguarded))
         if counts.refused:
             notes.append(held_back(counts.refused))
@@ -225,9 +229,9 @@ class Relay(Job):
         if late:
             notes.append(f"{counted(late, 'message')} came faster than they could be compared.")
         if self.is_running and not counts.matched:
-            notes.append("Nobody subscribes to the destination.")
+            notes.append("The destination has no subscriber.")
         if self.is_running and publishers == 0:
-            notes.append("Nobody publishes on the source now; the relay waits.")
+            notes.append("The source has no publisher now; the relay waits.")
         return RelayState(
             relay_id=self.id,
             state=self.state,
@@ -239,14 +243,14 @@ class Relay(Job):
             target_rate_hz=self._rate_hz,
             duration_sec=self._request.duration_s,
             elapsed_sec=round(counts.elapsed_s, 3),
-            passed=counts.passed,
-            dropped=counts.dropped + self._held_back,
+            published=counts.passed,
+            filtered_out=counts.dropped + self._held_back,
             lost=lost,
-            failed=self._failed + counts.refused,
+            errors=self._failed + counts.refused,
             publishers=publishers,
             subscribers=counts.matched,
             stopped_with_zero=counts.final_sent,
-            runs_in="server" if self._in_server else "bridge",
+            process="server" if self._in_server else "bridge",
             qos=self._qos_words,
             note=" ".join(filter(None, notes)),
         )
@@ -375,7 +379,13 @@ async def start(robot: Robot, session: Session, request: RelayRequest) -> RelayS
         raise BadInput(
             f"tolerances have no meaning with {request.transform}.", "Leave tolerances out, or use transform on_change."
         )
-    bounded("target_rate_hz", request.target_rate_hz, MIN_RATE_HZ, MAX_RATE_HZ, "Hz")
+    if request.target_rate_hz is not None:
+        if TRANSFORMS[request.transform] != "rate_limit":
+            raise BadInput(
+                f"target_rate_hz has no meaning with {request.transform}.",
+                "Leave target_rate_hz out, or use transform rate_limit.",
+            )
+        bounded("target_rate_hz", request.target_rate_hz, MIN_RATE_HZ, MAX_RATE_HZ, "Hz")
     bounded("duration_sec", request.duration_s, 0.0, MAX_RELAY_S, "s")
     if source == destination:
         raise BadInput(f"A relay from {source} to itself would feed itself.", "Choose another destination.")
@@ -422,20 +432,20 @@ async def stop(robot: Robot, relay_id: str = "") -> RelayState:
     return (await robot.jobs.stop(Relay, relay_id)).report()
 
 
-def way(relays: Iterable[tuple[str, str]], start: str, end: str) -> list[str]:
+def path_between(relays: Iterable[tuple[str, str]], start: str, end: str) -> list[str]:
     """Return the topics along relays (source, destination) from one topic to another; empty if
     no chain of relays leads there.
     """
     pairs = list(relays)
-    ways = deque([[start]])
+    paths = deque([[start]])
     seen = {start}
-    while ways:
-        topics = ways.popleft()
+    while paths:
+        topics = paths.popleft()
         if topics[-1] == end:
             return topics
         following = dict.fromkeys(to for source, to in pairs if source == topics[-1] and to not in seen)
         seen.update(following)
-        ways.extend([*topics, topic] for topic in following)
+        paths.extend([*topics, topic] for topic in following)
     return []
 
 

@@ -168,7 +168,7 @@ async def reporting(report: Report, whole_s: float, line: str | Callable[[], str
 
 @dataclass(frozen=True, slots=True)
 class PictureFacts:
-    """What a picture shows; the picture itself travels beside the result."""
+    """Size, format and note of a picture; the picture itself is sent next to the text."""
 
     width: int
     height: int

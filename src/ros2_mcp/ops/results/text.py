@@ -30,13 +30,13 @@ _OURS = frozenset(
     {
         *("note", "notes", "error", "problem", "problems", "recommendation", "reasons", "mismatches", "limitations"),
         *("footprint", "place", "command_inputs", "sensors", "joints", "controllers", "stacks", "frames", "unhealthy"),
-        *("other_actions", "waited_for", "command_services", "also_told"),
-        *("not_read", "allowed", "limits", "forbidden", "held", "cause", "helps", "hint", "mistakes", "health", "log"),
+        *("other_actions", "topics_without_publisher", "command_services", "state_topics"),
+        *("not_read", "allowed", "limits", "forbidden", "held", "cause", "helps", "hint", "health", "log"),
     }
 )
 """Fields whose texts this server has written, with the robot's texts quoted already: shown unchanged."""
 _LAST = ("note", "notes")
-_NOTHING_FOUND = "There is nothing."
+_NOTHING_FOUND = "Nothing was found."
 """The text of a result without a line of its own, such as an empty list."""
 
 Beside: TypeAlias = "tuple[str, Sequence[Any]] | None"
@@ -45,7 +45,7 @@ Beside: TypeAlias = "tuple[str, Sequence[Any]] | None"
 
 @dataclass(eq=False)
 class _Part:
-    """Lines that belong together. The last `rows` of them may be left out; `name` says what they contain."""
+    """Lines that belong together. The last `rows` of them may be omitted; `name` says what they contain."""
 
     lines: list[str]
     name: str = ""
@@ -115,7 +115,7 @@ def _shorten(head: _Part, parts: Sequence[_Part], room: int, narrowing: Sequence
         if part.left_out and part.lines
     ]
     way = f" To see them, ask for less at once: {', '.join(narrowing)}." if narrowing else ""
-    return f"Left out, because this text is full: {', '.join((*cut, *gone))}.{way}"
+    return f"Omitted, because this text is full: {', '.join((*cut, *gone))}.{way}"
 
 
 class _Body:
@@ -268,7 +268,7 @@ def _flat(name: str, rows: Sequence[Mapping[str, Any]]) -> _Part:
 
 def _grouped(name: str, values: Sequence[Any], inner: str, said: str) -> _Part:
     """Return objects that each have a list of flat objects as one table: a line for each object, then its rows. Objects
-    without rows, of which everything is `said` already, are left out.
+    without rows are omitted if the summary (`said`) already contains all of their values.
     """
     groups = [[_row(one) for one in _items(getattr(value, inner))] for value in values]
     rows = [row for group in groups for row in group]
@@ -282,11 +282,11 @@ def _grouped(name: str, values: Sequence[Any], inner: str, said: str) -> _Part:
 
 
 def _in_all(row: Mapping[str, Any], shared: Sequence[str]) -> str:
-    return f"; in all {pairs(row, shared)}" if shared else ""
+    return f"; every row has {pairs(row, shared)}" if shared else ""
 
 
 def _with(beside: Beside, rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """Return the rows with the values of the list beside them as their first column."""
+    """Return the rows with the values of the accompanying list as their first column."""
     if not beside or len(beside[1]) != len(rows):
         return list(rows)
     return [{beside[0]: at, **row} for at, row in zip(beside[1], rows, strict=True)]

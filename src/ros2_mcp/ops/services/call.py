@@ -27,8 +27,8 @@ shorter time-out is a mistake."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ServiceAnswer:
-    """The response of a service as an object, or `called` false: with the request fields that are missing, or because
-    several nodes serve it, which `note` names.
+    """The response of a service as an object. `called` is false if request fields are missing (`missing_fields`), or
+    several nodes serve it (see `note`).
     """
 
     service_name: str = field(metadata=SAID)
@@ -116,7 +116,7 @@ async def call(
         hint = "The server may still be working on it; give a longer timeout_sec."
         raise TimedOut(error.message, error.hint or hint) from error
     shown = await robot.values.render(answer.type, answer.body)
-    notes = [f"{in_words_of(service, servers)}: this is the first answer of them." if servers else ""]
+    notes = [f"{in_words_of(service, servers)}: this is the first answer." if servers else ""]
     notes += [left_at_default(robot.values.definitions, f"{service_type}_Request", request)]
     if flights.is_order(service, service_type, request):
         notes.append(await flights.outcome(robot, service, service_type, request, shown.value, sent_ns))

@@ -9,6 +9,7 @@ from typing import Any
 
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadName, NotFound
+from ros2_mcp.model.text import counted_of
 from ros2_mcp.ops.results.results import IF_ANY, SAID, list_note
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.resolution import is_infrastructure
@@ -38,7 +39,7 @@ class ServiceList:
 
     def summary(self) -> str:
         """Return the result in one line."""
-        return f"{len(self.services)} of {self.total} services. {self.note}".rstrip()
+        return f"{counted_of(len(self.services), self.total, 'service')}. {self.note}".rstrip()
 
 
 async def list_services(robot: Robot, pattern: str = "", include_hidden: bool = False, limit: int = 200) -> ServiceList:
@@ -66,9 +67,9 @@ async def list_services(robot: Robot, pattern: str = "", include_hidden: bool = 
     entries = [ServiceEntry(name, kind, fields[kind], providers.get(name, [])) for name, kind in chosen]
     note, left_out = "", len(matching) - len(visible)
     if left_out and pattern:
-        note = f"Left out: {left_out} services of actions; include_hidden=true lists them. "
+        note = f"Not shown: {left_out} services of actions; include_hidden=true lists them. "
     elif left_out:
-        note = f"Left out: {left_out} standard services of nodes and actions; include_hidden=true lists them. "
+        note = f"Not shown: {left_out} standard services of nodes and actions; include_hidden=true lists them. "
     note += list_note(len(visible), limit, found.settled, absence)
     return ServiceList(entries, len(types), found.settled, " ".join(filter(None, (note.rstrip(), unknown))))
 

@@ -30,6 +30,11 @@ class FromBefore:
         """
         return cls(count, count, max((now_ns - newest_ns) / 1e9, 0.0) if newest_ns else None)
 
+    @classmethod
+    def one(cls, age_s: float | None) -> FromBefore:
+        """Return a value for one message of that age; for None, which is not from before, for none."""
+        return cls() if age_s is None else cls(1, 1, age_s)
+
     @property
     def age(self) -> str:
         """The age in words, `8 s old, from before`; empty if there are none."""
@@ -63,6 +68,13 @@ def from_before(source: Source, stream: Stream, samples: Sequence[Sample]) -> Fr
     sent_ns = max((sample.source_ns for sample in old), default=0)
     age_s = max((stream.end_ns - sent_ns) / 1e9, 0.0) if sent_ns else None
     return FromBefore(len(old), len(samples), age_s)
+
+
+def told_as_met(from_before: str, met: bool) -> str:
+    """Return which message met a condition, or was the last one, if it is from before; to follow the time."""
+    if not from_before:
+        return ""
+    return f" by {from_before}; nothing newer came" if met else f"; the last: {from_before}"
 
 
 def _seconds(age_s: float) -> str:

@@ -179,9 +179,7 @@ class _LiveStream(Stream):
             at = iso_time(last.received_ns)
             return f"The time ended before all messages came; the last one came at {at}.{gone}"
         if not now.publishers:
-            return (
-                "Nobody publishes on this topic now." if not self.publishers else "Its publisher left during the read."
-            )
+            return "This topic has no publisher now." if not self.publishers else "Its publisher left during the read."
         if self.type not in {publisher.type for publisher in now.publishers}:
             return f"The topic is published with the type {', '.join(now.types)}."
         nodes = ", ".join(sorted({publisher.who for publisher in now.publishers}))

@@ -57,10 +57,6 @@ class Newest:
                 return None
         return self.sample
 
-    def told_ns(self, sample: Sample) -> int:
-        """Return when a sample was received; for one sent before the subscription, when it was sent."""
-        return sample.source_ns if 0 < sample.source_ns < self.opened_ns else sample.received_ns
-
     def rate_hz(self) -> float | None:
         """Return the messages per second of the last `_RATE_S`; None before that is known."""
         if self.listening is None:

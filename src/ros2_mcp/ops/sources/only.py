@@ -26,7 +26,9 @@ async def only_topic(source: Source, topic: str, type_name: str, argument: str =
     if not found and (absence := await source.absence()):
         raise NotFound(absence, "ros2_status shows domain and middleware.")
     if not found:
-        raise NotFound(f"Nobody publishes {type_name} ({source.words}).", "ros2_topic_list lists the topics.")
+        raise NotFound(
+            f"No topic of type {type_name} has a publisher ({source.words}).", "ros2_topic_list lists the topics."
+        )
     if len(found) > 1 and len(maps) != 1:
         raise BadInput(
             f"{len(found)} topics are {type_name}: {listed(found, _MAX_NAMED)}.", f"Name one of them: {argument}."

@@ -104,7 +104,9 @@ class Selection:
         if lacking and not kept:
             raise lacking[0]
         absent = ", ".join(named(path) for path in self.fields if path not in kept)
-        return replace(self, fields=kept), f"Left out, as {type_name} has no such field: {absent}." if absent else ""
+        return replace(
+            self, fields=kept
+        ), f"Not shown, because {type_name} has no such field: {absent}." if absent else ""
 
     @property
     def has_filter(self) -> bool:
@@ -207,7 +209,7 @@ class Fitted:
         notes: list[str] = []
         if self.left_out:
             notes.append(
-                f"{counted(self.left_out, 'more message')} left out, evenly, to fit: choose fields, or give every_n."
+                f"{counted(self.left_out, 'more message')} omitted evenly, to fit: choose fields, or give every_n."
             )
         if self.undecodable:
             notes.append(undecodable(self.undecodable, self.trouble))
@@ -280,7 +282,7 @@ def message_times(source: Source, samples: Sequence[Sample]) -> tuple[str, list[
 def undecodable(count: int, trouble: str = "") -> str:
     """Return the sentence on messages that are skipped because their bytes do not fit their type."""
     return (
-        f"Left out: {counted(count, 'message')} that cannot be decoded as this type{': ' if trouble else '.'}{trouble}"
+        f"Not shown: {counted(count, 'message')} that cannot be decoded as this type{': ' if trouble else '.'}{trouble}"
     )
 
 

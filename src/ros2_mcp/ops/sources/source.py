@@ -32,7 +32,7 @@ time left to ask the other sources before clients give up the call."""
 
 
 class Kept(Protocol):
-    """Keeps what is needed of the messages of one topic as they pass. Used by one thread at a time."""
+    """Keeps the needed data of the messages of one topic while they are read. Used by one thread at a time."""
 
     def add(self, samples: Sequence[Sample]) -> None:
         """Add messages, in the order of time."""
@@ -164,7 +164,7 @@ class Stream:
 
     @property
     def holes(self) -> Sequence[tuple[int, int]]:
-        """The times of which nothing can be read, in order, as far as they are known after reading."""
+        """The time spans that cannot be read, in order, as far as they are known after reading."""
         return ()
 
     @property
@@ -182,7 +182,7 @@ class Stream:
 
     async def why_no_more(self, last: Sample | None) -> str:
         """Return a sentence on why no sample came after `last`, which is None if there was no sample at all."""
-        return f"The recording has {'no more' if last else 'nothing'} of it in that part."
+        return f"The recording has {'no more messages' if last else 'no message'} of it in that part."
 
 
 @dataclass(frozen=True, slots=True)
@@ -407,7 +407,7 @@ class SourceKind:
 
 
 def captured(source: Source, stream: Stream, kept: K, received: int) -> Capture[K]:
-    """Return the capture of a stream that has ended, of which `received` samples came."""
+    """Return the capture of a stream that has ended after `received` samples."""
     counts = stream.counts
     return Capture(
         topic=stream.topic,

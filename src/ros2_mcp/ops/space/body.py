@@ -54,7 +54,7 @@ def footprint_in_words(
         return f"unknown: {_first(meshes)} has only a mesh" if meshes else "unknown"
     long_m, wide_m = size.front_m + size.rear_m, size.left_m + size.right_m
     least = f", without the mesh{'es' if len(meshes) > 1 else ''} of {_first(meshes)}" if meshes else ""
-    stands = " with what it stands on" if urdf and _stands_on(urdf, root) else ""
+    stands = " including wheels or legs" if urdf and _stands_on(urdf, root) else ""
     stands += _made_of(urdf) if urdf else ""
     reaches = _reaches_in_words(size.front_m, size.rear_m, size.left_m, size.right_m)
     return f"{'at least ' if meshes else ''}{long_m:.2f} × {wide_m:.2f} m{reaches}{stands}{least}"

@@ -14,13 +14,13 @@ from ros2_mcp.ops.results.text import as_text
 MOST_BYTES = 4_000
 """Size limit of the whole answer: it is read at the beginning of most sessions."""
 Part = Literal[
-    "", "unhealthy", "command_inputs", "other_actions", "waited_for", "command_services", "sensors", "also_told",
-    "joints", "controllers",
+    "", "unhealthy", "command_inputs", "other_actions", "topics_without_publisher", "command_services", "sensors",
+    "state_topics", "joints", "controllers",
 ]  # fmt: skip
 """A part of the answer; empty for all parts."""
 _WEIGHTS: Mapping[str, float] = {
-    "unhealthy": 0.5, "command_inputs": 0.8, "other_actions": 1.2, "waited_for": 1.2, "command_services": 1.6,
-    "sensors": 0.6, "also_told": 1.2, "joints": 1.0, "controllers": 0.9,
+    "unhealthy": 0.5, "command_inputs": 0.8, "other_actions": 1.2, "topics_without_publisher": 1.2,
+    "command_services": 1.6, "sensors": 0.6, "state_topics": 1.2, "joints": 1.0, "controllers": 0.9,
 }  # fmt: skip
 """Weights for shortening: while the whole is too long, the part with the largest product of bytes and weight loses its
 last line."""
@@ -33,23 +33,24 @@ of each other text. Nodes can report texts of any length."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RobotInBrief:
-    """The robot: `kind` of base or arm, `footprint` about the origin of `base_frame`, and where it is (`place`: in
-    which frame, how that is known, how old). `stacks` are Nav2, MoveIt, ros2_control, MAVROS and others, as far as they
-    run.
+    """The robot: `kind` of base or arm, `footprint` relative to the origin of `base_frame`, and its pose (`place`: with
+    the frame, the source and the age of the pose). `stacks` lists which of Nav2, MoveIt, ros2_control, MAVROS and
+    others are running.
 
-    The parts have one line for each thing, the most important first. `unhealthy` is what is wrong. `command_inputs`
-    move the robot: topic or action, type, → the nodes that take it, from whom. `other_actions`, `waited_for` (topics
-    whose subscribers wait for messages that nobody sends) and `command_services` are what else it can be told to do.
-    `sensors`: topic, type, rate, frame, where that is in the base's frame (x y z in m; `z to` is where a camera looks),
-    range. `also_told`: what else the robot publishes of itself, with the value or the rate. `joints`: position now,
-    limits, greatest speed. `controllers` are active where nothing else is said.
+    The parts have one line per item, the most important first. `unhealthy` lists faults. `command_inputs` move the
+    robot: topic or action, type, → the nodes that receive it, and from which nodes. `other_actions`,
+    `topics_without_publisher` (their subscribers wait for messages) and `command_services` are further ways to command
+    it. `sensors`: topic, type, rate, frame, pose of that frame in the base's frame (x y z in m; `z to` is the viewing
+    direction of a camera), range. `state_topics`: other topics on which the robot reports its state, with the value or
+    the rate. `joints`: current position, limits, maximum speed. `controllers` are active unless another state is given.
 
-    The whole is at most 4 kB. Where a part has more lines than fit, its last line counts those that are left out, and
-    `part` gives them all; `left_out` is the sum of them. With `part` the other parts, but `unhealthy`, are counted.
+    All parts together have at most 4 kB. If a part has more lines than fit, its last line counts the omitted ones, and
+    `part` returns all of them; `omitted` is the total. With `part`, the other parts except `unhealthy` have only
+    counts.
 
-    `not_read` are the parts that were not there within the time of this answer, or whose type is not known here, which
-    says nothing of the robot; and the topics of frames, odometry and diagnostics that somebody publishes and that were
-    silent, with how long they were listened to. `read_from` is the recording, where it is not of the live robot.
+    `not_read` lists parts that could not be read in time, or whose type is not known here (which says nothing about the
+    robot), and topics of frames, odometry and diagnostics that have a publisher but sent no message, with how long this
+    server waited for one. `read_from` is the recording, if this is not the live robot.
     """
 
     name: str = field(metadata=SAID)
@@ -62,22 +63,22 @@ class RobotInBrief:
     unhealthy: Sequence[str]
     command_inputs: Sequence[str]
     other_actions: Sequence[str]
-    waited_for: Sequence[str]
+    topics_without_publisher: Sequence[str]
     command_services: Sequence[str]
     sensors: Sequence[str]
-    also_told: Sequence[str]
+    state_topics: Sequence[str]
     joints: Sequence[str]
     controllers: Sequence[str]
     not_read: Sequence[str] | None = field(default=None, metadata=ON_REQUEST)
-    left_out: int = field(default=0, metadata=SAID)
+    omitted: int = field(default=0, metadata=SAID)
     read_from: str | None = field(default=None, metadata=ON_REQUEST)
 
     def summary(self) -> str:
         """Return the first lines of the text; the values hold the rest."""
         health = "" if self.unhealthy else " Nothing unhealthy seen."
         not_read = f" Not read: {', '.join(self.not_read)}." if self.not_read else ""
-        left_out = f" {self.left_out} lines are left out: part shows all of one part." if self.left_out else ""
-        return f"{quoted(self.name)}: {self.kind}. {self.place}{health}{not_read}{left_out}"
+        omitted = f" {self.omitted} lines are omitted: part returns one part in full." if self.omitted else ""
+        return f"{quoted(self.name)}: {self.kind}. {self.place}{health}{not_read}{omitted}"
 
 
 def within(whole: RobotInBrief, most_bytes: int) -> RobotInBrief:
@@ -111,20 +112,20 @@ def _lines(whole: RobotInBrief) -> dict[str, Sequence[str]]:
 def _with_first(head: RobotInBrief, lines: Mapping[str, Sequence[str]], kept: Mapping[str, int]) -> RobotInBrief:
     """Return `head` with the first `kept` lines of each part, and a line that counts the omitted ones."""
     parts: dict[str, Sequence[str]] = {}
-    left_out = 0
+    omitted = 0
     for part, all_of in lines.items():
         count = kept.get(part, 0)
         gone = len(all_of) - count
         account = [f'{gone}{" more" if count else ""}: part="{part}" shows all.'] if gone else []
-        parts[part], left_out = [*all_of[:count], *account], left_out + gone
-    return replace(head, left_out=left_out, **parts)
+        parts[part], omitted = [*all_of[:count], *account], omitted + gone
+    return replace(head, omitted=omitted, **parts)
 
 
 def _head(whole: RobotInBrief) -> RobotInBrief:
-    """Return `whole` with all parts empty and room for the count in `left_out`; texts are cut if they exceed
+    """Return `whole` with all parts empty and room for the count in `omitted`; texts are cut if they exceed
     `_MOST_HEAD`.
     """
-    head = replace(whole, left_out=99_999, **dict.fromkeys(_WEIGHTS, ()))
+    head = replace(whole, omitted=99_999, **dict.fromkeys(_WEIGHTS, ()))
     if _size(head) <= _MOST_HEAD:
         return head
     texts = {name: getattr(head, name)[:_MOST_TEXT] for name in ("kind", "footprint", "place", "frames")}

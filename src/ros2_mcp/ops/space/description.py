@@ -41,7 +41,7 @@ async def description_text(robot: Robot, topic: str = "") -> str:
         return text
     if text := await _parameter(robot):
         return text
-    heard = f"no message came on {topic}" if topic else f"nobody publishes {DESCRIPTION}"
+    heard = f"no message came on {topic}" if topic else f"{DESCRIPTION} has no publisher"
     raise await robot.graph.missing(
         f"No robot description (URDF): {heard}, and no {_PUBLISHER} has it as a parameter.",
         "Start robot_state_publisher with the URDF.",

@@ -201,7 +201,7 @@ def _how_told(edge: Edge, at_ns: int, publisher: str) -> list[str]:
         times = _first_of([jump.received_ns for jump in edge.jumps], "jumps", at_ns)
         cause = "its clock was set, or a bag or simulation restarted"
         if len(edge.writers) > 1 and len(edge.jumps) > _IN_TURN:
-            cause = "its publishers use two clocks: is a bag played beside the robot?"
+            cause = "its publishers use two clocks: is a bag played while the robot runs?"
         ago = seconds_in_words(max(at_ns - last.received_ns, 0))
         parts.append(f"has stamps that jumped {step}, {ago} ago{times} ({cause})")
     return parts
@@ -301,7 +301,7 @@ def _other_clock(tree: FrameTree, edge: Edge, publisher: str) -> str:
     if is_since_boot(tree, edge):
         return (
             f"is stamped {edge.stamps[-1] / 1e9:.0f} s into 1970, {away}: the time since its machine started, "
-            "which is not synchronised (nobody publishes /clock, so it is no simulated time)"
+            "which is not synchronised (/clock has no publisher, so it is not simulated time)"
         )
     clock = "simulated time" if edge.stamps[-1] < UNIX_FROM_NS else "another clock"
     return f"is stamped by {clock}, {away}, unlike the others"

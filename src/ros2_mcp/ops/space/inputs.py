@@ -121,7 +121,7 @@ def other_actions(graph: GraphSnapshot, inputs: Sequence[CommandInput]) -> list[
     return [Named(name, kind.rpartition("/")[2], listeners=servers) for name, kind, servers in found]
 
 
-def waited_for(graph: GraphSnapshot, inputs: Sequence[CommandInput]) -> list[Named]:
+def topics_without_publisher(graph: GraphSnapshot, inputs: Sequence[CommandInput]) -> list[Named]:
     """Return topics that have subscribers but no publisher, whatever their types. A topic of a sensor type is included
     only if a topic with nearly the same name is published, which suggests a missing remapping.
     """
@@ -133,12 +133,12 @@ def waited_for(graph: GraphSnapshot, inputs: Sequence[CommandInput]) -> list[Nam
 
 def _waiting(topic: TopicEndpoints, published: TopicEndpoints | None) -> Named:
     listeners = sorted({subscriber.node for subscriber in topic.subscribers})
-    meant = f"(nobody hears {named(published.topic)}: a remapping?)" if published else ""
+    meant = f"({named(published.topic)} has no subscriber: a remapping?)" if published else ""
     return Named(topic.topic, topic.types[0].rpartition("/")[2], meant, listeners=listeners)
 
 
 def orders_by_service(graph: GraphSnapshot) -> list[Named]:
-    """Return the services that command the robot, such as to stand up, to arm, to reset."""
+    """Return the services that command the robot, for example to stand up, to arm or to reset."""
     return [
         Named(name, types[0].rpartition("/")[2])
         for name, types in sorted((graph.services or {}).items(), key=lambda one: (one[0].count("/"), one[0]))

@@ -56,11 +56,11 @@ def place_in_words(
         if match and base and match != base and (found := tree.newest(match, base)):
             age_s = _age_s(source, tree, found.stamp_ns)
             how = "TF, localised" if world == "map" else "TF, by dead reckoning" if world == "odom" else "TF"
-            how = "TF, fixed there" if found.stamp_ns is None else how
+            how = "TF, static" if found.stamp_ns is None else how
             told.append(_pose_in_words(match, found.pose.translation, found.pose.yaw_rad, how, age_s))
             if age_s is None or age_s < _OLD_S:
                 break
-            old.append(f"Its place in {named(match)} is {age_s:.0f} s old.")
+            old.append(f"Its pose in {named(match)} is {age_s:.0f} s old.")
         elif world == "map" and in_map:
             age_s = _age_s(source, tree, in_map.stamp_ns)
             at = (in_map.x_m, in_map.y_m, in_map.z_m)
@@ -74,20 +74,20 @@ def place_in_words(
 
         told_by = named(odometer.topic)
         if why := not_finite(odometer.message, "pose.pose"):
-            return f"The robot's place is unknown: of {told_by}, {why}.", [f"{told_by}: {why}."]
+            return f"The robot's pose is unknown: in {told_by}, {why}.", [f"{told_by}: {why}."]
         with suppress(ValueError):  # the squares of very large numbers overflow
             pose = pose_of(odometer.message.pose.pose)
             how = ", ".join(filter(None, (f"odometry, {told_by}", odometer.age)))
             return _pose_in_words(odometer.message.header.frame_id, pose.translation, pose.yaw_rad, how, None), []
     if urdf and (fixed := _fixed_in_world(urdf, base)):
         pose = Pose(fixed.xyz, from_roll_pitch_yaw(*fixed.rpy))
-        return _pose_in_words(urdf.root, pose.translation, pose.yaw_rad, "URDF, fixed there", None), []
+        return _pose_in_words(urdf.root, pose.translation, pose.yaw_rad, "URDF, static", None), []
     if is_unread:
-        return "The robot's place was not read in time.", []
+        return "The robot's pose was not read in time.", []
     if not tree.frames:
-        return "The robot's place is unknown: no transforms, no odometry.", []
+        return "The robot's pose is unknown: no transforms, no odometry.", []
     base = named(base or "its base")
-    return f"The robot's place is unknown: no transform leads from {base} to a map, odom or world.", []
+    return f"The robot's pose is unknown: no transform leads from {base} to a map, odom or world.", []
 
 
 def _fixed_in_world(urdf: Urdf, base: str) -> Mount | None:

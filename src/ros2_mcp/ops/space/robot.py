@@ -38,7 +38,7 @@ from ros2_mcp.ops.space.inputs import (
     drive_types,
     orders_by_service,
     other_actions,
-    waited_for,
+    topics_without_publisher,
 )
 from ros2_mcp.ops.space.joints import JointNow, joints_now, placed
 from ros2_mcp.ops.space.lines import Named
@@ -47,12 +47,12 @@ from ros2_mcp.ops.space.sensors import (
     JOINT_STATE,
     MISSED,
     ODOMETRY,
-    also_told,
     charge_of,
     ranked,
     rate_in_words,
     sees_in_words,
     sensors_of,
+    state_topics,
     view_in_words,
 )
 from ros2_mcp.ops.space.stacks import nav2_active, stacks_of, with_active
@@ -134,12 +134,12 @@ class _Seen:
 
     @property
     def listen_s(self) -> float:
-        """How much longer to wait for messages, in s."""
+        """The remaining time to wait for messages, in s."""
         return max(self.asked_at + _ANSWERED_S - monotonic(), _LEAST_S)
 
     @property
     def first_s(self) -> float:
-        """How much longer to wait for the first message of frames, odometry and diagnostics, in s."""
+        """The remaining time to wait for the first message of frames, odometry and diagnostics, in s."""
         return max(self.waits_until - monotonic(), self.listen_s)
 
 
@@ -280,7 +280,7 @@ async def _frames(source: Source, seen: _Seen) -> None:
 
 async def _heads(robot: Robot, source: Source, seen: _Seen) -> None:
     sensors = [one.topic for one, _ in ranked(seen.graph)][: seen.most_sensors]
-    others = [topic for topic, _ in also_told(seen.graph)][:_MOST_STATES]
+    others = [topic for topic, _ in state_topics(seen.graph)][:_MOST_STATES]
     others += [one.topic for one in _topics(seen.graph, _BATTERY)[:2]]
     heads = await heads_of(robot, source, [*sensors, *others], seen.listen_s)
     seen.heads = {topic: head for topic, head in heads.items() if topic in sensors}
@@ -380,7 +380,7 @@ async def _reports(source: Source, seen: _Seen) -> None:
 
 async def _states(source: Source, seen: _Seen) -> None:
     """Read the modes, flags and numbers that the robot publishes on topics of one value each."""
-    topics = [one for one in also_told(seen.graph) if one[1] not in (ODOMETRY, JOINT_STATE)][:_MOST_STATES]
+    topics = [one for one in state_topics(seen.graph) if one[1] not in (ODOMETRY, JOINT_STATE)][:_MOST_STATES]
     seen.states, seen.faults = await states_of(source.lasting(seen.listen_s), dict(topics))
 
 
@@ -405,7 +405,7 @@ async def _published_footprint(source: Source, seen: _Seen) -> None:
             continue
         if message := await _message(source, seen, one.topic, "geometry_msgs/msg/PolygonStamped"):
             if why := not_finite(message, "polygon"):
-                seen.senseless.append(f"{named(one.topic)} is no outline: {why}.")
+                seen.senseless.append(f"{named(one.topic)} is not a valid footprint: {why}.")
                 return
             seen.footprint = [(float(at.x), float(at.y), float(at.z)) for at in message.polygon.points[:_MOST_CORNERS]]
             seen.footprint_frame = message.header.frame_id.lstrip("/")
@@ -430,11 +430,11 @@ async def _managed(robot: Robot, source: Source, seen: _Seen) -> None:
 def _everything(source: Source, seen: _Seen) -> RobotInBrief:
     base = _base_of(seen)
     inputs = command_inputs(seen.graph, seen.managed)
-    waited = waited_for(seen.graph, inputs)
+    waited = topics_without_publisher(seen.graph, inputs)
     asked = {*(one.topic for one in inputs), *(one.name for one in waited)}
     told = [
         Named(name, kind.rpartition("/")[2], seen.states.get(name) or seen.rates.get(name, ""))
-        for name, kind in also_told(seen.graph)
+        for name, kind in state_topics(seen.graph)
         if name not in asked
     ]
     stacks = stacks_of(seen.graph)
@@ -455,10 +455,10 @@ def _everything(source: Source, seen: _Seen) -> RobotInBrief:
         unhealthy=[*trouble, *_old_positions(seen), *_unhealthy(source, seen)],
         command_inputs=_lines(inputs),
         other_actions=_lines(other_actions(seen.graph, inputs)),
-        waited_for=_lines(waited),
+        topics_without_publisher=_lines(waited),
         command_services=_lines(orders_by_service(seen.graph)),
         sensors=_sensors(seen, base),
-        also_told=_lines(told),
+        state_topics=_lines(told),
         joints=_lines(joints_now(seen.urdf, seen.positions, " ".join(seen.reports))),
         controllers=_lines(controllers_of(seen.graph, seen.managed, is_controlled="ros2_control" in stacks)),
         not_read=seen.not_read or None,
@@ -514,7 +514,7 @@ def _frames_in_words(seen: _Seen, base: str) -> str:
     trees = f", {len(roots)} trees" if len(roots) > 1 else ""
     apart = [root for root in tree.roots if root not in roots and root not in disputed_roots(tree)]
     copies = f" ({', '.join(map(named, apart))} with its copies apart)" if apart else ""
-    return f"{way}{len(tree.frames)} in all{trees}{copies}"
+    return f"{way}{len(tree.frames)} frames in total{trees}{copies}"
 
 
 def _misses_frames(seen: _Seen) -> bool:
@@ -538,7 +538,7 @@ def _unhealthy(source: Source, seen: _Seen) -> list[str]:
             found.append(in_words(row))
     missed = {one.topic for one, kind in ranked(seen.graph) if kind in MISSED}
     silent_ones = (topic for topic, head in seen.heads.items() if not head.count and topic in missed)
-    found += [f"{named(topic)} is published, but silent." for topic in silent_ones]
+    found += [f"{named(topic)} has a publisher, but no message was received." for topic in silent_ones]
     return [*found, *_of_the_robot(seen), *idle_movers(seen.graph, seen.managed), *seen.reports]
 
 

@@ -176,7 +176,7 @@ class Gathered:
             return message
         if layer == "goal":  # the robot may have reached it since
             return found
-        self.missing.append(f"The path {named(topic)} was sent {ago_s:.0f} s ago, and nothing since.")
+        self.missing.append(f"The path {named(topic)} was published {ago_s:.0f} s ago, and not since.")
         return message
 
     async def _read_grid(self, type_name: str) -> RobotError | None:
@@ -460,7 +460,7 @@ _PLACERS: dict[str, Callable[[Gathered, str, Any, Pose, float | None], None]] = 
 async def _picture(gathered: Gathered, request: SceneRequest) -> ScenePicture:
     source, at = gathered.source, gathered.robot
     if request.radius_m is not None and at is None:
-        raise BadInput(f"Without the robot's place in {named(gathered.frame)} nothing can be shown around it.")
+        raise BadInput(f"The robot's pose in {named(gathered.frame)} is unknown, so its surroundings cannot be shown.")
     try:
         drawing, scene, picture = await asyncio.to_thread(_drawn, gathered, request)
     except BadData as error:  # there is nothing to show
@@ -484,7 +484,7 @@ async def _picture(gathered: Gathered, request: SceneRequest) -> ScenePicture:
         x_max_m=round(scene.x.high, 4),
         y_min_m=round(scene.y.low, 4),
         y_max_m=round(scene.y.high, 4),
-        line_m=drawing.line_m,
+        grid_spacing_m=drawing.line_m,
         metres_per_pixel=drawing.metres_per_pixel / smaller,
         left_px=round(drawing.left_px * smaller),
         top_px=round(drawing.top_px * smaller),
@@ -545,7 +545,7 @@ def _chosen_grid(asked: str, grids: Sequence[str]) -> str:
     maps = [name for name in grids if _COSTMAP not in name]
     if asked.strip() == _COSTMAP:
         if not costmaps:
-            raise NotFound("Nobody publishes a costmap.", f"Grids are: {listed(grids, 8) or 'none'}.")
+            raise NotFound("No costmap has a publisher.", f"Grids are: {listed(grids, 8) or 'none'}.")
         return next((name for name in costmaps if "global" in name), costmaps[0])
     if asked.strip():
         return names.absolute(asked)

@@ -59,12 +59,13 @@ class SceneLayer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScenePicture(WithPictures):
-    """What is around the robot, x to the right, y up, in metres of the frame `frame_id`, with a line each `line_m`.
+    """The surroundings of the robot in the frame `frame_id`, x to the right, y up, in metres, with a grid line every
+    `grid_spacing_m`.
 
-    Pixel (`left_px` + column, `top_px` + row) begins at x = `x_min_m` + column · `metres_per_pixel`,
-    y = `y_max_m` - row · `metres_per_pixel`; the rest are labels. The robot's pose is null where nobody says it,
-    its age where it is fixed. `meaning` is that of the first scan. `missing` says what is not shown, and why. `at` is
-    the time that is shown.
+    Pixel (`left_px` + column, `top_px` + row) has its corner at x = `x_min_m` + column · `metres_per_pixel`, y =
+    `y_max_m` - row · `metres_per_pixel`; outside are labels. The robot's pose is null if it is unknown, its age null if
+    the transform is static. `meaning` is that of the first scan. `missing` lists what is not shown, and why. `at` is
+    the time shown.
     """
 
     frame_id: str = field(metadata=SAID)
@@ -72,7 +73,7 @@ class ScenePicture(WithPictures):
     x_max_m: float
     y_min_m: float
     y_max_m: float
-    line_m: float = field(metadata=SAID)
+    grid_spacing_m: float = field(metadata=SAID)
     metres_per_pixel: float
     left_px: int
     top_px: int
@@ -93,15 +94,13 @@ class ScenePicture(WithPictures):
         width, height = self.x_max_m - self.x_min_m, self.y_max_m - self.y_min_m
         where = ""
         if self.robot_x_m is not None and self.robot_yaw_deg is not None:
-            old = ", fixed there" if self.robot_age_s is None else f", {self.robot_age_s:.2f} s ago"
+            old = ", static" if self.robot_age_s is None else f", {self.robot_age_s:.2f} s ago"
             high = f", {self.robot_z_m:.2f} m high" if abs(self.robot_z_m or 0.0) >= _FLAT_M else ""
             at = f"({self.robot_x_m:.2f}, {self.robot_y_m:.2f}) m{high}"
             where = f" Robot at {at}, heading {round(self.robot_yaw_deg)}°{old}."
-        shown = ", ".join(_in_words(layer) for layer in self.layers) or "nothing but lines"
-        line = (
-            f"Scene in {named(self.frame_id)}, {width:.4g} m × {height:.4g} m, a line each {self.line_m:g} m.{where} "
-            f"Shown: {shown}."
-        )
+        shown = ", ".join(_in_words(layer) for layer in self.layers) or "only grid lines"
+        grid = f"grid lines every {self.grid_spacing_m:g} m"
+        line = f"Scene in {named(self.frame_id)}, {width:.4g} m × {height:.4g} m, {grid}.{where} Shown: {shown}."
         return [line, *([str(self.meaning)] if self.meaning else []), *self.missing]
 
 

@@ -167,7 +167,7 @@ def charge_of(message: Any) -> float | None:
     return share if is_told else None
 
 
-def also_told(graph: GraphSnapshot) -> list[tuple[str, str]]:
+def state_topics(graph: GraphSnapshot) -> list[tuple[str, str]]:
     """Return other topics on which the robot reports about itself, with their types: odometry and joint states first,
     then types of the manufacturer (bumpers, motors), and plain numbers and states.
     """

@@ -23,8 +23,8 @@ _AHEAD_NS = 1_000_000_000
 
 
 async def standing_time(source: Source, tree: FrameTree, at_ns: int) -> str:
-    """Report that the time by which all transforms are stamped has stopped: since when, at which time, and the state of
-    /clock. Empty if it goes on, or if silent publishers leave that open.
+    """Report that the clock by which all transforms are stamped has stopped: since when, at which time, and the state
+    of /clock. Empty if it still runs, or if that is unknown because publishers are silent.
     """
     stood_ns = tree.stood_ns(at_ns)
     if not stood_ns:
@@ -66,7 +66,7 @@ async def other_clock(source: Source, tree: FrameTree) -> list[str]:
     if source.transforms and not await source.transforms.clock_publishers():
         is_wall = all(edge.stamps[-1] >= UNIX_FROM_NS for edge in tree.edges.values() if edge.moving)
         wrong = "clocks that are set wrong" if is_wall else "the time since a machine started, never synchronised"
-        what = f"nobody publishes {_CLOCK}: a bag that is played without it, or {wrong}"
+        what = f"{_CLOCK} has no publisher: a bag that is played without it, or {wrong}"
     return [f"Stamps are {away} ({what}): ages count from receipt."]
 
 
@@ -77,7 +77,7 @@ async def _clock_in_words(source: Source, newest_ns: int, *, is_told: bool) -> s
     assert source.transforms
     publishers = await source.transforms.clock_publishers()
     if not publishers:
-        return f"nobody publishes {_CLOCK} any more, so transforms keep its last time" if is_told else ""
+        return f"{_CLOCK} has no publisher any more, so transforms keep its last time" if is_told else ""
     who = " and ".join(map(named, publishers[:2]))
     times: list[int] = []
     with suppress(RobotError):
@@ -90,4 +90,5 @@ async def _clock_in_words(source: Source, newest_ns: int, *, is_told: bool) -> s
         return f"{who} publishes {_CLOCK}, but sends nothing (a simulation that is paused, or hangs)"
     if max(times) != min(times) or max(times) > newest_ns + _AHEAD_NS:
         return ""
-    return f"{_CLOCK}, by {who}, stands at {stamp_in_words(max(times))} (a simulation that is paused, or hangs)"
+    stopped = f"{_CLOCK}, published by {who}, is stopped at {stamp_in_words(max(times))}"
+    return f"{stopped} (a simulation that is paused, or hangs)"

@@ -202,7 +202,7 @@ def silent_in_words(tellers: Tellers, since_s: float, *, harmless: bool | None =
         elif not is_missed and not has_reason:
             waits = " No edge is missing because of it: a controller may have its odometry transform switched off."
         verb = "publish" if len(names) > 1 and count == len(names) else "publishes"
-        found.append(f"{many} {verb} on {topic} and has sent nothing in {since_s:.0f} s of listening.{waits}")
+        found.append(f"{many} {verb} on {topic} and has sent nothing in {since_s:.0f} s.{waits}")
     return found
 
 

@@ -85,8 +85,8 @@ class Spread:
     """The variation of the pose over the duration, from `count` poses; the pose of the result is their mean.
 
     `std_*` are the standard deviations of the translation (m) and of the rotation (angle from the mean, degrees).
-    `most_m` and `most_deg` are the largest deviations from the mean; `moved_m` and `turned_deg` are the distance and
-    the angle between the first and the last pose.
+    `max_deviation_m` and `max_deviation_deg` are the largest deviations from the mean; `moved_m` and `turned_deg` are
+    the distance and the angle between the first and the last pose.
     """
 
     count: int
@@ -94,21 +94,21 @@ class Spread:
     std_y_m: float
     std_z_m: float
     std_deg: float
-    most_m: float
-    most_deg: float
+    max_deviation_m: float
+    max_deviation_deg: float
     moved_m: float
     turned_deg: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lookup:
-    """Where `source` is in `target`, as tf2 has it: a point of `source` times the rotation plus the translation is that
-    point in `target`. Roll, pitch and yaw are turns about the fixed axes x, y, z of `target`.
+    """The pose of `source` in `target`, as tf2 defines it: rotating a point of `source` and adding the translation
+    gives the point in `target`. Roll, pitch and yaw are rotations about the fixed axes x, y, z of `target`.
 
-    `stamp` is the time that it is of, by the stamps (null where all between is static, or without a stamp), `age_s` how
-    long before now, or the recording's end (null where a time in a recording was asked for). `chain` goes from `source`
-    to `target`, with its `edges`. `transformed` is what was given, in `target`: [x, y, z], or [x, y, z, qx, qy, qz,
-    qw].
+    `stamp` is the time of the transform by its stamps (null if all transforms in the chain are static or have no
+    stamp). `age_s` is the age at the time of the call, or at the end of the recording (null if a time in a recording
+    was given). `chain` lists the frames from `source` to `target`, `edges` the transforms between them. `transformed`
+    has the given points or poses in `target`: [x, y, z] or [x, y, z, qx, qy, qz, qw].
     """
 
     target: str = field(metadata=SAID)
@@ -144,8 +144,9 @@ class Lookup:
         if self.spread:
             one = self.spread
             lines.append(
-                f"Mean of {one.count}: spread x {one.std_x_m:.2g}, y {one.std_y_m:.2g}, z {one.std_z_m:.2g} m, "
-                f"{one.std_deg:.2g} deg; moved {one.moved_m:.3g} m, turned {one.turned_deg:.3g} deg."
+                f"Mean of {one.count} poses: standard deviation x {one.std_x_m:.2g}, y {one.std_y_m:.2g}, "
+                f"z {one.std_z_m:.2g} m, {one.std_deg:.2g} deg; "
+                f"moved {one.moved_m:.3g} m, turned {one.turned_deg:.3g} deg."
             )
         if self.transformed:
             shown = ["(" + ", ".join(f"{part:.4f}" for part in one) + ")" for one in self.transformed[:_MOST_SHOWN]]
@@ -153,7 +154,7 @@ class Lookup:
             lines.append(f"In {named(self.target)}: {', '.join(shown)}{more}.")
         if self.edges:
             steps = [f"{named(row.parent)} → {named(row.child)} ({row.words()})" for row in self.edges]
-            lines.append(f"By {'; '.join(steps)}.")
+            lines.append(f"Chain: {'; '.join(steps)}.")
         return [*lines, *([self.note] if self.note else [])]
 
 
@@ -353,7 +354,7 @@ async def _over(
         return tree, first, _spread([first.pose])
     if source.is_live:
         if request.time:
-            raise BadInput("time and duration are both given.", "Leave one out: live, the duration begins now.")
+            raise BadInput("Give either time or duration_s, not both.", "On a live robot, a duration starts now.")
         poses = await _listened(source, tree, first, request.duration_s, report)
     else:
         poses = _poses(tree, first, first.stamp_ns - length_ns, first.stamp_ns)
@@ -402,8 +403,8 @@ def _spread(poses: Sequence[Pose]) -> Spread:
         std_y_m=deviation([one[1] for one in away]),
         std_z_m=deviation([one[2] for one in away]),
         std_deg=deviation(angles),
-        most_m=max(math.hypot(*one) for one in away),
-        most_deg=max(angles),
+        max_deviation_m=max(math.hypot(*one) for one in away),
+        max_deviation_deg=max(angles),
         moved_m=math.dist(poses[0].translation, poses[-1].translation),
         turned_deg=math.degrees(angle_between_rad(poses[0].rotation, poses[-1].rotation)),
     )

@@ -51,8 +51,9 @@ class FrameProblem:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tree(WithPictures):
-    """All frames: `roots` (more than one: several trees, between which there is no transform), and every edge, the
-    parents before their children. `problems` are sentences; none: the tree is healthy.
+    """All frames as a tree. With more than one of `roots` there are several trees, without a transform between them.
+    `edges` lists parents before their children. `problems` has a sentence for each problem; without any the tree is
+    healthy.
     """
 
     frames: int = field(metadata=SAID)
@@ -252,7 +253,7 @@ def _gaps(source: Source, tree: FrameTree, walk: Sequence[tuple[str, int]]) -> l
 def _note(tree: FrameTree) -> list[str]:
     notes = [undecodable(tree.damaged, tree.trouble)] if tree.damaged else []
     if tree.left_out:
-        notes.append(f"Left out: {counted(tree.left_out, 'transform')} of further frames or frames without a name.")
+        notes.append(f"Not shown: {counted(tree.left_out, 'transform')} of further frames or frames without a name.")
     return notes
 
 

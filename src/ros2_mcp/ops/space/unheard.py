@@ -22,9 +22,9 @@ async def unheard_publishers(source: Source) -> Sequence[str]:
             if one.type != TF_TYPE:
                 found.append(f"{named(one.node)} publishes {name} as {named(one.type)}, not as {TF_TYPE}.")
             elif why := mismatch(one.qos, LISTENS[topic]):
-                found.append(f"What {named(one.node)} publishes on {name} does not reach listeners of tf2: {why}.")
+                found.append(f"Messages of {named(one.node)} on {name} do not reach tf2 listeners: {why}.")
     if not await listener.publishers(TF) and not await listener.publishers(TF_STATIC):
-        found.append(f"Nobody publishes on {TF} or {TF_STATIC}.{_elsewhere(await listener.other_topics())}")
+        found.append(f"{TF} and {TF_STATIC} have no publisher.{_elsewhere(await listener.other_topics())}")
     return found
 
 
@@ -50,5 +50,5 @@ def followed_in_words(source: Source, tree: FrameTree) -> list[str]:
     if not tree.namespace:
         return []
     where = f"{named(tree.namespace + TF)} and {named(tree.namespace + TF_STATIC)}"
-    why = f"nobody publishes on {TF}" if source.is_live else f"the recording has no {TF}"
+    why = f"{TF} has no publisher" if source.is_live else f"the recording has no {TF}"
     return [f"These frames are published on {where}: {why}."]

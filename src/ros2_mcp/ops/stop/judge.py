@@ -104,7 +104,7 @@ class Freshness:
             is_known = bool(reading.header_ns) or not self._is_latched
             return "" if is_known else "its messages do not say when they were published"
         if reading.source_ns < self._began_ns:
-            return "all that came was published before the stop, by the publisher's clock"
+            return "every message received was published before the stop, by the publisher's clock"
         if self._is_latched and reading.source_ns > reading.received_ns + _AHEAD_NS:
             return "the clock of its publisher is ahead, so old messages look new"
         return ""
@@ -121,7 +121,7 @@ class Freshness:
             return "" if before is not None else "one message alone does not show that its clock runs"
         if abs(stamp - (reading.source_ns or reading.received_ns)) > _SAME_CLOCK_NS:
             return "its headers carry the time of another clock"
-        return "" if stamp >= self._began_ns else "all that came was measured before the stop"
+        return "" if stamp >= self._began_ns else "every message received was measured before the stop"
 
 
 class Judge(Protocol):
@@ -146,7 +146,7 @@ NOTHING_CAME = "nothing was published on it since the stop"
 
 
 class BaseJudge:
-    """Judges a topic by its velocities, and by the poses beside them: some odometry never fills in a velocity."""
+    """Judges a topic by its velocities and by its poses, because some odometry never sets a velocity."""
 
     def __init__(self, freshness: Freshness, still: Still) -> None:
         self._freshness = freshness

@@ -121,20 +121,20 @@ async def _sources(robot: Robot, hovers: bool) -> tuple[Sequence[_Source], Seque
     missing = [] if rows.settled else ["discovery is under way, and more may report motion"]
     missing += [f"{counted(len(beyond), 'more topic')} with odometry or joint states, not read"] if beyond else []
     missing += [
-        f"{named(topic)} reported motion before, and nobody publishes it any more"
+        f"{named(topic)} reported motion before, and has no publisher any more"
         for topic in robot.graph.seen.published(_KINDS)
         if topic not in {*odometry, *joint_states, *beyond}
     ]
     if not joint_states and _has_moved_joints(robot):
-        missing.append("no joint states report whether the joints that this server has moved stand")
+        missing.append("no joint states report whether the joints that this server moved have stopped")
     named_ones = [one.feedback for one in robot.policy.documents if one.feedback]
     sources = [_base_source(feedback, hovers=False) for feedback in named_ones]
     sources = sources or [_base_source(Feedback(topic=topic), hovers) for topic in odometry]
     unreported: list[str] = []
     if joint_states and not sources and (inputs := await _subscribed(robot, rows, VELOCITY_TYPES)):
-        unreported.append(f"no odometry reports whether what {listed(inputs, 3)} drives stands")
+        unreported.append(f"no odometry reports whether the motion commanded on {listed(inputs, 3)} has stopped")
     if sources and not joint_states and (inputs := await _subscribed(robot, rows, HOLD_TYPES)):
-        unreported.append(f"no joint states report whether what {listed(inputs, 3)} moves stands")
+        unreported.append(f"no joint states report whether the motion commanded on {listed(inputs, 3)} has stopped")
     rests_s = _RESTS_S + _BEGINS_S + JOINT_WINDOW_S
     sources += [_Source(topic=one, type=JOINT_STATE, most_s=rests_s) for one in joint_states]
     return sources, missing, unreported
@@ -207,8 +207,8 @@ async def _account(robot: Robot, source: _Source, began_ns: int) -> Account:
 
 
 def reading_of(message: Mapping[str, Any], sample: Sample, path: str | None) -> Reading:
-    """Return the motion that a message reports: the velocity at a path and the pose beside it, or
-    the joints if the path is None.
+    """Return the motion that a message reports: the velocity at a path with its pose, or the joints if the path is
+    None.
     """
     seconds, nanoseconds = _at(message, "header.stamp.sec") or 0, _at(message, "header.stamp.nanosec") or 0
     is_base = path is not None

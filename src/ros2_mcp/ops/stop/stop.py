@@ -71,25 +71,27 @@ _NOTHING: StopReply = {"repeats": 0, "relays": 0, "dropped": [], "topics": []}
 class StoppedTopic:
     """A topic that got a zero command.
 
-    `subscribers` were sent it, `unreached` are in the graph besides and were not. `acknowledged` is null where it is
-    not known. `others` are nodes that publish on it too: their messages still move the robot.
+    The zero was sent to `subscribers`; `unreached_subscribers` are further subscribers in the graph, to which it was
+    not sent. `acknowledged` is null if unknown. `other_publishers` are nodes that also publish on the topic: their
+    messages can still move the robot. `lost_subscribers` received commands and have left the graph.
     """
 
     topic_name: str
     subscribers: int
     acknowledged: bool | None
-    others: Sequence[str] = ()
+    other_publishers: Sequence[str] = ()
     error: str = ""
-    unreached: int = 0
-    gone: Sequence[str] = ()
+    unreached_subscribers: int = 0
+    lost_subscribers: Sequence[str] = ()
     is_deserted: bool = field(default=False, metadata=HIDDEN)
 
 
 @dataclass(frozen=True, slots=True)
 class StoppedGoal:
-    """A goal that was asked to be cancelled, and its status when the waiting ended; `confirmed` once it has ended.
+    """A goal that this server requested to cancel, and its status when the wait ended; `confirmed` once the goal has
+    ended.
 
-    `cancelled` is false for one that had ended already.
+    `cancelled` is false if the goal had already ended.
     """
 
     action_name: str
@@ -102,18 +104,20 @@ class StoppedGoal:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stopped:
-    """What was stopped.
+    """The result of a stop.
 
-    `dropped` was accepted before the stop, had not been sent yet, and is not sent any more. `unknown_services` were
-    called and `unknown_topics` published on by this server since it was started, the last ones first; it does not know
-    how what they set in motion is stopped (parameters and lifecycle transitions are configuration, and not among them).
-    `running` are goals of other clients that their servers say have not ended: each names the one call that ends it.
-    `observed` says whether odometry and joint states from after the stop report that the robot stands, or hovers;
-    `latched` whether it has to be reset by an operator before anything acts again.
-    `confirmed` is true if the robot was so observed; every zero command reached its subscribers, and those that had
-    taken commands are still there; nobody else publishes on those topics; every goal has ended, and no goal of another
-    client runs that may move the robot; every vehicle reports a mode in which it stands; and no such service was called
-    or topic published on since the robot was last observed to stand.
+    `dropped` lists commands that had been accepted before the stop but not sent; they will not be sent.
+    `unknown_services` and `unknown_topics` list services called and topics published on since this server started, the
+    last ones first, whose effects it does not know how to stop (parameters and lifecycle transitions are configuration,
+    and not listed). `running` lists goals of other clients that have not ended, each with the call that ends it.
+    `observed` says whether odometry and joint states published after the stop report that the robot is stationary, or
+    hovers; `latched` whether an operator has to reset the latch before any command is accepted again.
+
+    `confirmed` is true if all of this holds: the robot was observed to be stationary or hovering; every zero command
+    reached its subscribers, and the nodes that had received commands are still in the graph; no other node publishes on
+    those topics; every goal has ended, and no goal of another client that may move the robot is running; every vehicle
+    reports a mode in which it holds its position; and none of the unknown services was called, or unknown topics
+    published on, since the robot was last observed to be stationary.
     """
 
     repeats_stopped: int = field(metadata=SAID)
@@ -141,7 +145,7 @@ class Stopped:
             return f"{'NOT confirmed:' if self.is_doubted else 'Nothing was stopped.'} {self.note}"
         cancelled = sum(goal.cancelled for goal in self.goals)
         over = sum(goal.confirmed and not goal.cancelled for goal in self.goals)
-        unheard = sum(not (topic.subscribers or topic.unreached or topic.error) for topic in self.topics)
+        unheard = sum(not (topic.subscribers or topic.unreached_subscribers or topic.error) for topic in self.topics)
         parts = (
             (self.repeats_stopped, f"{counted(self.repeats_stopped, 'repeated publication')} ended"),
             (self.relays_stopped, f"{counted(self.relays_stopped, 'relay')} ended"),
@@ -149,7 +153,7 @@ class Stopped:
             (unheard, f"no receiver for the zero on {counted(unheard, 'topic')}"),
             (cancelled, f"{counted(cancelled, 'goal')} cancelled"),
             (over, f"{counted(over, 'goal')} had ended already"),
-            (len(self.flights), f"{counted(len(self.flights), 'flight')} made to stand"),
+            (len(self.flights), f"{counted(len(self.flights), 'vehicle')} commanded to hold position"),
         )
         told = ", ".join(words for count, words in parts if count)
         if self.confirmed and unheard and not any((*ended[:2], len(self.topics) - unheard, *ended[3:])):
@@ -194,7 +198,7 @@ def is_out_of_reach(robot: Robot) -> bool:
 def unreached(robot: Robot) -> str:
     """Return the note for a robot whose stop continues in the background."""
     silent_s = robot.graph.unheard_s
-    since = f"nothing has come from it for {silent_s:.1f} s" if math.isfinite(silent_s) else "its link is lost"
+    since = f"no data from it for {silent_s:.1f} s" if math.isfinite(silent_s) else "its link is lost"
     return (
         f"The robot is out of reach ({since}). What this server drives there stops when the link lease lapses. The "
         "stop continues in the background: call ros2_stop again to see what is confirmed."
@@ -375,7 +379,7 @@ async def _judged(robot: Robot, topic: str, zero: Zero | None, missing: str) -> 
         unseen = f"Other publishers on {topic} could not be looked up: {error}"
         return StoppedTopic(topic, zero["matched"], zero["acked"], error=unseen)
     others = sorted({publisher.node for publisher in present.publishers} - {*robot.graph.own_nodes})
-    unseen = "" if present.settled else f"Discovery is under way: more may listen to {topic}, or publish on it."
+    unseen = "" if present.settled else f"Discovery is under way: {topic} may have more subscribers or publishers."
     unreached = max(0, present.subscribers_of(zero["type"]) - zero["matched"])
     gone, is_deserted = _gone(robot, topic, zero, present)
     return StoppedTopic(topic, zero["matched"], zero["acked"], others, unseen, unreached, gone, is_deserted)
@@ -438,7 +442,7 @@ async def _cancel(robot: Robot, goal: Goal) -> StoppedGoal | None:
         goal.is_unanswered = True
         told = str(error) or f"The server of {goal.action} did not answer within {within_s:g} s"
         return StoppedGoal(
-            goal.action, goal.id, "UNKNOWN", False, error=f"{told.rstrip('.')}: goal {goal.id} may go on."
+            goal.action, goal.id, "UNKNOWN", False, error=f"{told.rstrip('.')}: goal {goal.id} may continue."
         )
     cancelled = cancelled or result.status == "CANCELED"  # cancelled by the bridge, which saw the latch first
     confirmed = (is_unknown and result.status == STATUS[0]) or result.status_code in TERMINAL
@@ -456,12 +460,13 @@ def _doubts(topics: Sequence[StoppedTopic], goals: Sequence[StoppedGoal], seen: 
     """
     doubts: list[str] = []
     for topic in topics:
-        if topic.others:
-            doubts.append(f"{', '.join(topic.others)} also publishes on {topic.topic_name}: the robot may still move.")
-        if topic.unreached:
+        if topic.other_publishers:
             doubts.append(
-                f"{counted(topic.unreached, 'subscriber')} of {topic.topic_name} did not get the zero: stop again."
+                f"{', '.join(topic.other_publishers)} also publishes on {topic.topic_name}: the robot may still move."
             )
+        if topic.unreached_subscribers:
+            unreached = counted(topic.unreached_subscribers, "subscriber")
+            doubts.append(f"{unreached} of {topic.topic_name} did not get the zero: stop again.")
         if topic.error:
             doubts.append(topic.error)
         elif topic.subscribers and topic.acknowledged is None:
@@ -469,9 +474,9 @@ def _doubts(topics: Sequence[StoppedTopic], goals: Sequence[StoppedGoal], seen: 
             doubts += [] if seen.stands else [f"{unknown}: not every subscriber acknowledges."]
         elif topic.subscribers and not topic.acknowledged:
             doubts.append(f"Not every subscriber of {topic.topic_name} has acknowledged the zero.")
-        if topic.is_deserted or (topic.gone and not (seen.stands and seen.has_base)):
-            who = listed(topic.gone, _MOST_GONE) or "A subscriber"
-            doubts.append(f"{who} took commands on {topic.topic_name} and is gone: it may move until it is seen again.")
+        if topic.is_deserted or (topic.lost_subscribers and not (seen.stands and seen.has_base)):
+            who = listed(topic.lost_subscribers, _MOST_GONE) or "A subscriber"
+            doubts.append(f"{who} received commands on {topic.topic_name} and has left the graph: it may still move.")
     doubts += [goal.error for goal in goals if goal.error]
     doubts += [f"Goal {goal.goal_id} has not ended yet." for goal in goals if not goal.confirmed and not goal.error]
     return doubts
@@ -506,9 +511,9 @@ def _facts(
     if ended_jobs := [job for job in jobs if job.kind not in ("repeat", "relay") and not job.doubt]:
         facts.append(f"Ended: {', '.join(f'{job.kind} {job.id}' for job in ended_jobs)}.")
     facts += [
-        f"Nobody subscribes to {topic.topic_name} now."
+        f"{topic.topic_name} has no subscriber now."
         for topic in topics
-        if not (topic.subscribers or topic.unreached or topic.error)
+        if not (topic.subscribers or topic.unreached_subscribers or topic.error)
     ]
     if not (ended["repeats"] or ended["relays"] or ended["dropped"] or topics or others or jobs):
         facts.append(

@@ -14,9 +14,10 @@ from ros2_mcp.robot import Robot
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EndpointInfo:
-    """A publisher or subscriber with its QoS, which decides whether a pair matches; null if infinite or unknown.
+    """A publisher or subscriber with its QoS, which decides whether a pair matches; a time is null if infinite or
+    unknown.
 
-    `ours`: it belongs to this server, which keeps what it publishes with ready for a while.
+    `from_this_server`: it belongs to this server, which keeps its publishers for a while after use.
     """
 
     node: str
@@ -29,12 +30,14 @@ class EndpointInfo:
     lifespan_s: float | None
     liveliness: str
     liveliness_lease_s: float | None
-    ours: bool = False
+    from_this_server: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TopicInfo:
-    """Everything that the graph knows of one topic; `mismatches` says in words which pairs exchange no messages."""
+    """All that discovery reports about one topic; `mismatches` has a sentence for each pair whose types or QoS do not
+    match.
+    """
 
     topic_name: str = field(metadata=SAID)
     topic_types: Sequence[str] = field(metadata=SAID)
@@ -46,7 +49,7 @@ class TopicInfo:
     def summary(self) -> list[str]:
         """Return one line, and one for each mismatch."""
         publishers, subscribers = (
-            f"{counted(len(side), what)}{_of_these_ours(side)}"
+            f"{counted(len(side), what)}{_own_count(side)}"
             for side, what in ((self.publishers, "publisher"), (self.subscribers, "subscriber"))
         )
         types = ", ".join(map(named, self.topic_types))
@@ -104,7 +107,7 @@ def _endpoint(endpoint: Endpoint) -> EndpointInfo:
         lifespan_s=_seconds(policies.lifespan_ns),
         liveliness=policies.liveliness,
         liveliness_lease_s=_seconds(policies.liveliness_lease_ns),
-        ours=endpoint.ours,
+        from_this_server=endpoint.ours,
     )
 
 
@@ -112,7 +115,7 @@ def _seconds(duration_ns: int | None) -> float | None:
     return None if duration_ns is None else duration_ns / 1e9
 
 
-def _of_these_ours(side: Sequence[EndpointInfo]) -> str:
+def _own_count(side: Sequence[EndpointInfo]) -> str:
     """Return a phrase with the number of this server's own endpoints; empty if there are none."""
-    count = sum(endpoint.ours for endpoint in side)
+    count = sum(endpoint.from_this_server for endpoint in side)
     return f" ({count} of this server)" if count else ""

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ros2_mcp.model import names
+from ros2_mcp.model.text import counted_of
 from ros2_mcp.ops.results.results import IF_ANY, ON_REQUEST, SAID, list_note
 from ros2_mcp.robot import Robot
 
@@ -27,9 +28,9 @@ _INTERNAL_NAMES = frozenset({"clearing_endpoints", "voxel_marked_cloud", "voxel_
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TopicEntry:
-    """One topic; `topic_types` is filled only where there are several, which is a fault of the system.
+    """One topic; `topic_types` is set only if the topic has several types, which is a fault.
 
-    `request_fields` is name → type of a message, only where that was asked for.
+    `request_fields` maps the fields of the messages to their types, if requested.
     """
 
     topic_name: str
@@ -51,7 +52,7 @@ class TopicList:
 
     def summary(self) -> str:
         """Return the result in one line."""
-        return f"{len(self.topics)} of {self.total} topics. {self.note}".rstrip()
+        return f"{counted_of(len(self.topics), self.total, 'topic')}. {self.note}".rstrip()
 
 
 def is_internal(name: str, types: Sequence[str]) -> bool:
@@ -73,7 +74,7 @@ async def list_topics(
     if len(internals) > _FEW and not (pattern or include_hidden):
         chosen = [name for name in chosen if name not in internals]
         note = (
-            f"Left out: {len(internals)} internal topics (bonds, transition events, costmaps' raw forms, updates and "
+            f"Not shown: {len(internals)} internal topics (bonds, transition events, costmaps' raw forms, updates and "
             "debug clouds); a pattern or include_hidden=true lists them. "
         )
     note += list_note(len(chosen), limit, found.settled, absence)

@@ -31,8 +31,8 @@ just started within this time, so that it does not miss the message."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PublishRequest:
-    """What to publish, and where: once, or at `frequency` in Hz for `duration` in seconds.
-    An empty type means the topic's.
+    """A message and its topic: to publish once, or at `frequency` in Hz for `duration` in seconds. An empty type means
+    that of the topic.
     """
 
     topic_name: str
@@ -46,9 +46,9 @@ class PublishRequest:
 class Published:
     """The result of publishing on one topic.
 
-    `status` is `published` if at least one subscriber was matched when it was sent, `nobody_listening` if none was,
-    and `failed` with an `error` where several were published and this one could not be. `acknowledged` is null where
-    that is not known.
+    `status` is `published` if at least one subscriber was matched when the message was sent, `no_subscriber` if none
+    was, and `failed` with an `error` if this topic, one of several, could not be published. `acknowledged` is null if
+    unknown.
     """
 
     status: str
@@ -132,7 +132,7 @@ async def publish(robot: Robot, session: Session, request: PublishRequest, repor
         left_at_default(definitions, to.type, request.data),
     )
     return Published(
-        status="published" if sent.matched else "nobody_listening",
+        status="published" if sent.matched else "no_subscriber",
         topic_name=sent.topic,
         topic_type=sent.type,
         sent=sent.sent,
@@ -207,7 +207,7 @@ class Repetition(Job):
 
 
 async def _repeat(robot: Robot, session: Session, command: Repeat, report: Report) -> tuple[Sent, str]:
-    """Publish repeatedly. Return what was sent, and what ended it early."""
+    """Publish repeatedly. Return the counts, and the reason if it ended early."""
     repetition = Repetition(robot, session, command)
     topic, duration_s = command.name, command.duration_s
 
@@ -241,12 +241,12 @@ async def _repeat(robot: Robot, session: Session, command: Repeat, report: Repor
 async def _note(robot: Robot, sent: Sent, reason: str) -> str:
     notes = [ended_by(reason)] if reason else []
     if not sent.matched and reason:
-        notes.append("Nobody received it.")  # many may be stopped at once: no more requests for each
+        notes.append("No subscriber received it.")  # many may be stopped at once: no more requests for each
     elif not sent.matched:
         found = await robot.graph.endpoints(sent.topic)
         ours = [publisher for publisher in found.publishers if publisher.node in robot.graph.own_nodes]
         reasons = mismatches(ours, found.subscribers)
-        notes.append(f"Nobody received it: {' '.join(reasons)}" if reasons else "Nobody received it.")
+        notes.append(f"No subscriber received it: {' '.join(reasons)}" if reasons else "No subscriber received it.")
         if not found.subscribers:  # most likely a typing error in the name of a topic with subscribers
             subscribed = [row.name for row in await robot.graph.topics() if row.subscribers and row.name != sent.topic]
             near = names.nearest(sent.topic, subscribed)

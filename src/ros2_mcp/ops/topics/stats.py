@@ -61,17 +61,16 @@ _LEAST_S = 1e-3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TopicStats:
-    """The flow of one topic over a span. Times in seconds; null where there were too few messages to tell.
+    """The traffic of one topic over a time span. Times in seconds; null if too few messages were received.
 
-    `jitter_s` is the standard deviation of the periods. Rates have four significant digits, times microseconds. `gaps`
-    counts pauses by the times of receipt, whatever their cause: periods longer than three times the usual one (four of
-    five are not longer, so that publishers that send in pairs have no gaps), and the silence after the last message if
-    it is that long and over half a second. `lost` counts messages that the middleware knows not to have delivered, by
-    their numbers, and `dropped` those that came and were too many for this server: a pause of the sensor is a gap and
-    loses nothing, and a lost message between two others may be too short for a gap.
-    `age_mean_s` and `age_max_s` compare the header's stamp with the time of receipt. Of several `publishers` it is the
-    flow of all together; `publisher_nodes` names them where they are known. Latched messages from before are
-    `replayed`, and counted nowhere else.
+    `jitter_s` is the standard deviation of the periods. Rates have four significant digits; times are rounded to
+    microseconds. `gaps` counts pauses by receive time, whatever their cause: periods longer than three times the usual
+    one (the 80th percentile, so that publishers that send in pairs have no gaps), and the silence after the last
+    message if it is that long and over half a second. `lost` counts messages that the middleware reports as not
+    delivered, by their sequence numbers; `dropped` those that were received but discarded, because they were too many
+    for this server. A pause of a sensor is a gap without a loss; a lost message may cause no gap. `age_mean_s` and
+    `age_max_s` compare the header's stamp with the receive time. With several `publishers` this is the traffic of all
+    of them; `publisher_nodes` names them if known. Latched messages from before are counted in `replayed` only.
     """
 
     topic_name: str
@@ -119,7 +118,7 @@ class TopicStats:
 
 @dataclass(frozen=True, slots=True)
 class Stats:
-    """The flow of several topics over the same span: live, or the part of a recording that `source` names.
+    """The traffic of several topics over the same time span: live, or the part of a recording that `source` names.
 
     The topics with the most bytes per second come first.
     """
@@ -194,7 +193,7 @@ async def _published(source: Source) -> tuple[list[str], str]:
     published = [topic for topic in graph.topics.values() if topic.publishers]
     published = [row for row in published if not is_hidden(row.topic) and row.topic not in OF_EVERY_NODE]
     if not published:
-        raise NotFound(graph.absence or f"Nobody publishes on any topic in {source.title}.", "Name the topics.")
+        raise NotFound(graph.absence or f"No topic in {source.title} has a publisher.", "Name the topics.")
     published.sort(key=lambda row: (not LARGE_TYPES.intersection(row.types), row.topic))
     found = [row.topic for row in published]
     left_out = found[MAX_TOPICS:]
@@ -251,9 +250,9 @@ def _measured(source: Source, capture: Capture[AgedArrivals], publishers: Sequen
     usual = usual_s(periods) if len(periods) else 0.0
     ages = kept.ages
     if not publishers and not kept.count:
-        notes = ["Nobody publishes on it."]
+        notes = ["It has no publisher."]
     elif not kept.count:
-        notes = [f"{publishers[0].who} publishes it, but sent nothing for {source.duration_s:g} s."]
+        notes = [f"{publishers[0].who} publishes it, but sent no message for {source.duration_s:g} s."]
     else:
         notes = [_in_words(silence, capture.zero_ns)] if silence else []
         if kept.of_other_clock:

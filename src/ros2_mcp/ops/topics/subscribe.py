@@ -67,13 +67,13 @@ below which a message says nothing."""
 class Reading(WithPictures):
     """The messages of one topic.
 
-    `count` messages are shown, of `received` ones; `dropped` were discarded by this server's memory bounds, or left on
-    the robot by a slow link, `lost` never arrived (null where that cannot be known). `truncated` names paths whose
-    values are summaries. `source` says whether they are live, or of which part of which recording; `duration` is its
-    length, or how long the read took. `meaning` is that of the newest message of a laser scan, a point cloud or a depth
-    image, seen from the robot's base. Each message was received `times_s` seconds after `start`: the recording's
-    beginning, or live the first message. `from_before` says which were sent before this was asked for, and how old the
-    newest of them is.
+    `count` messages are shown, of `received` ones. `dropped` were discarded because this server's memory is limited, or
+    the link to the robot was too slow; `lost` never arrived (null if unknown). `truncated` lists the paths of shortened
+    values. `source` is "live", or names the recording and its part; `duration` is the length of that part, or how long
+    the read took. `meaning` interprets the newest message of a laser scan, a point cloud or a depth image, seen from
+    the robot's base. Each message was received `times_s` seconds after `start`: the start of the recording, or the
+    first live message. `from_before` counts messages that had been published before this call (latched ones), and gives
+    the age of the newest.
     """
 
     topic_name: str = field(metadata=SAID)
@@ -111,7 +111,7 @@ class Reading(WithPictures):
 
 @dataclass(frozen=True, slots=True)
 class Readings(WithPictures):
-    """The messages of several topics, read at the same time; each may have an `error` of its own."""
+    """The messages of several topics, read at the same time; each topic may have its own `error`."""
 
     topics: Sequence[Reading]
     duration: float
@@ -123,10 +123,11 @@ class Readings(WithPictures):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Echo(WithPictures):
-    """The next message of a topic, or `received` false and the reason; `waited` is how long this took, in seconds.
+    """The next message of a topic; `received` is false if there was none, and `note` says why. `waited` is the waiting
+    time in seconds.
 
-    `seconds_in` counts from the beginning of the recording; null live, and of a black box. `from_before` says that it
-    was sent before this was asked for, and how old it is.
+    `seconds_in` is the receive time as an offset from the start of the recording; null for live messages and the black
+    box. `from_before` is set if the message had been published before this call, and gives its age.
     """
 
     topic_name: str = field(metadata=SAID)
@@ -218,7 +219,8 @@ async def collect(
         samples = list(collector.samples)
         counts, further = stream.counts, stream.further
         if kept.left_out:
-            stream.note = f"{stream.note} Not shown: {counted(kept.left_out, 'older message')} from before.".lstrip()
+            older = counted(kept.left_out, "older message")
+            stream.note = f"{stream.note} Not shown: {older} published before this call.".lstrip()
         if others:
             stream.note = f"{stream.note} No such element in {counted(others, 'other message')}.".lstrip()
         was_limited = filtered and not source.is_live and len(samples) == limit

@@ -15,7 +15,7 @@ from ros2_mcp.model.text import named
 from ros2_mcp.model.times import iso_time
 from ros2_mcp.ops.pictures.next_message import next_message
 from ros2_mcp.ops.results.results import silent
-from ros2_mcp.view.look import Content, Look, PageContext, Panel, Shown
+from ros2_mcp.view.look import Content, Look, PageContext, Panel, Shown, when
 
 _BOUNDS = Bounds(max_side=800, max_bytes=120_000)
 """A panel is some 600 pixels wide, and a chat host passes 130 kB on; a JPEG of 640 × 480 has 40 to 90 kB."""
@@ -52,19 +52,20 @@ class ImagePanel(Panel):
                 return None if is_shown else {"topic": topic, "topics": topics, "why": _silent(look, topic, topics)}
             sample, newest, listening = found
             message: Any = await asyncio.to_thread(look.robot.values.codec.decode, listening.type, sample.data)
-            kind, rate_hz = listening.type, newest.rate_hz()
+            kind, rate_hz, is_old = listening.type, newest.rate_hz(), listening.is_from_before(sample)
         else:
-            kind, rate_hz = await source.type_of(topic), None
+            kind, rate_hz, is_old = await source.type_of(topic), None, False
             recorded = await next_message(source, topic, kind, silent)
             message, sample = recorded.message, recorded.sample
         picture = await _picture(kind, message)
-        self._keep(topic, sample.received_ns, message)
+        at = when(sample, is_old)
+        self._keep(topic, at["at_s"], message)
         whole = picture.whole if any(picture.whole) else (picture.width, picture.height)
         return {
             "topic": topic,
             "topics": topics,
             "type": kind,
-            "at_s": sample.received_ns / 1e9,
+            **at,
             "rate_hz": rate_hz,
             "mime": picture.mime,
             "width": picture.width,
@@ -75,11 +76,11 @@ class ImagePanel(Panel):
             "bulk": base64.b64encode(picture.data).decode("ascii"),
         }
 
-    def _keep(self, topic: str, at_ns: int, message: Any) -> None:
+    def _keep(self, topic: str, at_s: float, message: Any) -> None:
         from ros2_mcp.pictures.images import may_be_depth
 
         if may_be_depth(message):
-            told_ns = round(at_ns / 1e9 * 1e9)  # as the page sends it back: its times are floats, some 100 ns off
+            told_ns = round(at_s * 1e9)  # as the page sends it back: its times are floats, some 100 ns off
             self._depths.append((topic, iso_time(told_ns), message))
 
     async def depth_within(self, topic: str, at: str, box: Sequence[int]) -> tuple[float | None, str]:
@@ -115,6 +116,6 @@ def _preferred(topics: list[str]) -> str:
 
 def _silent(look: Look, topic: str, topics: list[str]) -> str:
     if topic not in topics:
-        return f"Nobody publishes on {named(topic)} now."
+        return f"{named(topic)} has no publisher now."
     failure = look.robot.graph.failure
     return failure or f"{named(topic)} has a publisher, but no picture has come yet."

@@ -70,6 +70,7 @@ class MapPanel(Panel):
             "places": [_mark(mark) for mark in found.places],
             "layers": [_told(layer, found) for layer in found.layers],
             "missing": list(found.missing),
+            "old": [f"{one.kind} {named(one.name)} {one.from_before}" for one in found.layers if one.from_before],
             "bulk": [_points(scan) for scan in found.scans],
         }
 
@@ -110,7 +111,7 @@ class MapPanel(Panel):
             where = f"({at['x']:.2f}, {at['y']:.2f}) m in {named(str(content.get('frame')))}"
             parts.append(f"the robot at {where}, heading {round(math.degrees(at['yaw']))}°")
         elif content.get("frame"):
-            parts.append("nobody says where the robot is")
+            parts.append("the robot's pose is unknown")
         for kind in ("goals", "places", "paths"):
             if names := [str(one["name"]) for one in content.get(kind) or ()]:
                 parts.append(f"{kind} {listed(names, MOST_NAMED)}")

@@ -17,7 +17,7 @@ from ros2_mcp.model.aside import aside
 from ros2_mcp.model.errors import BadData, NotFound
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import counted, named
-from ros2_mcp.view.look import Content, Look, PageContext, Panel, Shown
+from ros2_mcp.view.look import Content, Look, PageContext, Panel, Shown, when
 from ros2_mcp.view.panels.values import first_topic
 
 if TYPE_CHECKING:
@@ -43,6 +43,7 @@ class _Rows:
     """Times and values of one topic.
 
     `first` is the number of the first row that is kept; `units` has the unit of each curve by its name, in order.
+    `from_before` is set if the last message was sent before the subscription: its time is when it was sent.
     """
 
     topic: str = ""
@@ -51,10 +52,11 @@ class _Rows:
     units: dict[str, str] = field(default_factory=dict[str, str])
     since_s: float = 0.0
     first: int = 0
+    from_before: bool = False
     times: deque[float] = field(default_factory=deque[float])
     values: deque[Sequence[float]] = field(default_factory=deque[Sequence[float]])
 
-    def add(self, codec: Codec, sample: Sample) -> None:
+    def add(self, codec: Codec, sample: Sample, is_old: bool) -> None:
         """Add a message; if it has curves that earlier messages lacked, begin anew."""
         from ros2_mcp.values.select import measurable
         from ros2_mcp.values.units import unit_of
@@ -64,14 +66,15 @@ class _Rows:
             self.paths = [
                 one for one in measurable(codec.definitions, self.kind) if not one.path.endswith("covariance")
             ]
+        at_s, self.from_before = when(sample, is_old)["at_s"], is_old
         found = {name: (path, value) for name, path, value in islice(_numbers(self.paths, message), _MOST_CURVES)}
         for name, (path, _) in found.items():
             if name not in self.units and len(self.units) < _MOST_CURVES:
                 self.units[name] = unit_of(codec.definitions, self.kind, path)
-                self.since_s, self.first = sample.received_ns / 1e9, 0
+                self.since_s, self.first = at_s, 0
                 self.times.clear()
                 self.values.clear()
-        self.times.append(sample.received_ns / 1e9)
+        self.times.append(at_s)
         self.values.append([found[name][1] if name in found else math.nan for name in self.units])
 
     def forget(self, before_s: float) -> None:
@@ -95,6 +98,7 @@ class _Rows:
             "since_s": self.since_s,
             "first": self.first,
             "at_s": self.times[-1] if self.times else None,
+            "from_before": self.from_before,
             "bulk": base64.b64encode(packed).decode("ascii"),
         }
 
@@ -130,7 +134,7 @@ class PlotPanel(Panel):
             if self._rows.topic != topic or self._rows.kind != listening.type:
                 await look.robot.values.learn(listening.type)
                 self._rows = _Rows(topic, listening.type)
-            await self._take(look.robot.values.codec, sample)
+            await self._take(look.robot.values.codec, sample, listening.is_from_before(sample))
             has_come = True
             await asyncio.sleep(max(began + _STEP_S - monotonic(), 0.0))
         if not has_come:
@@ -145,8 +149,8 @@ class PlotPanel(Panel):
         )
         return {**self._rows.told(), "whole": False, "rate_hz": rate_hz, "notes": notes}
 
-    async def _take(self, codec: Codec, sample: Sample) -> None:
-        await aside(sample.size, self._rows.add, codec, sample)
+    async def _take(self, codec: Codec, sample: Sample, is_old: bool = False) -> None:
+        await aside(sample.size, self._rows.add, codec, sample, is_old)
         if not self._rows.units:
             raise NotFound(f"{named(self._rows.topic)} is a {named(self._rows.kind)}, which has no numbers to plot.")
 

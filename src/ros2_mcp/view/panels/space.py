@@ -21,7 +21,7 @@ from ros2_mcp.ops.results.results import silent
 from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.ops.space.frames import WORLDS, frames_of
 from ros2_mcp.robot import Robot
-from ros2_mcp.view.look import Content, Look, PageContext, Panel
+from ros2_mcp.view.look import Content, Look, PageContext, Panel, when
 from ros2_mcp.view.marker_topics import MarkerTopics
 from ros2_mcp.view.mesh_files import MeshFiles
 from ros2_mcp.world.transforms import FrameTree
@@ -80,11 +80,13 @@ class SpacePanel(Panel):
         ]
         rows = [(name, one, pose) for kind, name, one, pose in placed if kind == _SCAN]
         points = await asyncio.gather(*(asyncio.to_thread(_scan, one.message, name, missing) for name, one, _ in rows))
+        old = [f"{named(name)} {one.age}" for _, name, one, _ in placed if one.age]
         cloud = None
         for kind, name, one, pose in placed:
             if kind == _CLOUD and (facts := await self._packed(one.message, name, missing)):
                 cloud = {**facts, **_whence(name, one, pose)}
         markers = await self._markers.shown(look, tree, frame, self._meshes, missing)
+        old += self._markers.old(look.now_ns)
         told = [edge.last_received_ns for edge in tree.edges.values() if edge.moving]
         return {
             "frame": frame,
@@ -96,6 +98,7 @@ class SpacePanel(Panel):
             "model": model,
             "markers": markers,
             "missing": missing,
+            "old": old,
             "told_s": max(told) / 1e9 if told else None,
             "bulk": list(points),
         }
@@ -226,7 +229,7 @@ def _located(tree: FrameTree, frame: str, header: Any, topic: str, missing: list
 def _whence(name: str, one: Next, pose: Pose) -> Mapping[str, Any]:
     """Return which message it is, when it was received, and the pose of its frame."""
     frame = str(one.message.header.frame_id).lstrip("/")
-    return {"name": name, "frame": frame, "at_s": one.sample.received_ns / 1e9, "pose": _told(pose)}
+    return {"name": name, "frame": frame, **when(one.sample, bool(one.age)), "pose": _told(pose)}
 
 
 def _frames(tree: FrameTree, frame: str) -> Sequence[Mapping[str, Any]]:

@@ -9,7 +9,7 @@ from ros2_mcp.model.text import named
 from ros2_mcp.ops.pictures.next_message import next_message
 from ros2_mcp.ops.results.results import silent
 from ros2_mcp.ops.sources.source import Source
-from ros2_mcp.view.look import Content, Look, PageContext, Panel, Shown
+from ros2_mcp.view.look import Content, Look, PageContext, Panel, Shown, when
 
 _FIRST = ("nav_msgs/msg/Odometry", "sensor_msgs/msg/JointState", "sensor_msgs/msg/BatteryState")
 """Types of the topic that is shown by default: motion first."""
@@ -37,7 +37,7 @@ class ValuesPanel(Panel):
         if not topic:
             raise NotFound("There is no topic to show.")
         rate_hz: float | None = None
-        at_ns: int | None = None
+        is_old = False
         publishers: Sequence[str] = ()
         if look.source.is_live:
             found = await self._shown.newer(look.robot, topic)
@@ -45,7 +45,7 @@ class ValuesPanel(Panel):
                 why = f"No message has come on {named(topic)} yet."
                 return None if self._shown.sample else {"topic": topic, "why": why}
             sample, newest, listening = found
-            kind, rate_hz, at_ns = listening.type, newest.rate_hz(), newest.told_ns(sample)
+            kind, rate_hz, is_old = listening.type, newest.rate_hz(), listening.is_from_before(sample)
             publishers = sorted({one.who for one in listening.publishers})
         else:
             kind = await look.source.type_of(topic)
@@ -57,7 +57,7 @@ class ValuesPanel(Panel):
         return {
             "topic": topic,
             "type": kind,
-            "at_s": (at_ns or sample.received_ns) / 1e9,
+            **when(sample, is_old),
             "rate_hz": rate_hz,
             "publishers": list(publishers),
             "bytes": sample.size,

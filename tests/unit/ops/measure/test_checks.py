@@ -102,7 +102,7 @@ def reported(message: str, ros2_control: Mapping[str, Ros2Control] | None = None
 
 @pytest.mark.parametrize("message", ["Managed nodes are inactive", "gripper not active", "2 parts unconfigured"])
 def test_a_message_at_level_ok_that_names_an_inactive_part_counts(message: str) -> None:
-    assert "does nothing" in reported(message)[0].problem
+    assert "an inactive part" in reported(message)[0].problem
 
 
 @pytest.mark.parametrize("message", ["", "Managed nodes are active", "no inactive nodes", "deactivation took 2 s"])
@@ -180,7 +180,7 @@ def test_nodes_whose_clock_differs_are_named() -> None:
     (finding,) = found_in(clock, parameters=clocks(nav=True, map=True, lidar=False))
     assert (finding.subject, "false, unlike that of 2 others: /lidar" in finding.problem) == ("/lidar", True)
     (finding,) = found_in(parameters=clocks(nav=True, map=False))
-    assert "nobody publishes /clock: /nav" in finding.problem
+    assert "/clock has no publisher: /nav" in finding.problem
 
 
 # ── lifecycle, servers, remappings, joint states ─────────────────────────────────────────────────────────────────
@@ -233,7 +233,7 @@ def test_what_is_silent_because_of_a_remapping_is_told_with_it_and_once() -> Non
     row = TopicRow("/clean", scan, 1, 0, "SILENT", None, None, expected=False)
     (finding,) = joined(found_in(graph, rows=[row], flows={"/clean": Flow(0, None, 0.0)}))
     assert (finding.subject, "/front/scan:=/scan/front" in finding.recommendation) == ("/scan/front", True)
-    assert "/front/scan, which nobody hears" in finding.problem and "/clean is silent" in finding.problem
+    assert "/front/scan, which has no subscriber" in finding.problem and "/clean has no messages" in finding.problem
 
 
 @pytest.mark.parametrize(
@@ -263,7 +263,7 @@ def told(window: Make, positions: Sequence[float]) -> list[Finding]:
 
 def test_joint_states_that_contradict_each_other_are_a_fault(window: Make) -> None:
     (finding,) = told(window, [0.0, 1.0] * 10)
-    assert (finding.subject, "elbow jumps there and back by up to 1 rad" in finding.problem) == ("/joint_states", True)
+    assert (finding.subject, "elbow jumps back and forth by up to 1 rad" in finding.problem) == ("/joint_states", True)
     assert told(window, [0.0, 0.0, 1.0] * 10)
 
 

@@ -48,7 +48,7 @@ def test_where_the_room_ends_is_said() -> None:
     assert (kept.count, kept.decoded, len(kept.times_ns), len(kept.read_ns)) == (1000, 1000, 20, 21)
     assert kept.columns[0].values.tolist() == list(range(21))
     assert kept.rate_hz() == pytest.approx(100.0)
-    assert kept.bounds("Drawn are those").startswith("Drawn are those of only the first 21 of 1000 messages, up to 20")
+    assert kept.bounds("The plot shows").startswith("The plot shows only the first 21 of 1000 messages, up to 20")
 
 
 @pytest.mark.parametrize("room", [Room(), Room(times=20)], ids=["room", "little room"])

@@ -49,6 +49,14 @@ def test_a_copy_is_identical(window: Make) -> None:
     assert (field.max_difference, field.correlation) == (0.0, pytest.approx(1.0))
 
 
+def test_messages_from_before_are_told_with_their_number_and_age(window: Make) -> None:
+    times = [-8.0, *TIMES]
+    found = evaluate(floats(window, "/a", times, np.ones(len(times))), floats(window, "/b", times, np.ones(len(times))))
+    assert found.verdict == "IDENTICAL" and found.reasons[1].endswith("s old, from before.")
+    assert found.reasons[1].startswith("/a: 1 message, ") and found.reasons[2].startswith("/b: 1 message, ")
+    assert "from before" not in " ".join(evaluate(*(floats(window, one, TIMES, TIMES) for one in ("/a", "/b"))).reasons)
+
+
 @pytest.mark.promise(
     "ros2_topic_compare", "Compare two topics over the same time, field by field: differences, correlation, delay"
 )
@@ -80,7 +88,7 @@ def test_a_known_delay_is_found_between_different_rates_and_under_an_offset(wind
         floats(window, "/a", TIMES, wave(TIMES)), floats(window, "/b", slow, 3 + wave(slow - 0.25) + noise)
     )
     assert found.delay_s == pytest.approx(0.25, abs=0.02)
-    assert "200 messages without a partner (250 and 50 received)." in found.reasons
+    assert "200 messages have no partner (250 and 50 received)." in found.reasons
 
 
 def test_a_known_offset_is_the_mean_difference(window: Make) -> None:
@@ -133,7 +141,7 @@ def test_a_tolerance_widens_identical(window: Make) -> None:
 def test_lost_messages_are_no_identity(window: Make) -> None:
     found = evaluate(floats(window, "/a", TIMES, wave(TIMES)), floats(window, "/b", TIMES[::2], wave(TIMES[::2])))
     assert found.verdict == "SIMILAR"
-    assert found.reasons == ["125 messages without a partner (250 and 125 received)."]
+    assert found.reasons == ["125 messages have no partner (250 and 125 received)."]
 
 
 def test_nan_in_both_is_equal_and_in_one_is_told(window: Make) -> None:
@@ -147,7 +155,7 @@ def test_nan_in_both_is_equal_and_in_one_is_told(window: Make) -> None:
 
 def test_a_silent_topic_is_very_different(window: Make) -> None:
     found = evaluate(floats(window, "/a", TIMES, TIMES), floats(window, "/b", [], []))
-    assert (found.verdict, found.reasons) == ("VERY DIFFERENT", ["/b sent nothing."])
+    assert (found.verdict, found.reasons) == ("VERY DIFFERENT", ["No message was received on /b."])
 
 
 def test_arrays_are_compared_element_by_element(window: Make) -> None:
@@ -184,7 +192,7 @@ def test_rotations_differ_by_the_angle_between_them(window: Make) -> None:
     found = evaluate(a, b)
     (field,) = found.fields
     assert [field.mean_difference, field.rms_difference, field.scale] == pytest.approx([0.3, 0.3, math.pi])
-    assert found.reasons == ["quaternion differs by 0.3 rad (9.55 %) RMS, 0.3 at most."]
+    assert found.reasons == ["quaternion differs by 0.3 rad (9.55 %) RMS, at most 0.3."]
     half = evaluate(turned(window, "/a", np.zeros(len(TIMES))), turned(window, "/b", np.full(len(TIMES), math.pi)))
     assert (half.verdict, half.fields[0].max_percent) == ("VERY DIFFERENT", pytest.approx(100.0))
     (z,) = evaluate(a, b, ["quaternion.z"]).fields
@@ -318,18 +326,18 @@ def joints(window: Make, topic: str, **lists):
 def test_fields_of_which_there_is_nothing_agree_in_nothing(window: Make) -> None:
     a, b = joints(window, "/a", position=[1.0]), joints(window, "/b", position=[1.0], effort=[5.0])
     found = evaluate(a, a, ["effort"])
-    assert (found.verdict, found.reasons) == ("VERY DIFFERENT", ["Nothing to compare in either: effort."])
+    assert (found.verdict, found.reasons) == ("VERY DIFFERENT", ["No value on either topic: effort."])
     found = evaluate(a, b, ["effort"])
     assert (found.verdict, len(found.reasons)) == ("VERY DIFFERENT", 1)
     assert evaluate(a, b, ["position", "effort"]).verdict == "DIFFERENT"
     found = evaluate(a, a, ["position", "effort"])
     assert found.reasons[0].startswith("All 1 fields of")
-    assert (found.verdict, found.reasons[1:]) == ("IDENTICAL", ["Nothing to compare in either: effort."])
+    assert (found.verdict, found.reasons[1:]) == ("IDENTICAL", ["No value on either topic: effort."])
 
 
 def test_a_rotation_that_was_never_set_is_not_said_to_be_missing(window: Make) -> None:
     found = evaluate(turned(window, "/a", wave(TIMES)), turned(window, "/b", wave(TIMES), 0.0))
-    assert found.reasons == ["250 rotations missing, or never set, on one topic only."]
+    assert found.reasons == ["250 rotations are missing or never set on one topic only."]
     assert found.verdict == "VERY DIFFERENT"
 
 

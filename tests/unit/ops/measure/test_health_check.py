@@ -42,7 +42,7 @@ async def check(present: Sequence[TopicEndpoints], windows: Sequence[Window], **
 
 def state_of(found: Health, name: str) -> str:
     rows: dict[str, str] = {row.topic_name: row.state for row in found.topics}
-    return rows[name] if name in rows else found.in_short[name].partition(",")[0]
+    return rows[name] if name in rows else found.other_topics[name].partition(",")[0]
 
 
 def at(rate_hz: float, duration_s: float = 3.0) -> list[tuple[float, dict[str, Any]]]:
@@ -63,8 +63,8 @@ async def test_what_was_published_in_this_session_and_has_no_publisher_any_more_
     found = await check_health(Recorded([], GraphSnapshot({}, ["/nav"], [], left=left)), Expectations())
     assert found.verdict == "CRITICAL"
     assert [(row.severity, row.subject, row.problem) for row in found.findings] == [
-        ("critical", "/lidar", "/lidar has left: nobody publishes any longer on /imu, /scan."),
-        ("critical", "/nav", "/nav is there, but nobody publishes any longer on /pose."),
+        ("critical", "/lidar", "/lidar has left: no publisher is left on /imu, /scan."),
+        ("critical", "/nav", "/nav is there, but no publisher is left on /pose."),
         ("warning", "/camera", "It was running earlier in this session, and has left."),
     ]
 
@@ -101,8 +101,8 @@ async def test_topics_that_are_as_they_should_be_are_told_in_short(window: Make)
         ("/scan", "SILENT", None),
         ("/scan3", "OK", 9.877),
     ]
-    assert len(found.in_short) == 19 and set(found.in_short.values()) == {"OK, 9.877 Hz"}
-    short = len(json.dumps(found.in_short))
+    assert len(found.other_topics) == 19 and set(found.other_topics.values()) == {"OK, 9.877 Hz"}
+    short = len(json.dumps(found.other_topics))
     assert short < 700
 
 
@@ -256,7 +256,7 @@ async def test_a_stream_of_which_only_a_message_from_before_came_is_silent_and_i
     assert [row.problem for row in found.findings] == [
         "/base publishes it, but nothing new came: 1 message, 8 s old, from before."
     ]
-    assert found.in_short["/map"] == "OK, 1 message, 63 s old, from before"
+    assert found.other_topics["/map"] == "OK, 1 message, 63 s old, from before"
 
 
 async def test_the_first_in_a_chain_is_named(window: Make) -> None:
@@ -274,9 +274,9 @@ async def test_the_first_in_a_chain_is_named(window: Make) -> None:
     [finding] = found.findings
     assert (finding.subject, finding.recommendation) == (
         "/robot_description",
-        "Start what publishes /robot_description.",
+        "Start the node that publishes /robot_description.",
     )
-    assert "/joints waits for /robot_description, which nobody publishes" in finding.problem
+    assert "/joints subscribes to /robot_description, which has no publisher" in finding.problem
     assert "/odom" in finding.problem and "/joint_states" in finding.problem
 
 
@@ -352,7 +352,7 @@ async def test_a_node_that_left_is_one_finding_with_what_is_missing_without_it(w
     found = await check_health(Recorded([], gone), Expectations(topics=["/scan"], nodes=["/lidar", "/other"]))
     assert [finding.subject for finding in found.findings] == ["/lidar", "/other"]
     problem = found.findings[0].problem
-    assert problem.startswith("/lidar has left: nobody publishes any longer on /scan. /scan: Nobody publishes on")
+    assert problem.startswith("/lidar has left: no publisher is left on /scan. /scan: The expected topic has no")
     assert "The expected node is missing." in problem and "/nav subscribes to it" in problem
 
 
@@ -386,7 +386,7 @@ async def test_a_mismatch_of_qos_degrades(window: Make) -> None:
 
 async def test_a_node_that_waits_for_a_sensor_that_nobody_publishes_degrades(window: Make) -> None:
     found = await check([topic("/scan", (), [endpoint("/nav", SCAN)])], [window("/x", SCAN, [], 3.0)])
-    assert (found.verdict, found.findings[0].problem) == ("DEGRADED", "/nav subscribes to it, but nobody publishes.")
+    assert (found.verdict, found.findings[0].problem) == ("DEGRADED", "/nav subscribes to it, but it has no publisher.")
     assert found.subscribers_without_publishers == ["/scan"]
 
 
@@ -453,7 +453,7 @@ async def test_a_very_broken_robot_still_gives_a_short_report(window: Make) -> N
     ]
     found = await check(pairs, [window("/x", SCAN, [], 3.0)])
     assert found.counts["findings"] == 200
-    assert len(found.findings) == 40 and len({*(row.topic_name for row in found.topics), *found.in_short}) == 60
+    assert len(found.findings) == 40 and len({*(row.topic_name for row in found.topics), *found.other_topics}) == 60
 
 
 async def test_an_expected_latched_topic_needs_its_one_message_and_no_rate(window: Make) -> None:

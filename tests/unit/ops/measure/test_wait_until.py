@@ -22,7 +22,7 @@ def ramp(window: Make) -> Recorded:
 @pytest.mark.promise("ros2_wait_until", "In a recording, returns the first that met it")
 async def test_the_first_message_that_meets_the_condition_is_returned(window: Make) -> None:
     found = await wait_until(ramp(window), "/x", "data > 400")
-    assert (found.met, found.looked_at, found.message, dict(found.values)) == (
+    assert (found.met, found.messages_checked, found.message, dict(found.values)) == (
         True,
         402,
         {"data": 401.0},
@@ -34,7 +34,7 @@ async def test_the_first_message_that_meets_the_condition_is_returned(window: Ma
 
 async def test_the_last_seen_is_returned_if_none_meets_it(window: Make) -> None:
     found = await wait_until(ramp(window), "/x", "data < 0")
-    assert (found.met, found.looked_at, found.message) == (False, 1000, {"data": 999.0})
+    assert (found.met, found.messages_checked, found.message) == (False, 1000, {"data": 999.0})
     assert "was not met" in found.summary()
 
 
@@ -85,14 +85,14 @@ async def test_silence_says_so(window: Make) -> None:
 
 async def test_messages_without_an_answer_are_counted(window: Make) -> None:
     found = await wait_until(ramp(window), "/x", "1 / data > 0.9")
-    assert (found.met, found.looked_at, found.undecided) == (True, 2, 1)
+    assert (found.met, found.messages_checked, found.not_evaluable) == (True, 2, 1)
 
 
 async def test_why_a_message_has_no_answer_is_told_with_the_indices_that_there_are(window: Make) -> None:
     scans = [(i / 10, {"ranges": [1.0, 2.0, 3.0]}) for i in range(4)]
     source = Recorded([window("/scan", "sensor_msgs/msg/LaserScan", scans)])
     found = await wait_until(source, "/scan", "ranges[5] < 1.0")
-    assert (found.met, found.undecided) == (False, 4)
+    assert (found.met, found.not_evaluable) == (False, 4)
     said = "4 of 4 messages could not be checked: ranges[5]: there is no element [5], only [0] to [2]."
     assert found.note == said
     empty = Recorded([window("/scan", "sensor_msgs/msg/LaserScan", [(0.0, {})])])

@@ -199,7 +199,7 @@ async def test_a_recording_that_runs_goes_on_until_now_however_long_nothing_came
 
 async def test_a_named_topic_that_nobody_publishes_is_told(tmp_path: Path, robot: Robot) -> None:
     state = await recording.start(robot, robot.session(), BagStore(tmp_path), RecordRequest(topics=["/later"]))
-    assert state.notes == ["/later: nobody publishes it yet; recording begins within a second after somebody does."]
+    assert state.notes == ["/later: no publisher yet; recording begins within a second after one appears."]
 
 
 async def test_what_is_still_being_recorded_is_not_called_damaged(tmp_path: Path, robot: Robot) -> None:

@@ -54,6 +54,13 @@ async def test_a_limit_itself_is_allowed_and_what_lies_behind_it_is_not() -> Non
         await planned({"elbow_joint": 2.6001})
 
 
+@pytest.mark.parametrize("limit", ['lower="${-pi}" upper="2.6"', 'lower="nan" upper="inf"'])
+async def test_a_joint_whose_limits_are_no_numbers_is_not_held_between_zero_and_zero(limit: str) -> None:
+    urdf = parse(description().replace('lower="-2.6" upper="2.6"', limit))
+    with pytest.raises(BadInput, match="elbow_joint: its limits are unknown"):
+        await planned({"elbow_joint": 0.0}, urdf=urdf)
+
+
 async def test_a_time_in_which_a_joint_is_too_fast_is_refused_with_one_that_is_not() -> None:
     with pytest.raises(BadInput, match=r"Give at least 1\.20 s"):
         await planned({"elbow_joint": 0.0}, duration_s=1.1)
@@ -78,7 +85,7 @@ async def test_without_a_velocity_limit_a_time_is_asked_for() -> None:
 
 async def test_joints_of_which_nothing_is_heard_are_named_with_those_that_are() -> None:
     heard = JointStates(["/joint_states"], {"elbow_joint": At(0.0, monotonic())})
-    with pytest.raises(NotFound, match="of wrist_1_joint: reported are elbow_joint on /joint_states"):
+    with pytest.raises(NotFound, match="reports wrist_1_joint: only elbow_joint on /joint_states"):
         await heard.wait_for(["elbow_joint", "wrist_1_joint"], within_s=0.05)
 
 

@@ -166,3 +166,19 @@ def test_a_static_transform_whose_publisher_has_gone_is_said_as_such_below_a_ser
     server, left = nav_findings_in(whole(frames=mount, states=states))
     assert (server.subject, left.subject) == ("/planner_server", "base_link → laser")
     assert left.rank == "makes it worse" and "by a node that has gone" in left.cause
+
+
+def test_a_scan_that_fits_the_map_only_if_it_is_turned_is_a_heading_or_a_lidar_that_is_turned() -> None:
+    cells = np.zeros((40, 80), np.int8)
+    cells[0], cells[-1], cells[:, 0], cells[:, -1] = 100, 100, 100, 100
+    angles = [-math.pi + number * 2 * math.pi / 120 for number in range(120)]
+    ranges = [min(3.9 / (abs(math.cos(one)) + 1e-9), 1.95 / (abs(math.sin(one)) + 1e-9)) for one in angles]
+
+    def cause(turned: int) -> list[str]:
+        rows = heard("/scan", SCAN, ["/lidar"], [scan(ranges[turned:] + ranges[:turned])] * 5, frame_id="laser")
+        grids = Grids(map=grid(cells, corner=(-4.0, -2.0)), map_topic="/map")
+        return [one.cause for one in found(*READ, THE_MAP, grids=grids, **parts_of(WELL, {**rows, **ODOMS}))]
+
+    assert cause(0) == []
+    (turned,) = cause(30)
+    assert "only if it is turned by 90°" in turned or "only if it is turned by -90°" in turned

@@ -64,5 +64,5 @@ async def test_of_several_none_is_guessed(names: Sequence[str]) -> None:
 
 
 async def test_where_there_is_none_that_is_said() -> None:
-    with pytest.raises(NotFound, match="Nobody publishes sensor_msgs/msg/PointCloud2"):
+    with pytest.raises(NotFound, match="No topic of type sensor_msgs/msg/PointCloud2 has a publisher"):
         await only_topic(Listed(floor=OCCUPANCY_GRID), "", POINT_CLOUD)

@@ -106,7 +106,7 @@ async def test_a_missing_topic_leaves_the_others_and_is_named(window: Make) -> N
 
 async def test_a_silent_topic_is_drawn_empty_and_named(window: Make) -> None:
     found = await plotted([floats(window, "/a", [], [])], ["/a:data"])
-    assert (found.series[0].count, found.series[0].mean, found.note) == (0, None, "/a was silent.")
+    assert (found.series[0].count, found.series[0].mean, found.note) == (0, None, "/a had no messages.")
 
 
 @pytest.mark.parametrize("series", ["/odom:twist.twist.linaer", "/odom:header.frame_id", "/odom:child_frame_id"])

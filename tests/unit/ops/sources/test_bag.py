@@ -122,7 +122,7 @@ async def test_a_recording_is_read_from_its_start_or_without_one_from_its_end(
     selection = Selection(duration_s=duration_s, message_limit=limit)
     values, note = await read_of(store, "count", selection, start, end)
     assert values == expected
-    assert ("has no more of it" in note) == (limit is not None and limit > len(expected))
+    assert ("has no more messages of it" in note) == (limit is not None and limit > len(expected))
 
 
 async def test_a_latched_message_from_before_the_start_is_read(store: BagStore) -> None:
@@ -135,7 +135,7 @@ async def test_a_latched_message_from_before_the_start_is_read(store: BagStore) 
 async def test_nothing_in_a_part_is_said_to_be_nothing(store: BagStore) -> None:
     selection = Selection(message_limit=5)
     values, note = await read_of(store, "/count", selection, "first 0.01 s", "first 0.09 s")
-    assert values == [] and note == "The recording has nothing of it in that part."
+    assert values == [] and note == "The recording has no message of it in that part."
 
 
 async def test_the_flow_of_a_recording_is_that_of_the_whole_or_of_a_part(store: BagStore) -> None:

@@ -68,7 +68,7 @@ async def test_a_new_kind_of_source_is_one_class_and_one_line(tmp_path: Path, wi
     (measured,) = (await ask("ros2_topic_statistics", topic_names=["/x"], bag="made"))["topics"]
     assert (measured["count"], measured["fields"][0]["max"]) == (11, 10.0)
     assert (await ask("ros2_topic_stats", topic_names=["/x"], bag="made"))["topics"][0]["rate_hz"] == pytest.approx(10)
-    assert (await ask("ros2_wait_until", topic_name="/x", condition="data > 3", bag="made"))["looked_at"] == 5
+    assert (await ask("ros2_wait_until", topic_name="/x", condition="data > 3", bag="made"))["messages_checked"] == 5
     read = await ask("ros2_topic_subscribe", topic_name="/x", bag="made", message_limit=2, every_n=3)
     assert [each["data"] for each in read["messages"]] == [0.0, 3.0]
     assert (await ask("ros2_health_check", bag="made"))["source"] == "made"
@@ -115,7 +115,7 @@ async def test_what_cannot_be_decoded_is_skipped_counted_and_told_by_whoever_rea
         assert told in found.note
     assert (read.received, read.count, kept.found) == (6, 4, 6)
     waited = await wait_until(await open_bag(damaged, "run"), "/count", "data > 9")
-    assert (waited.looked_at, waited.message) == (4, {"data": 4}) and told in waited.note
+    assert (waited.messages_checked, waited.message) == (4, {"data": 4}) and told in waited.note
 
 
 async def test_what_cannot_be_decoded_is_not_measured(damaged: BagStore) -> None:

@@ -190,14 +190,14 @@ def test_comparing_checking_plotting_and_waiting_look_at_all_of_it(large: Path, 
     same = called(large, "ros2_topic_compare", topic1_name="/odom", topic2_name="/odom_again")
     assert (same["verdict"], same["pairs"], same["equal_messages"]) == ("IDENTICAL", count, count)
     health = called(large, "ros2_health_check")
-    rates = {name: float(said.split()[1]) for name, said in health["in_short"].items() if said.startswith("OK, ")}
+    rates = {name: float(said.split()[1]) for name, said in health["other_topics"].items() if said.startswith("OK, ")}
     rates |= {row["topic_name"]: row["rate_hz"] for row in health["topics"]}
     times = known["/camera"]["times"]
     assert rates["/camera"] == four_digits((len(times) - 1) / ((times[-1] - times[0]) / 1e9))
     plot = called(large, "ros2_plot", series=["/odom:pose.pose.position.x"])
     assert [series["count"] for series in plot["series"]] == [count]
     never = called(large, "ros2_wait_until", topic_name="/odom", condition="pose.pose.position.x > 1e9")
-    assert (never["met"], never["looked_at"]) == (False, count)
+    assert (never["met"], never["messages_checked"]) == (False, count)
     part = called(large, "ros2_topic_subscribe", topic_name="/camera", duration=3600)
     assert part["received"] == len(known["/camera"]["times"])
     assert part["dropped"] == 0 or "did not fit in memory" in part.get("note", "")

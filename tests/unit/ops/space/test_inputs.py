@@ -13,7 +13,7 @@ from ros2_mcp.ops.space.inputs import (
     drive_types,
     orders_by_service,
     other_actions,
-    waited_for,
+    topics_without_publisher,
 )
 from ros2_mcp.ops.space.lines import Named
 
@@ -147,7 +147,7 @@ def test_topics_on_which_somebody_waits_for_orders_are_named_and_sensors_that_ar
         heard("/speech", "std_msgs/msg/String", "/driver"),
         heard("/chatter", "std_msgs/msg/String", "/listener", "/talker"),
     )
-    assert lines(waited_for(present, command_inputs(present, {}))) == [
+    assert lines(topics_without_publisher(present, command_inputs(present, {}))) == [
         "/setpoint_raw/local PositionTarget → /mavros",
         "/joint_angles JointAnglesWithSpeed → /driver",
         "/initialpose PoseWithCovarianceStamped → /amcl",

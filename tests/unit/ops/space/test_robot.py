@@ -88,10 +88,10 @@ async def test_everything_is_told_of_a_cart_with_a_laser(window: Make, robot: Ro
     assert found.footprint.startswith("0.60 × 0.44 m, centred")
     assert found.command_inputs == ["/cmd_vel Twist → /base"]
     assert found.sensors == [f"/scan LaserScan 10 Hz {IN_LASER}, 0.1 to 12 m over 360°"]
-    assert found.also_told == [JOINTS]
+    assert found.state_topics == [JOINTS]
     assert found.joints[0] == "left_wheel_joint continuous 1.5 rad"
     assert found.place == "In map at x 6.00 y 0.00 m, yaw 0° (TF, localised)."
-    assert found.frames == "map → odom → base_link; 3 in all"
+    assert found.frames == "map → odom → base_link; 3 frames in total"
     assert found.unhealthy == []
     assert "differential drive" in found.summary() and "Nothing unhealthy" in found.summary()
 
@@ -213,7 +213,7 @@ async def test_what_a_robot_tells_of_itself_has_its_value_and_one_that_is_a_faul
     ]
     found = await in_brief(robot, source(made))
     told = ["/is_homed Bool true", "/left_motor Float32", "/mode String «navigation»"]
-    assert found.also_told == [JOINTS, *told] and found.unhealthy == []
+    assert found.state_topics == [JOINTS, *told] and found.unhealthy == []
 
 
 async def test_how_wide_a_camera_and_an_ultrasound_see_is_told(window: Make, robot: Robot) -> None:
@@ -272,7 +272,7 @@ async def test_an_arm_that_its_description_fixes_in_the_world_is_there(window: M
     )
     described = window("/robot_description", "std_msgs/msg/String", [(0.0, {"data": urdf})])
     found = await in_brief(robot, source([described]))
-    assert found.place == "In world at x 0.50 y 0.00 z 1.00 m, yaw 90° (URDF, fixed there)."
+    assert found.place == "In world at x 0.50 y 0.00 z 1.00 m, yaw 90° (URDF, static)."
     assert (found.frames, found.unhealthy) == ("none", [])
     free = urdf.replace('type="fixed"', 'type="floating"')
     described = window("/robot_description", "std_msgs/msg/String", [(0.0, {"data": free})])
@@ -289,13 +289,13 @@ async def test_a_base_with_a_name_of_its_own_is_told_in_its_chain_of_frames(wind
         window("/tf", TF, [(4.9, {"transforms": [told]})]),
     ]
     found = await in_brief(robot, source(made))
-    assert (found.base_frame, found.frames) == ("base", "odom → base; 2 in all")
+    assert (found.base_frame, found.frames) == ("base", "odom → base; 2 frames in total")
 
 
 async def test_frames_that_did_not_come_are_not_said_to_be_none(window: Make, robot: Robot) -> None:
     made = [one for one in windows(window, CART) if one.topic != "/tf"]
     found = await in_brief(robot, source([*made, window("/tf", TF, [])]))
-    assert (found.frames, found.place) == ("not read", "The robot's place was not read in time."), found
+    assert (found.frames, found.place) == ("not read", "The robot's pose was not read in time."), found
 
 
 async def test_a_localiser_that_tells_no_place_is_told(window: Make, robot: Robot) -> None:
@@ -411,19 +411,19 @@ async def test_it_is_never_more_than_four_kilobytes_and_what_is_left_out_is_coun
     found = await in_brief(robot, made)
     assert bytes_of(found) <= MOST_BYTES
     whole = await in_brief(robot, made, whole=True)
-    assert (len(whole.joints), whole.left_out) == (count + len(("the left wheel", "the right wheel")), 0)
+    assert (len(whole.joints), whole.omitted) == (count + len(("the left wheel", "the right wheel")), 0)
     assert whole.joints[count - 1] == (
         f"a_long_name_of_the_joint_{count - 1} position unknown, "
         f"limits -1 to {1 + (count - 1) / 10:g} rad, at most 1 rad/s"
     )
     if count == 3:
-        assert (found.left_out, found.joints) == (0, whole.joints)
+        assert (found.omitted, found.joints) == (0, whole.joints)
         return
     *first, account = found.joints
     assert len(first) > 10 and first == whole.joints[: len(first)]
     assert account == f'{len(whole.joints) - len(first)} more: part="joints" shows all.'
-    assert found.left_out == len(whole.joints) - len(first)
-    assert str(found.left_out) in found.summary()
+    assert found.omitted == len(whole.joints) - len(first)
+    assert str(found.omitted) in found.summary()
 
 
 async def test_one_part_is_told_in_full_beside_what_is_unhealthy_and_the_others_are_counted(
@@ -433,7 +433,7 @@ async def test_one_part_is_told_in_full_beside_what_is_unhealthy_and_the_others_
     whole, found = await in_brief(robot, made, whole=True), await in_brief(robot, made, part="joints")
     assert (found.joints, found.unhealthy) == (whole.joints, whole.unhealthy) and len(found.joints) == 202
     assert found.sensors == ['1: part="sensors" shows all.'] and found.controllers == []
-    assert found.left_out == len([*whole.sensors, *whole.command_inputs, *whole.also_told])
+    assert found.omitted == len([*whole.sensors, *whole.command_inputs, *whole.state_topics])
 
 
 @pytest.mark.parametrize("part", get_args(Part)[1:])
@@ -463,6 +463,6 @@ async def test_what_is_only_named_is_left_out_before_what_is_described(window: M
     graph = await live.graph()
     found = await in_brief(robot, Recorded([*made], GraphSnapshot(graph.topics, graph.nodes, services)))
     assert found.joints == ["left_wheel_joint continuous 1.5 rad", "right_wheel_joint continuous -0.25 rad"]
-    assert "/scan LaserScan" in found.sensors[0] and len(found.also_told) == 31
-    assert found.command_services[-1] == f'{found.left_out} more: part="command_services" shows all.'
+    assert "/scan LaserScan" in found.sensors[0] and len(found.state_topics) == 31
+    assert found.command_services[-1] == f'{found.omitted} more: part="command_services" shows all.'
     assert bytes_of(found) <= MOST_BYTES

@@ -85,7 +85,7 @@ def test_a_publisher_that_has_sent_nothing_is_named() -> None:
     tree = tree_of((1, (("odom", "base_link"),)))
     tellers = Tellers(tree, {"/tf": Publishers(["/amcl", "/diff_drive"])}, {})
     said = silent_in_words(tellers, 4.0)
-    assert said[0].startswith("/amcl publishes on /tf and has sent nothing in 4 s of listening.")
+    assert said[0].startswith("/amcl publishes on /tf and has sent nothing in 4 s.")
     unclear = Tellers(tree, {"/tf": Publishers(["/one", "/two"])}, {})
     assert silent_in_words(unclear, 4.0)[0].startswith("1 of /one, /two publishes on /tf and has sent nothing")
 

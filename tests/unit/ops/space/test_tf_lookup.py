@@ -83,10 +83,14 @@ async def test_over_a_duration_the_answer_is_the_mean_with_its_spread(recorded: 
     found = await tf_lookup(recorded, request("odom", "base_link", duration_s=2.0))
     assert found.translation.x == pytest.approx(3.0)
     assert found.spread
-    assert (found.spread.count, found.spread.moved_m, found.spread.most_m) == (21, pytest.approx(2), pytest.approx(1))
+    assert (found.spread.count, found.spread.moved_m, found.spread.max_deviation_m) == (
+        21,
+        pytest.approx(2),
+        pytest.approx(1),
+    )
     assert found.spread.std_x_m == pytest.approx(math.sqrt(sum((n / 10) ** 2 for n in range(-10, 11)) / 21))
     still = await tf_lookup(recorded, request("base_link", "laser", duration_s=2.0))
-    assert still.is_static and still.spread and still.spread.most_m == 0.0
+    assert still.is_static and still.spread and still.spread.max_deviation_m == 0.0
 
 
 async def test_points_and_poses_of_one_frame_are_given_in_the_other(recorded: Recorded) -> None:

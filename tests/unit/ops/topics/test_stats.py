@@ -138,7 +138,7 @@ async def test_without_names_all_topics_are_measured_that_somebody_publishes(win
 
 
 async def test_without_names_and_without_topics_it_says_so(window: Make) -> None:
-    with pytest.raises(NotFound, match="Nobody publishes on any topic"):
+    with pytest.raises(NotFound, match="has a publisher"):
         await measure(Recorded([window("/speed", FLOAT, [])], GraphSnapshot({}, None, None)))
 
 

@@ -33,11 +33,11 @@ def _find(evidence: Evidence) -> Iterator[Finding]:
             problem = f"Diagnostics report {row.level}: {quoted(row.message)}."
             yield Finding(severity, row.name, problem, "Check its values.", cause)
         elif idle := _idle_parts(row, known):
-            problem = f"Diagnostics report OK, and of a part that does nothing: {'; '.join(idle[:_MOST_PARTS])}."
+            problem = f"Diagnostics report OK, but an inactive part: {'; '.join(idle[:_MOST_PARTS])}."
             yield Finding("warning", row.name, problem, "Activate the part, if it is needed.", cause)
     for row in () if evidence.is_live else evidence.diagnostics.past:  # recorded faults that have ended since
         problem = f"Diagnostics reported {row.level} at {row.received_at}: {quoted(row.message)}."
-        yield Finding("warning", row.name, problem, "It has become better since.")
+        yield Finding("warning", row.name, problem, "It has improved since.")
 
 
 def _idle_parts(row: Diagnostic, judged: set[str]) -> list[str]:

@@ -18,7 +18,7 @@ def _find(evidence: Evidence) -> Iterator[Finding]:
             advice = "Give both the same type and compatible QoS; no message passes between them now."
             yield Finding("warning", name, sentence, advice)
         if streams(topic) and topic.subscribers and not topic.publishers and name not in remapped:
-            problem = f"{nodes_of(topic.subscribers)} subscribes to it, but nobody publishes."
+            problem = f"{nodes_of(topic.subscribers)} subscribes to it, but it has no publisher."
             cause = only(evidence.graph.left.topics.get(name, ()))
             yield Finding("warning", name, problem, "Start the sensor's driver, or correct a remapping.", cause)
 

@@ -84,19 +84,17 @@ def _of(evidence: Evidence, row: TopicRow, measured: Flow | None, waits: Mapping
         root = evidence.graph.topics.get(waits.get(row.topic_name, ""))
         if root and not root.publishers:
             who = listed(sorted({one.node for one in root.subscribers}), MAX_NAMES)
-            problem = f"{who} waits for {root.topic}, which nobody publishes; so {row.topic_name} is silent."
-            advice = f"Start what publishes {root.topic}."
+            problem = f"{who} subscribes to {root.topic}, which has no publisher; so {row.topic_name} has no messages."
+            advice = f"Start the node that publishes {root.topic}."
             if published := led_nowhere(evidence.graph.topics).get(root.topic):
-                problem = f"So {row.topic_name} is silent: its publisher waits for {root.topic}."
+                problem = f"So {row.topic_name} has no messages: its publisher waits for {root.topic}."
                 advice = f"If they belong together, remap one: {published.topic}:={root.topic}."
             cause = only(evidence.graph.left.topics.get(root.topic, ())) if published else ""
             yield Finding(severity, root.topic, problem, advice, cause or root.topic)
             return
         if root:
-            problem += (
-                f" The cause may be {root.topic}: what {nodes_of(root.publishers)} publishes there is silent, too."
-            )
-            advice = f"First find out why {root.topic} is silent."
+            problem += f" The cause may be {root.topic}: {nodes_of(root.publishers)} sends no messages there either."
+            advice = f"First find out why {root.topic} has no messages."
             cause = only(sorted({one.node for one in root.publishers})) or root.topic
         yield Finding(severity, row.topic_name, problem, advice, cause)
 

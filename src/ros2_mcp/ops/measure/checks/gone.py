@@ -13,9 +13,9 @@ _STEADY = STREAM_TYPES | ONCE_A_SECOND
 
 
 def _find(evidence: Evidence) -> Iterator[Finding]:
-    """Report what has left. It is critical for sensors and expected names; other nodes (a display, a remote control,
-    one of several localisations) may have been closed on purpose. While discovery goes on, all of them may still
-    appear.
+    """Report nodes and publishers that have left. This is critical for sensors and expected names; other nodes (a
+    display, a remote control, one of several localisations) may have been closed on purpose. While discovery is under
+    way, all of them may still appear.
     """
     graph, expected = evidence.graph, evidence.expected
     if graph.absence:
@@ -28,7 +28,7 @@ def _find(evidence: Evidence) -> Iterator[Finding]:
     for publishers, topics in silenced.items():
         gone = [node for node in publishers if node in graph.left.nodes]
         who = f"{listed(gone, MAX_NAMES)} has left:" if gone else f"{listed(publishers, MAX_NAMES)} is there, but"
-        problem = f"{who} nobody publishes any longer on {listed(sorted(topics), MAX_NAMES)}."
+        problem = f"{who} no publisher is left on {listed(sorted(topics), MAX_NAMES)}."
         advice = "Start the node again; ros2_log_read may show why it ended."
         is_needed = any(graph.left.types.get(name) in _STEADY or name in expected.topics for name in topics)
         severity = "critical" if is_needed and graph.settled else "warning"

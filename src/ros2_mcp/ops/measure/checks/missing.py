@@ -18,7 +18,7 @@ def _find(evidence: Evidence) -> Iterator[Finding]:
             hint = names.did_you_mean(name, list(graph.topics), "Start the node that publishes it.")
             yield Finding("critical", name, "The expected topic does not exist.", hint, cause)
         elif not graph.topics[name].publishers:
-            yield Finding("critical", name, "Nobody publishes on the expected topic.", "Start its publisher.", cause)
+            yield Finding("critical", name, "The expected topic has no publisher.", "Start its publisher.", cause)
     kinds = (("service", expected.services, graph.services), ("node", expected.nodes, graph.nodes))
     for kind, expected_names, present in kinds:
         for name in expected_names if present is not None else ():

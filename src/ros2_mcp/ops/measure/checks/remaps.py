@@ -1,4 +1,4 @@
-"""A subscribed topic without a publisher beside a similar one without a subscriber: most likely a missing remapping."""
+"""A subscribed topic without a publisher, and a similar one without a subscriber: most likely a missing remapping."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ def _find(evidence: Evidence) -> Iterator[Finding]:
     for name, published in led_nowhere(evidence.graph.topics).items():
         awaited = evidence.graph.topics[name]
         who, by = nodes_of(awaited.subscribers), nodes_of(published.publishers)
-        problem = f"{who} waits for it, and nobody publishes it; {by} publishes {published.topic}, which nobody hears."
+        other = f"{by} publishes {published.topic}, which has no subscriber"
+        problem = f"{who} subscribes to it, but it has no publisher; {other}."
         advice = f"If they belong together, remap one: {published.topic}:={name}."
         yield Finding("warning", name, problem, advice, only(evidence.graph.left.topics.get(name, ())) or name)
 

@@ -18,7 +18,7 @@ def _find(evidence: Evidence) -> Iterator[Finding]:
             far = max(joints.values())
             who = listed(sorted(rivals.publishers), MAX_NAMES)
             told = ", ".join(map(named, list(joints)[:_MOST_JOINTS]))
-            problem = f"{who} contradict each other: {told} jumps there and back by up to {far:.3g} rad or m."
+            problem = f"{who} contradict each other: {told} jumps back and forth by up to {far:.3g} rad or m."
             advice = "Stop or remap all publishers but one, or let each publish other joints."
             yield Finding("warning", topic, problem, advice)
 

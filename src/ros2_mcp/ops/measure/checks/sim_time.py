@@ -25,7 +25,8 @@ def _find(evidence: Evidence) -> Iterator[Finding]:
             (simulated if value else by_wall).append(node)
     advice = "Give all nodes the same use_sim_time: true with a simulator or a bag that publishes /clock, else false."
     if simulated and not clocks:
-        problem = f"use_sim_time is true, and nobody publishes /clock: {listed(simulated, MAX_NAMES)}. Its time stands."
+        who = listed(simulated, MAX_NAMES)
+        problem = f"use_sim_time is true, but /clock has no publisher: {who}. The clock of these nodes does not run."
         yield Finding("warning", simulated[0], problem, advice)
     elif simulated and by_wall:
         problem = f"use_sim_time is false, unlike that of {len(simulated)} others: {listed(by_wall, MAX_NAMES)}."
