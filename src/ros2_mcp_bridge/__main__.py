@@ -52,7 +52,7 @@ ACTING = frozenset({"publish", "repeat", "relay", "relay_feed", "move"})
 # Operations that only end something, and start nothing.
 ENDING = frozenset({"cancel", "zero", "repeat_stop", "relay_stop"})
 # An outage of the network may end after the server has given up this bridge, 4 s after its last sign of life (SILENCE_S
-# there; ssh uses the same time). Packets that it had sent then still arrive: old commands, perhaps from before a stop
+# there). Packets that it had sent then still arrive: old commands, perhaps from before a stop
 # that this bridge never receives. So requests sent longer ago than this do not act. It is less than those 4 s, and more
 # than any delay that a connection was measured to survive (1.0 s at 15 % loss).
 LATE_S = 3.5
