@@ -28,7 +28,8 @@ CONNECT_S = 10
 # a small machine.
 REACH_S = 12.0
 # A bridge without any packet for this long, in s, has no server any more: it stops everything and exits. Longer than
-# any outage that one connection survives (the server gives up after 4 to 5 s, ssh after 13), so that it does not disturb its successor.
+# any outage that one connection survives (the server gives up after 4 to 5 s, ssh after 13), so that it does not
+# disturb its successor.
 ORPHAN_S = 15
 # The most characters of a failed command's output in an error: its last sentence or two.
 _MOST_SAID = 300

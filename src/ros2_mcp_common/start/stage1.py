@@ -24,8 +24,8 @@ MARKER = b"\0ros2-mcp "
 # The oldest Python that can search for ROS 2. Humble, the oldest supported ROS 2, has 3.10; the system's own Python,
 # which only searches, may be older.
 OLDEST_PYTHON = (3, 8)
-# The longest time for the zip to arrive, and again from there to the bridge's hello, the same as the bridge's own limit:
-# for setup files on a slow disk. Then the kernel ends a process that hangs, since the server may be gone.
+# The longest time for the zip to arrive, and again from there to the bridge's hello, the same as the bridge's own
+# limit: for setup files on a slow disk. Then the kernel ends a process that hangs, since the server may be gone.
 ALARM_S = 30
 # The period at which it is told how much of the zip has come.
 TELLS_S = 0.5
@@ -112,7 +112,7 @@ def main() -> None:
         _become_newer()  # before anything else is read
     head = json.loads(_read_line())
     nonce = head["nonce"]
-    # Before the zip is read: on a link of 64 kbit/s it takes 15 s, and the server waits for this line no longer than 12.
+    # Before the zip is read, which takes 15 s at 64 kbit/s: the server waits for this line no longer than 12 s.
     tell(nonce, "reached", python=sys.version.split()[0], executable=sys.executable, machine=os.uname().machine)
     archive = _read(head["size"], nonce)
     signal.alarm(ALARM_S)

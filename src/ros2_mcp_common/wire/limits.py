@@ -47,12 +47,12 @@ PIECE_S = 0.026
 # The window of unacknowledged bytes of pieces, all of which may be ahead of a small packet in the link: 0.1 s at
 # 5 Mbit/s. 128 KiB were measured to double the time of a request there, for no more images. A slower link gets less: as
 # much as it carries in WINDOW_S. A new link, whose rate is not known, begins with FIRST_WINDOW_BYTES, in pieces of
-# FIRST_PIECE_BYTES: 1 s at 64 kbit/s. One of 5 Mbit/s at 42 ms is full after 0.25 s, one of 50 Mbit/s at 0.1 s after
-# 1.5 s.
+# FIRST_PIECE_BYTES: 0.5 s at 64 kbit/s, in four TCP segments, which even a short queue holds. One of 5 Mbit/s at 42 ms
+# is full after 0.25 s, one of 50 Mbit/s at 0.1 s after 1.75 s.
 WINDOW_BYTES = 64 * 1024
 WINDOW_S = 0.1
-FIRST_WINDOW_BYTES = 8 * 1024
-FIRST_PIECE_BYTES = 2 * 1024
+FIRST_WINDOW_BYTES = 4 * 1024
+FIRST_PIECE_BYTES = 1024
 # The largest window, for a link that carries more in one round trip: 160 Mbit/s at 0.2 s, which is little memory.
 MOST_WINDOW_BYTES = 4 * 1024 * 1024
 # The fastest turn in rad/s with which `ros2_drive` steers back to its course or squares a line: within the limits of

@@ -40,9 +40,9 @@ GAIN = 1.25
 # The capacity of the link is the highest rate of this last period: longer than the pause between two images, and short
 # enough that a radio link that has become slow is noticed.
 RATE_KEPT_S = 5.0
-# A piece that is acknowledged so much later than in the shortest round trip, in s, shows that the link carries less than
-# that by now, or what is sent compresses less (ssh -C). Retransmissions alone take less.
-SLOWED_S = 1.0
+# A piece that is acknowledged so much later than in the shortest round trip, in s, shows that the link carries less
+# than that by now, or that what is sent compresses less (ssh -C). Retransmissions alone take less.
+SLOWED_S = 0.5
 
 
 class Credit:
