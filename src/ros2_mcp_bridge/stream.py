@@ -203,7 +203,7 @@ class Outbox:
         """Send a reply or an event. If it is too large for a packet, an error is sent instead."""
         packet = _pack(header, body)
         with self._changed:
-            if self._credit is not None and len(packet) > self._credit.piece_bytes:
+            if self._credit is not None and "id" in header and len(packet) > self._credit.piece_bytes:
                 self._large.append(Cut("event", LANE_OF_REQUESTS, packet))
             else:
                 self._packets.append(packet)
