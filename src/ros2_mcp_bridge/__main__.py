@@ -54,9 +54,9 @@ ACTING = frozenset({"publish", "repeat", "relay", "relay_feed", "move"})
 # Operations that only end something, and start nothing.
 ENDING = frozenset({"cancel", "zero", "repeat_stop", "relay_stop"})
 # An outage of the network may end after the server has given up this bridge, 4 s after its last sign of life (SILENCE_S
-# there; ssh uses the same time). Packets that it had sent then still arrive: old commands, perhaps from before a stop
-# that this bridge never receives. So requests sent longer ago than this do not act. It is less than those 4 s, and more
-# than any delay that a connection was measured to survive (1.0 s at 15 % loss).
+# there). Packets that it had sent then still arrive: old commands, perhaps from before a stop that this bridge never
+# receives. So requests sent longer ago than this do not act. It is less than those 4 s, and more than any delay that a
+# connection was measured to survive (1.0 s at 15 % loss).
 LATE_S = 3.5
 # The longest wait for the last packets to be written: they are few, and the reader may be gone.
 LAST_WORDS_S = 0.2
@@ -138,11 +138,13 @@ class Bridge:
         try:
             from ros2_mcp_bridge import operations
             from ros2_mcp_bridge.ros import context as ros
+            from ros2_mcp_bridge.ros import shared_memory
             from ros2_mcp_bridge.stopper import stopper, udp
 
             missing = "init_failed"
             operations.load_types()
             copies = {name: copy_process(partial(stopper.main, name)) for name in STOPPERS}
+            shared_memory.remove_dead()
             with udp.alone_if_memory_is_full():
                 node, executor = ros.enter(f"{BRIDGE_NODE}{os.getpid()}")
             self._operations = operations.Operations(

@@ -19,7 +19,6 @@ BEGINS_TASKS = {
     "ops/space/plans.py:hear": "ended by `close` with the robot; it reads, and moves nothing",
     "ops/sources/newest_samples.py:of": "ended by `close` with the robot; it reads, and moves nothing",
     "ops/navigation/last_costmaps.py:_begun": "ended by `close` with the robot; it reads, and moves nothing",
-    "ops/navigation/probe.py:_recording": "ended in the `finally` of the context that reads what is published meanwhile",
     "ops/watch/watchers.py:__init__": "a watch ends with the last who listens to it, and moves nothing",
 }
 """Operations that begin tasks, and why none of them can outlive what began it unseen."""

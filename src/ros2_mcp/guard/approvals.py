@@ -32,8 +32,6 @@ MOST_PENDING = 8
 request is dropped in its favour."""
 _MOST_PENDING = 64
 """The most waiting requests of all clients together."""
-_ON_THE_WAY_S = 3600.0
-"""The time limit from one place of an approved route to the next, in s: a robot may drive for minutes."""
 _ID_LETTERS = "ABCDEFGHJKMNPQRSTUVWXYZ23456789"
 """Characters of an id: without I, L, O, 0 and 1, which are mistaken for one another when an id is read aloud."""
 _ID_LENGTH = 4
@@ -47,8 +45,7 @@ class Request:
 
     `nonce` identifies the request beyond its short `id`, so that an answer applies only to the request that the
     operator has read. `until` is the expiry time on the clock of `Approvals`, in s. `bounds` is a sentence about how
-    the policy bounds the command. `by` is the operator who answered. `used` are the places of a route for which the
-    approval was used.
+    the policy bounds the command. `by` is the operator who answered.
     """
 
     id: str
@@ -59,7 +56,6 @@ class Request:
     bounds: str = ""
     state: State = "waiting"
     by: str = ""
-    used: set[int] = field(default_factory=set[int])
 
     def summary(self) -> list[str]:
         """Return the lines about the request that an operator reads."""
@@ -85,13 +81,30 @@ class Grant:
         """Return whether the grant covers this command."""
         if exact.subject != self.exact.subject or exact.epoch != self.exact.epoch:
             return False
-        return all(_size_at(exact.value, path.split(".")) <= most for path, most in self.most.items())
+        sizes = ((_size_at(goal, path.split(".")), most) for goal in exact.goals for path, most in self.most.items())
+        return all(size <= most for size, most in sizes)
 
     def in_words(self) -> str:
         """Return a description of the commands that the grant allows."""
         exact = self.exact
         bounds = "".join(f", {word(path)} at most {number(most)}" for path, most in self.most.items())
         return f"{exact.verb} {word(exact.name)} ({word(exact.type)}){bounds}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RouteApproval:
+    """The used approval of a list of goals, which covers them until the job that sends them ends. It covers a single
+    goal, too, which its job sends again after a pause.
+    """
+
+    id: str
+    exact: ExactCommand
+
+    def covers(self, exact: ExactCommand) -> bool:
+        """Return whether this command is one of the list's goals."""
+        mine = self.exact
+        is_same = exact.route_id == mine.route_id and exact.subject == mine.subject and exact.epoch == mine.epoch
+        return is_same and not exact.route and exact.digest in mine.goal_digests
 
 
 class Approvals:
@@ -119,6 +132,7 @@ class Approvals:
         self._changed = changed
         self._requests: dict[str, Request] = {}
         self._grants: dict[str, Grant] = {}
+        self._routes: dict[str, RouteApproval] = {}
 
     # ── asked by the guard ─────────────────────────────────────────────────────────────────────────────────────────
 
@@ -135,11 +149,15 @@ class Approvals:
         for grant in self._grants.values():
             if grant.covers(exact):
                 return grant.id
+        approved = self._routes.get(exact.route_id)
+        if approved and approved.covers(exact):
+            return approved.id
         request = self._requests.get(exact.key)
         if request and request.state == "approved":
-            if self._use(request, exact):
-                return request.id
-            request = None  # the list is driven again
+            del self._requests[exact.key]  # before anything is sent, so that no other call can use it as well
+            if exact.route_id:
+                self._routes[exact.route_id] = RouteApproval(id=request.id, exact=exact)
+            return request.id
         if request and request.state == "denied":
             raise Refused(
                 "The operator denied this call: nothing was sent.",
@@ -152,19 +170,6 @@ class Approvals:
             f"{self._valid_s:g} s, leaving out any part that already succeeded. The approval is valid for one call.",
             request_id=request.id,
         )
-
-    def _use(self, request: Request, exact: ExactCommand) -> bool:
-        """Use an approval, before anything is sent; return whether it covered this command. That of a route is used
-        once for each place, and remains valid on the way.
-        """
-        if exact.leg in request.used:
-            del self._requests[exact.key]
-            return False
-        request.used.add(exact.leg)
-        request.until = max(request.until, self._clock() + _ON_THE_WAY_S)
-        if len(request.used) >= len(exact.route):
-            del self._requests[exact.key]  # so that no other call can use it as well
-        return True
 
     def _ask(self, exact: ExactCommand, bounds: str) -> Request:
         waiting = [one for one in self._requests.values() if one.state == "waiting"]
@@ -181,6 +186,10 @@ class Approvals:
         self._requests[exact.key] = request
         self._changed("asked", {"approval": request.id, **exact.line()})
         return request
+
+    def end_route(self, route_id: str) -> None:
+        """End the approval of a list of goals: the job that sends them has ended."""
+        self._routes.pop(route_id, None)
 
     def leave(self, principal: Principal) -> None:
         """Withdraw the waiting requests of a client that has disconnected."""

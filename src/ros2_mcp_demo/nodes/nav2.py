@@ -132,6 +132,7 @@ class PlannerServer(LifecyclePart):
     def __init__(self, robot, namespace, navigation, action, clearing, costmap=None):
         """Create the server; `costmap` is the publisher of the global costmap if that has its own node."""
         super().__init__("planner_server", robot, namespace)
+        self.declare_parameter("planner_plugins", ["GridBased"])
         self.declare_number("max_planning_time", 5.0, 0.0, 60.0, "A search that takes longer fails [s]")
         self._navigation, self._action = navigation, action
         self._costmap = costmap or self.create_latched_publisher(OccupancyGrid, "global_costmap/costmap")

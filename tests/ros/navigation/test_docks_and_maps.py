@@ -163,6 +163,8 @@ def test_the_last_pose_is_offered_by_the_next_server_and_not_where_the_robot_has
     assert agent.call("ros2_nav_localize", search=True)["is_taken"]
 
 
+@pytest.mark.promise("ros2_nav_localize", "If several poses fit nearly as well, none is published")
+@pytest.mark.promise("ros2_nav_map", "the map that is published after loading, and the files where they can be seen")
 def test_a_map_is_saved_and_another_is_loaded_and_of_two_equal_rooms_none_is_told(
     agent: Agent, judge: Judge, tmp_path: Path
 ) -> None:
@@ -243,6 +245,8 @@ def test_a_dock_without_power_is_tried_again_and_the_reason_told(agent: Agent, r
     assert failed["is_charging"] is False and judge.stands()
 
 
+@pytest.mark.promise("ros2_nav_dock", "After a time-out, call again with the job_id")
+@pytest.mark.promise("ros2_nav_dock", "ros2_stop ends it")
 def test_a_docking_goes_on_after_its_time_out_and_a_stop_ends_it(agent: Agent, judge: Judge) -> None:
     begun = agent.call("ros2_nav_dock", dock="parking", timeout_s=2)
     assert begun["outcome"] == "under way"

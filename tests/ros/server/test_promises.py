@@ -116,8 +116,8 @@ def test_a_relay_begins_at_once_and_is_listed_while_it_runs_and_afterwards(agent
         relays = agent.call("ros2_relay_list")["relays"]
         return next(relay for relay in relays if relay["relay_id"] == begun["relay_id"])
 
-    until(lambda: listed()["passed"])
-    assert (listed()["state"], listed()["dropped"]) == ("running", 0)
+    until(lambda: listed()["published"])
+    assert (listed()["state"], listed()["filtered_out"]) == ("running", 0)
     agent.call("ros2_relay_stop", relay_id=begun["relay_id"])
     assert listed()["state"] == "stopped"
 

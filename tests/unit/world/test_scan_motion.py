@@ -15,7 +15,7 @@ from ros2_mcp_demo.simulation import Simulation
 ANGLES = -math.pi + np.arange(360) * (2 * math.pi / 360)
 
 
-def seen(robot: Simulation, pose: Pose, mounted: float = 0.0) -> Any:
+def seen(robot: Any, pose: Any, mounted: float = 0.0) -> Any:
     """The points of a scan from a pose, by a scanner that is mounted turned by `mounted` and does not know it."""
     robot.base.pose = pose
     ranges = robot.scan(0.01)
@@ -29,8 +29,8 @@ def seen(robot: Simulation, pose: Pose, mounted: float = 0.0) -> Any:
 def test_a_drive_and_turns_to_both_sides_are_measured_to_two_centimetres_and_a_degree(
     x: float, y: float, yaw: float
 ) -> None:
-    robot = Simulation(3)
-    start = Pose(x, y, yaw)
+    robot: Any = Simulation(3)
+    start: Any = Pose(x, y, yaw)
     driven = motion_between(seen(robot, start), seen(robot, start.moved(0.2, 0.0)), 0.6, math.radians(15))
     assert driven and math.hypot(driven.x_m - 0.2, driven.y_m) < 0.02 and abs(driven.yaw_rad) < math.radians(1)
     for turn in (math.radians(30), math.radians(-32), math.radians(61)):
@@ -39,7 +39,8 @@ def test_a_drive_and_turns_to_both_sides_are_measured_to_two_centimetres_and_a_d
 
 
 def test_a_scanner_that_is_turned_sees_the_same_turn_and_another_direction() -> None:
-    robot, start = Simulation(3), Pose(1.0, 0.5, 1.0)
+    robot: Any = Simulation(3)
+    start: Any = Pose(1.0, 0.5, 1.0)
     before = seen(robot, start, math.pi / 2)
     driven = motion_between(before, seen(robot, start.moved(0.2, 0.0), math.pi / 2), 0.6, math.radians(15))
     assert driven and math.degrees(math.atan2(driven.y_m, driven.x_m)) == pytest.approx(-90, abs=6)

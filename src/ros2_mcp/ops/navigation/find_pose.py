@@ -45,7 +45,7 @@ class PoseFit:
         """Return the pose as it can be given to the tool, and how well it fits."""
         through = f", but {self.through:.0%} would pass through walls" if self.through >= 0.05 else ""
         fits = "fit not known" if self.fit is None else f"{self.fit:.0%} of the beams fit{through}"
-        return f'{{"x": {self.x_m:.2f}, "y": {self.y_m:.2f}, "yaw_deg": {self.yaw_deg:.0f}}}: {fits}'
+        return f'{{"x": {self.x_m:.2f}, "y": {self.y_m:.2f}, "yaw_deg": {round(self.yaw_deg)}}}: {fits}'
 
 
 @dataclass(frozen=True, slots=True)

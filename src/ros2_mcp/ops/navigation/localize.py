@@ -86,7 +86,7 @@ class NavLocalized:
             several = [f"{number}. {pose}" for number, pose in enumerate(self.found, 1)]
             return [f"NOT localised, and nothing was published: {self.doubt}. {self.note}".rstrip(), *how, *several]
         verdict = {True: "Localised", False: "NOT localised there", None: "Told; not known whether it was taken"}
-        told = f"({self.x_m:.2f}, {self.y_m:.2f}) facing {self.yaw_deg:.0f}° in {named(self.frame)}"
+        told = f"({self.x_m:.2f}, {self.y_m:.2f}) facing {round(self.yaw_deg or 0)}° in {named(self.frame)}"
         first = f"{verdict[self.is_taken]}: {told}. Before: {self.before} Now: {self.after}"
         second = [f"The second best: {self.found[1]}."] if len(self.found) > 1 else []
         return [first, *how, *second, self.fit, *([self.note] if self.note else [])]
@@ -227,7 +227,7 @@ async def _taken(robot: Robot, target: Target) -> tuple[Whereabouts, bool | None
 def _in_words(where: Whereabouts) -> str:
     if where.x_m is None or where.y_m is None:
         return f"unknown ({where.trouble.rstrip('.')})."
-    facing = "" if where.yaw_rad is None else f" facing {math.degrees(where.yaw_rad):.0f}°"
+    facing = "" if where.yaw_rad is None else f" facing {round(math.degrees(where.yaw_rad))}°"
     trouble = f" ({where.trouble.rstrip('.')})" if where.trouble else ""
     return f"({where.x_m:.2f}, {where.y_m:.2f}){facing}{trouble}."
 

@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from time import monotonic
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
+from ros2_mcp.model import parameters
 from ros2_mcp.model.aside import aside
 from ros2_mcp.model.costs import Narrowest, cost_in_words
-from ros2_mcp.model.errors import BadInput, RobotError
+from ros2_mcp.model.errors import BadInput, NotFound, RobotError
+from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.model.nav2 import COMPUTE_PATH
-from ros2_mcp.model.text import counted
+from ros2_mcp.model.text import counted, listed, named, quoted
 from ros2_mcp.ops.navigation.action_names import action_of
 from ros2_mcp.ops.navigation.below import idle_server
 from ros2_mcp.ops.navigation.explain import Explanation, Failure, error_in_words, explain
-from ros2_mcp.ops.navigation.known_places import places_of
+from ros2_mcp.ops.navigation.home import targets_in
 from ros2_mcp.ops.navigation.planner import PLAN_S, Rejected, planned
 from ros2_mcp.ops.navigation.situation import costmap_of
-from ros2_mcp.ops.navigation.targets import MAP_FRAME, Target, targets_of
+from ros2_mcp.ops.navigation.targets import MAP_FRAME, Target
+from ros2_mcp.ops.nodes.own_services import ask_node
 from ros2_mcp.ops.results.results import Report, WithPictures, reporting, silent
 from ros2_mcp.ops.sources.live import Live
 from ros2_mcp.ops.space.plans import hear_plans
@@ -34,6 +38,9 @@ if TYPE_CHECKING:
 
 _MOST_POINTS = 24
 """Number of points of the path in an answer: enough to follow it in a picture."""
+_PLUGINS = "planner_plugins"
+"""The planner server's parameter with the names of its planners."""
+_ANSWER_S = 1.0
 _TURN_RAD = math.radians(30)
 
 
@@ -98,7 +105,7 @@ async def preview(
 
     Raises:
         BadInput: for a malformed place, or several places.
-        NotFound: for an unknown place, or without a planner.
+        NotFound: for an unknown place, without a planner, or if the server has no planner of that name.
         TimedOut: if it does not answer.
         RobotError: what sending a goal raises.
     """
@@ -108,7 +115,8 @@ async def preview(
     if begin:
         goal["start"] = begin.pose()
     robot.log.start()
-    if idle := await idle_server(robot, action):
+    idle, unverified = await asyncio.gather(idle_server(robot, action), check_planner(robot, action, planner_id))
+    if idle:
         return _not_asked(action, f"no planner was asked. {idle}")
     await hear_plans(robot)
     began_at = monotonic()
@@ -148,10 +156,36 @@ async def preview(
         grid_topic=grid_topic,
         planning_s=_seconds(result.get("planning_time")),
         explanation=explanation,
-        note=" ".join(filter(None, (error_in_words(code, text), unknown))),
+        note=" ".join(filter(None, (error_in_words(code, text), unknown, unverified))),
         pictures=shown.pictures if shown else (),
         images=shown.images if shown else (),
     )
+
+
+async def check_planner(robot: Robot, action: str, planner_id: str) -> str:
+    """Check that the planner server has a planner of this name; return a sentence if its planners cannot be read, else
+    "".
+
+    Raises:
+        NotFound: if the server has other planners only; it names them.
+    """
+    if not planner_id:
+        return ""
+    kind, unread = "rcl_interfaces/srv/GetParameters", f"Whether {quoted(planner_id)} exists could not be read."
+    try:
+        (node,) = set(await robot.graph.servers(f"{action}/_action/send_goal"))
+        answer = await ask_node(robot, node, kind, {"names": [_PLUGINS]}, timeout_s=_ANSWER_S, wait_s=_ANSWER_S)
+        (value,) = (await robot.fields_of(answer))["values"]
+    except (RobotError, ValueError):  # no server, several, or an answer without the parameter
+        return unread
+    known = parameters.value_of(value)
+    if not isinstance(known, list) or not known:
+        return unread
+    planners = [str(one) for one in cast("list[object]", known)]
+    if planner_id in planners:
+        return ""
+    hint = did_you_mean(planner_id, planners, "Leave planner_id out for Nav2's own choice.")
+    raise NotFound(f"{named(node)} has no planner {quoted(planner_id)}. Its planners: {listed(planners, 8)}.", hint)
 
 
 def _not_asked(action: str, note: str) -> Preview:
@@ -183,7 +217,7 @@ async def _picture(
 
 
 def _one(to: object, robot: Robot) -> Target:
-    found = targets_of(to, places_of(robot))
+    found = targets_in(robot, to)
     if len(found) != 1:
         raise BadInput("A preview takes one place.", "Give one place; preview each leg by itself, with start.")
     return found[0]

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import AsyncGenerator, Sequence
-from contextlib import asynccontextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any, Literal
@@ -99,28 +98,46 @@ async def probe(robot: Robot, session: Session, what: What = "both", report: Rep
     imus = [Found(row.name, _IMU) for row in rows if _IMU in row.types][:_MOST_OF_KIND]
     watched = [odometry, *others[: _MOST_OF_KIND - 1], *scans, *imus, Found(to.topic, to.type)]
     radius_m = (await body_of(robot, base, to.topic)).sides["radius"]
+    record = _Record(robot, watched, base)
+    outcome: NavProbed | RobotError = RobotError("The small move was not made.")
+    async with anyio.create_task_group() as group:
+        for one in watched:
+            group.start_soon(record.hear, one.topic)
+        try:
+            outcome = await _moved(robot, session, record, what, report, odometry=odometry.topic, radius_m=radius_m)
+        except RobotError as error:  # the group would wrap it
+            outcome = error
+        group.cancel_scope.cancel()
+    if isinstance(outcome, RobotError):
+        raise outcome
+    return outcome
+
+
+async def _moved(
+    robot: Robot, session: Session, record: _Record, what: What, report: Report, *, odometry: str, radius_m: float
+) -> NavProbed:
+    """Make the motions, and judge what was recorded."""
+    await record.begun([odometry])
+    if why := await record.why_not(odometry, radius_m):
+        return NavProbed(verdict="NOT KNOWN", findings=(), measured=(), note=f"Nothing was moved: {why}")
+    await asyncio.sleep(_STOOD_S)
     probes: list[Probe] = []
     note = ""
-    async with _recording(robot, watched, base) as record:
-        await record.begun([odometry.topic, *(one.topic for one in scans)])
-        if why := await record.why_not(odometry.topic, radius_m):
-            return NavProbed(verdict="NOT KNOWN", findings=(), measured=(), note=f"Nothing was moved: {why}")
-        await asyncio.sleep(_STOOD_S)
-        for is_turn in (False, True):
-            if what == ("drive" if is_turn else "turn"):
-                continue
-            since_ns = robot.now_ns()
-            try:
-                driven = await drive(robot, session, _request(is_turn), report)
-            except RobotError as error:
-                if not probes:
-                    raise
-                note = f'The turn was not made: {error} Then: ros2_nav_probe(what="turn").'
-                break
-            await asyncio.sleep(_ARRIVES_S)
-            probes.append(await record.probe(is_turn, since_ns, to.topic))
-            if note := _ended(driven):
-                break
+    for is_turn in (False, True):
+        if what == ("drive" if is_turn else "turn"):
+            continue
+        since_ns = robot.now_ns()
+        try:
+            driven = await drive(robot, session, _request(is_turn), report)
+        except RobotError as error:
+            if not probes:
+                raise
+            note = f'The turn was not made: {error} Then: ros2_nav_probe(what="turn").'
+            break
+        await asyncio.sleep(_ARRIVES_S)
+        probes.append(await record.probe(is_turn, since_ns))
+        if note := _ended(driven):
+            break
     return _judged(probes, note)
 
 
@@ -159,9 +176,10 @@ def _judged(probes: Sequence[Probe], note: str) -> NavProbed:
 
 
 class _Record:
-    """The messages of some topics, as they arrive."""
+    """The messages of some topics, as they arrive; the last topic is that of the commands."""
 
     def __init__(self, robot: Robot, topics: Sequence[Found], base: str) -> None:
+        self._command = topics[-1].topic
         self._robot, self._base = robot, base
         self._types = {one.topic: one.type for one in topics}
         self._samples: dict[str, list[Sample]] = {one.topic: [] for one in topics}
@@ -177,7 +195,8 @@ class _Record:
                 await asyncio.sleep(_ARRIVES_S)
 
     async def begun(self, topics: Sequence[str]) -> None:
-        """Wait until each of these topics has sent a message. Raises `NotFound` if one does not."""
+        """Wait until each of these topics, and each scan, has sent a message. Raises `NotFound` if one does not."""
+        topics = [*topics, *self._of(SCAN)]
         with anyio.move_on_after(_FIRST_S):
             while not all(self._samples[topic] for topic in topics):
                 await asyncio.sleep(0.05)
@@ -204,7 +223,7 @@ class _Record:
                 )
         return ""
 
-    async def probe(self, is_turn: bool, since_ns: int, command: str) -> Probe:
+    async def probe(self, is_turn: bool, since_ns: int) -> Probe:
         """Return the motion since `since_ns`, when the robot stood, as each witness saw it."""
         odometry: dict[str, Motion] = {}
         laser: dict[str, Motion] = {}
@@ -218,7 +237,7 @@ class _Record:
         for topic in self._of(_IMU) if is_turn else ():
             if (turned := await self._by_gyro(topic, since_ns)) is not None:
                 gyro[topic] = turned
-        sent = await self._sent(command, since_ns, is_turn)
+        sent = await self._sent(self._command, since_ns, is_turn)
         asked = math.radians(ANGLE_DEG) if is_turn else DISTANCE_M
         return Probe(is_turn=is_turn, commanded=sent or asked, odometry=odometry, laser=laser, gyro=gyro)
 
@@ -313,16 +332,3 @@ def _pose_of(odometry: Any) -> tuple[float, float, float]:
     pose = odometry.pose.pose
     q = pose.orientation
     return float(pose.position.x), float(pose.position.y), yaw_rad(q.x, q.y, q.z, q.w)
-
-
-@asynccontextmanager
-async def _recording(robot: Robot, topics: Sequence[Found], base: str) -> AsyncGenerator[_Record, None]:
-    """Record these topics as long as the context is open."""
-    record = _Record(robot, topics, base)
-    hearing = [asyncio.create_task(record.hear(one.topic)) for one in topics]  # a task group would wrap what is raised
-    try:
-        yield record
-    finally:
-        for one in hearing:
-            one.cancel()
-        await asyncio.gather(*hearing, return_exceptions=True)

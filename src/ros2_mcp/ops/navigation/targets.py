@@ -36,12 +36,6 @@ class Target:
         at = f"({self.x_m:.2f}, {self.y_m:.2f})"
         return f"{quoted(self.name)} {at}" if self.name else at
 
-    def in_words(self) -> str:
-        """Return the target with all its digits, as a person approves it."""
-        heading = "any heading" if self.yaw_rad is None else f"heading {self.yaw_rad!r} rad"
-        name = f", {self.name}" if self.name else ""
-        return f"({self.x_m!r}, {self.y_m!r}) m in {self.frame}, {heading}{name}"
-
     def pose(self) -> dict[str, Any]:
         """Return the pose as a geometry_msgs/msg/PoseStamped. The stamp 0 makes tf2 use the newest transform."""
         half = (self.yaw_rad or 0.0) / 2
