@@ -37,6 +37,7 @@ from ros2_mcp_bridge.topics.publishers import Publisher, Publishers
 from ros2_mcp_bridge.topics.relay import Relay, Relays
 from ros2_mcp_bridge.topics.subscriptions import Subscriptions
 from ros2_mcp_common.policy.velocity import VELOCITY_TYPES
+from ros2_mcp_common.policy.verbs import CANCEL_GOAL
 from ros2_mcp_common.wire.protocol import (
     Empty,
     KeptOut,
@@ -80,7 +81,7 @@ def load_types() -> None:
     """Import the types that every command and every stop needs, in advance, so that none of
     them waits for the imports.
     """
-    for type_name in (*VELOCITY_TYPES, CLOCK_TYPE):
+    for type_name in (*VELOCITY_TYPES, CLOCK_TYPE, CANCEL_GOAL):
         with suppress(OperationError):  # a robot need not have all of them
             interfaces.load(type_name)
 
@@ -252,6 +253,7 @@ class Operations:
             stop=self.failsafes.carry_out,
             keep_out=self._keep_out,
             began=self._limiter.watched_by,
+            cancel_others=self._cancel_others,
         )
         return watching.watch(lambda: self._limiter.watch, self._is_driven, lambda: self.failsafes.has_goals)
 
@@ -263,6 +265,16 @@ class Operations:
         if reason != self._kept_out:
             sys.stderr.write(f"the watchdog ends what drives the robot: {reason}\n")
         self._outbox.send(KeptOut(event="kept_out", reason=reason))
+        self._kept_out = reason
+
+    def _cancel_others(self, reason: str) -> None:
+        """Cancel the goals of other clients, which drive the robot towards a keep-out zone, if the policy allows it."""
+        cancelled = [name for name in self._graph.moving_actions() if self._limiter.may_cancel(name)]
+        for name in cancelled:
+            self._loop.start(self._clients.cancel_all(name), log_failure)
+        if cancelled and reason != self._kept_out:
+            sys.stderr.write(f"the watchdog cancels the goals of {', '.join(cancelled)}: {reason}\n")
+            self._outbox.send(KeptOut(event="kept_out", reason=reason))
         self._kept_out = reason
 
     def end_lasting(self) -> None:

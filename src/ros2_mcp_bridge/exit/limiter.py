@@ -29,7 +29,7 @@ from ros2_mcp_common.policy.ramp import Bucket, PerMinute, Ramp
 from ros2_mcp_common.policy.rules import Limit, Rules, Ruling, judged_part
 from ros2_mcp_common.policy.trajectory_limits import LookAtJoints, nobody_measures
 from ros2_mcp_common.policy.velocity import VELOCITY_TYPES, planar
-from ros2_mcp_common.policy.verbs import Verb, matches, meaning
+from ros2_mcp_common.policy.verbs import CANCEL_GOAL, Verb, matches, meaning
 from ros2_mcp_common.wire.limits import MAX_JUDGED_BYTES
 from ros2_mcp_common.wire.protocol import Spent
 
@@ -236,6 +236,10 @@ class Limiter:
         """The speed in m/s beyond which the watchdog ends goals; 0 if it looks at none."""
         feedback: Any = (self.watch or {}).get("feedback") or {}
         return float(feedback.get("goals", {}).get("linear", 0.0))
+
+    def may_cancel(self, action: str) -> bool:
+        """Return whether the policy allows cancelling the goals of others of this action."""
+        return self.rules is not None and not self.rules.ruling("cancel", action, CANCEL_GOAL).problem
 
     def watched_by(self, watchdog: Watchdog) -> None:
         """Take the watchdog, which knows where the robot is."""

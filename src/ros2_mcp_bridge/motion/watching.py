@@ -126,7 +126,7 @@ class Watching:
     robot and sets the latch.
 
     Before a keep-out zone `keep_out` is called instead, which ends what drives the robot, without the latch. `began`
-    gets the watchdog when it begins.
+    gets the watchdog when it begins. `cancel_others` is called when others drive the robot towards such a zone.
     """
 
     def __init__(
@@ -138,6 +138,7 @@ class Watching:
         stop: Callable[[], object],
         keep_out: Callable[[str], object] = lambda _: None,
         began: Callable[[Watchdog], object] = lambda _: None,
+        cancel_others: Callable[[str], object] = lambda _: None,
     ) -> None:
         self._node = node
         self._graph = graph
@@ -145,6 +146,7 @@ class Watching:
         self._stop = stop
         self._keep_out = keep_out
         self._began = began
+        self._cancel_others = cancel_others
 
     def watch(
         self,
@@ -175,7 +177,7 @@ class Watching:
         def end(found: str) -> None:
             (self._end if watchdog.latches else self._keep_out)(found)
 
-        yield from rounds(watchdog, hear, is_driven, end, by_goal=by_goal)
+        yield from rounds(watchdog, hear, is_driven, end, by_goal=by_goal, cancel_others=self._cancel_others)
 
     def _end(self, found: str) -> None:
         """Send zeros, then set the latch: in memory at once, in its file on another thread, because writing
@@ -196,16 +198,19 @@ def rounds(
     end: Callable[[str], None],
     now: Callable[[], float] = time.monotonic,
     by_goal: Callable[[], bool] = lambda: False,
+    cancel_others: Callable[[str], object] = lambda _: None,
 ) -> Steps[None]:
     """Steps that go on for ever: tell the watchdog whether the robot is driven, pass it the messages that have
-    come, and `end` on a finding.
+    come, and `end` on a finding, or `cancel_others` on one about what others drive.
     """
     while True:
         watchdog.told(is_driven(), now(), by_goal=by_goal())
         hear()
         if found := watchdog.look(now()):
             end(found)
-        yield LOOK_S if watchdog.is_busy else REST_LOOK_S
+        elif others := watchdog.look_at_others(now()):
+            cancel_others(others)
+        yield LOOK_S if watchdog.is_busy or watchdog.is_moved_by_others else REST_LOOK_S
 
 
 def _speed_to(watchdog: Watchdog) -> Callable[[Any], None]:

@@ -21,7 +21,7 @@ from ros2_mcp_bridge.topics.pace import Pace
 from ros2_mcp_bridge.topics.pool import Pool
 from ros2_mcp_common.policy import stamps
 from ros2_mcp_common.policy.flight import SET_MODE, brakes
-from ros2_mcp_common.policy.verbs import READING_TYPES
+from ros2_mcp_common.policy.verbs import CANCEL_GOAL, READING_TYPES
 from ros2_mcp_common.wire import protocol
 from ros2_mcp_common.wire.protocol import CallReply
 
@@ -42,6 +42,8 @@ KNOWS_US_S = 0.5
 # its own losses within 3 s. Then a request that changes nothing is sent once more, unless the server has answered
 # before.
 ASKS_AGAIN_S = 3.0
+# The longest wait for the answer to a request to cancel the goals of others.
+CANCELLED_S = 1.0
 # Discovery can lose a server for a short time; a server missing for longer than this is gone.
 GONE_AFTER_S = 0.3
 # The default depth of 10 loses responses if more arrive at the same moment.
@@ -110,6 +112,14 @@ class Clients:
                     client.remove_pending_request(future)
         elapsed_s = round(time.monotonic() - sent_at, 6)
         return {"waited_s": round(sent_at - started, 6), "elapsed_s": elapsed_s}, body
+
+    def cancel_all(self, action: str) -> Steps[None]:
+        """Steps that ask the server of an action to cancel all of its goals."""
+        head = {"op": "call", "service": f"{action}/_action/cancel_goal", "type": CANCEL_GOAL, "timeout_s": CANCELLED_S}
+        interface = interfaces.load(CANCEL_GOAL)
+        request = Request(head, rcl.serialize(interface.Request()))  # no goal and no time stand for all goals
+        request.interface = interface
+        yield from self.call(request)
 
     def look(self) -> None:
         """Wake the requests whose answers have come.

@@ -46,6 +46,8 @@ TOO_FAST_MESSAGES = 3
 MAX_NAME = 40
 # After a finding about a keep-out zone, the next comes after this time: a cancellation takes as long to arrive.
 KEPT_OUT_AGAIN_S = 0.1
+# Goals of other clients are cancelled so often while the robot moves on towards a zone.
+OTHERS_AGAIN_S = 0.5
 # A path that begins farther from the robot is a preview of another one.
 FOLLOWED_M = 1.0
 # A zone that is farther away is measured less precisely, and only told to be nearer than it is.
@@ -347,6 +349,21 @@ class Watchdog:
         problem, self._plan_problem = self._plan_problem if now <= self._goal_until else "", ""
         velocity = (*self._speed.velocity, self._speed.turn)
         return self._of_velocity(velocity, now, "before it could stop") or problem
+
+    @property
+    def is_moved_by_others(self) -> bool:
+        """Whether the robot reports that it moves, although nothing of this server drives it, beside keep-out zones."""
+        rule = self.pose_rule
+        return bool(rule and rule.keep_out) and self._driven_since is None and self._moves()
+
+    def look_at_others(self, now: float) -> str:
+        """Return why goals of other clients have to end, at most twice a second; "" if there is no reason."""
+        if not self.is_moved_by_others or now - self._kept_out_at < OTHERS_AGAIN_S or now - self._speed.at > FIRST_S:
+            return ""
+        found = self._of_velocity((*self._speed.velocity, self._speed.turn), now, "before it could stop")
+        if found:
+            self._kept_out_at = now
+        return found
 
     def problem_of_velocity(self, velocity: tuple[float, float, float], now: float) -> str:
         """Return why this velocity (m/s, m/s, rad/s) may not be commanded, by the keep-out zones; "" if it may."""

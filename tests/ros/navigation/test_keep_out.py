@@ -37,6 +37,7 @@ robot: zones
 allow:
   - {publish: /cmd_vel, type: geometry_msgs/msg/Twist}
   - {goal: /navigate_to_pose, type: nav2_msgs/action/NavigateToPose}
+  - {cancel: /navigate_to_pose}
   - {goal: /compute_path_to_pose, type: nav2_msgs/action/ComputePathToPose}
 limits: {base: {types: geometry_msgs/msg/Twist, norm: {linear: 0.5, angular: 1.5}}}
 keep_out:
@@ -53,8 +54,8 @@ DRIVES = 20
 class Rover:
     """The rover under that policy, its server's client, and the observer."""
 
-    def __init__(self, agent: Agent, observer: Observer, latch: Latch) -> None:
-        self.agent, self.observer, self.latch = agent, observer, latch
+    def __init__(self, agent: Agent, observer: Observer, latch: Latch, environment: dict[str, str]) -> None:
+        self.agent, self.observer, self.latch, self.environment = agent, observer, latch, environment
 
     def poses(self) -> np.ndarray:
         """Every pose (x, y, yaw) that the observer has heard, and five between two each."""
@@ -110,7 +111,7 @@ def rover(built: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rove
             agent.knows("/odom", "/tf", "/cmd_vel")
             until(lambda: "/navigate_to_pose" in str(agent.call("ros2_list_actions")))
             until(lambda: len(observer.messages(by="judge")) > 2)
-            yield Rover(agent, observer, latch)
+            yield Rover(agent, observer, latch, environment)
 
 
 def test_the_policy_tells_the_zones_and_what_is_done_at_their_edges(rover: Rover) -> None:
@@ -161,6 +162,22 @@ def test_a_goal_whose_path_leads_into_a_zone_is_cancelled_while_it_is_driven(rov
     assert sent["status"] == "CANCELED" and "before a keep-out zone" in sent["note"], sent
     rover.check()
     assert not rover.latch.look().is_set
+
+
+def test_the_goal_of_a_client_without_a_policy_is_cancelled_too(rover: Rover, tmp_path: Path) -> None:
+    pose = {"position": {"x": 2.0, "y": -0.1}, "orientation": {"w": 1.0}}
+    elsewhere = {**rover.environment, "XDG_STATE_HOME": str(tmp_path)}
+    with agent_for(elsewhere, "--tools", "all") as other:
+        until(lambda: "/navigate_to_pose" in str(other.call("ros2_list_actions")))
+        sent = other.call(
+            "ros2_send_action_goal",
+            action_name="/navigate_to_pose",
+            goal_fields={"pose": {"header": {"frame_id": "map"}, "pose": pose}},
+            wait_for_result=True,
+            timeout_sec=30,
+        )
+    assert sent["status"] == "CANCELED", sent
+    rover.check()
 
 
 def test_a_place_past_the_zones_is_reached(rover: Rover) -> None:

@@ -54,7 +54,7 @@ def test_a_place_is_kept_previewed_and_reached_with_a_heading(agent):
     later = agent.call("ros2_scene")  # the planner sent the way when it began, and does not send it again
     (path,) = [layer for layer in later["layers"] if layer["kind"] == "path"]
     assert (path["name"], path["x_m"], path["y_m"]) == ("/plan", pytest.approx(0.7), pytest.approx(0.2))
-    assert any("/plan was sent" in line for line in later["missing"]), later["missing"]
+    assert any("/plan was published" in line for line in later["missing"]), later["missing"]
 
 
 def test_the_patrol_of_the_how_to_visits_its_places_with_nav2(agent):

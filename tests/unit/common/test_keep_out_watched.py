@@ -72,6 +72,16 @@ def test_nearer_than_a_quarter_of_the_margin_the_latch_is_set() -> None:
     assert not seen_at(2.5, driven=False).look(100.01), "whatever others drive is not ours to end"
 
 
+def test_goals_of_others_end_where_they_drive_the_robot_towards_a_zone() -> None:
+    watchdog = seen_at(1.45, 0.5, driven=False)
+    assert not watchdog.look(100.0) and "before it could stop" in watchdog.look_at_others(100.0)
+    assert not watchdog.look_at_others(100.1), "its server is asked twice a second"
+    assert watchdog.look_at_others(100.6)
+    assert not seen_at(1.45, 0.0, driven=False).look_at_others(100.0), "it stands"
+    assert not seen_at(1.0, 0.5, driven=False).look_at_others(100.0)
+    assert not seen_at(1.45, 0.5).look_at_others(100.0), "our own are ended in another way"
+
+
 def test_no_goal_begins_where_it_could_not_be_stopped_in_time() -> None:
     assert not seen_at(1.65, driven=False).problem_of_start(100.0)
     assert "only a velocity that leads away" in seen_at(1.72, driven=False).problem_of_start(100.0)
