@@ -174,7 +174,10 @@ NAV2 = (
     Example("ros2_nav_localize", {"search": True}),
     Example("ros2_nav_map"),
     Example("ros2_nav_dock", {"dock": "charger", "timeout_s": 55}),
+    Example("ros2_nav_route", {"to": [{"x": 0.4, "y": 0.0}, {"x": 0.8, "y": 0.0}], "wait_s": 120, "timeout_s": 10}),
+    Example("ros2_nav_pause"),
     Example("ros2_nav_recover", {"what": "clear_global"}),
+    Example("ros2_nav_probe"),
 )
 CALLS: Mapping[str, Sequence[Example]] = {"rover": ROVER, "arm": ARM, "nav2": NAV2}
 

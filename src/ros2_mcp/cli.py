@@ -286,7 +286,7 @@ VERBS: Mapping[str, Verb] = {
     "interfaces": Verb("build interface packages for a ROS 2 from wheels", _interfaces, _declare_interfaces),
     "operate": Verb("approve, deny, stop, reset the latch: the operator's terminal", _operate, _declare_operate),
     "view": Verb("show what the agent sees and does, and a stop button, in a browser", _view, _declare_view),
-    "audit": Verb("show what was done, or verify that nobody changed what is written of it", _audit, _declare_audit),
+    "audit": Verb("show what was done, or verify that the audit was not changed", _audit, _declare_audit),
     "prompts": Verb("check a folder of prompts in Markdown", _prompts, _declare_prompts),
     "policy": Verb("check, explain, compare and draft what an agent may do", _policy, _declare_policy),
     "config": Verb("print the configuration for an MCP client", _config, _declare_config),

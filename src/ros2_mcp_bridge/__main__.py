@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn, TypeVar
@@ -20,11 +21,12 @@ from ros2_mcp_bridge.exit.limiter import Limiter
 from ros2_mcp_bridge.exit.spawning import STOPPER_ARGUMENT, STOPPERS, copy_process
 from ros2_mcp_bridge.lease import LinkLease
 from ros2_mcp_bridge.loop import Loop, log_failure
-from ros2_mcp_bridge.request import Request
+from ros2_mcp_bridge.request import OperationError, Request
 from ros2_mcp_bridge.ros import definitions, interfaces
 from ros2_mcp_bridge.stream import Outbox, claim_standard_streams, read_packets
 from ros2_mcp_common.allocation import keep_freed_memory
 from ros2_mcp_common.latch import FILE, Latch, LatchState
+from ros2_mcp_common.policy.velocity import SPEED_LIMIT
 from ros2_mcp_common.policy.verbs import meaning
 from ros2_mcp_common.wire.packets import PacketError
 from ros2_mcp_common.wire.protocol import BRIDGE_NODE, Empty, Lapsed, PingReply, PolicyReply
@@ -52,9 +54,9 @@ ACTING = frozenset({"publish", "repeat", "relay", "relay_feed", "move"})
 # Operations that only end something, and start nothing.
 ENDING = frozenset({"cancel", "zero", "repeat_stop", "relay_stop"})
 # An outage of the network may end after the server has given up this bridge, 4 s after its last sign of life (SILENCE_S
-# there; ssh uses the same time). Packets that it had sent then still arrive: old commands, perhaps from before a stop
-# that this bridge never receives. So requests sent longer ago than this do not act. It is less than those 4 s, and more
-# than any delay that a connection was measured to survive (1.0 s at 15 % loss).
+# there). Packets that it had sent then still arrive: old commands, perhaps from before a stop that this bridge never
+# receives. So requests sent longer ago than this do not act. It is less than those 4 s, and more than any delay that a
+# connection was measured to survive (1.0 s at 15 % loss).
 LATE_S = 3.5
 # The longest wait for the last packets to be written: they are few, and the reader may be gone.
 LAST_WORDS_S = 0.2
@@ -136,11 +138,13 @@ class Bridge:
         try:
             from ros2_mcp_bridge import operations
             from ros2_mcp_bridge.ros import context as ros
+            from ros2_mcp_bridge.ros import shared_memory
             from ros2_mcp_bridge.stopper import stopper, udp
 
             missing = "init_failed"
             operations.load_types()
             copies = {name: copy_process(partial(stopper.main, name)) for name in STOPPERS}
+            shared_memory.remove_dead()
             with udp.alone_if_memory_is_full():
                 node, executor = ros.enter(f"{BRIDGE_NODE}{os.getpid()}")
             self._operations = operations.Operations(
@@ -281,6 +285,9 @@ class Bridge:
             request.interface = self._loader(request)(request.text("type"))
         for type_name in request.texts("hears") if request.has("hears") else ():
             interfaces.load(type_name)  # it stays loaded
+        if self._limiter.speed_of_goals and request.op == "call" and request.text("type").startswith("nav2_msgs/"):
+            with suppress(OperationError):  # an older Nav2, or a part of it, has no such type
+                interfaces.load(SPEED_LIMIT)
         if self._operations is not None:
             self._loop.submit(partial(self._operations.start, request))
 

@@ -16,6 +16,7 @@ from ros2_mcp_bridge.epoch import Overtaken, StopEpoch
 from ros2_mcp_bridge.exit.failsafes import FailSafes
 from ros2_mcp_bridge.exit.lifeline import Lifeline
 from ros2_mcp_bridge.exit.limiter import Limiter
+from ros2_mcp_bridge.exit.speed_limit import SpeedLimits
 from ros2_mcp_bridge.exit.trajectories import topic_of
 from ros2_mcp_bridge.exit.velocities import Velocities, VelocityTopic
 from ros2_mcp_bridge.loop import Loop, Seldom, log_failure
@@ -36,8 +37,10 @@ from ros2_mcp_bridge.topics.publishers import Publisher, Publishers
 from ros2_mcp_bridge.topics.relay import Relay, Relays
 from ros2_mcp_bridge.topics.subscriptions import Subscriptions
 from ros2_mcp_common.policy.velocity import VELOCITY_TYPES
+from ros2_mcp_common.policy.verbs import CANCEL_GOAL
 from ros2_mcp_common.wire.protocol import (
     Empty,
+    KeptOut,
     LatchSet,
     RelayStopReply,
     ServicesReply,
@@ -78,7 +81,7 @@ def load_types() -> None:
     """Import the types that every command and every stop needs, in advance, so that none of
     them waits for the imports.
     """
-    for type_name in (*VELOCITY_TYPES, CLOCK_TYPE):
+    for type_name in (*VELOCITY_TYPES, CLOCK_TYPE, CANCEL_GOAL):
         with suppress(OperationError):  # a robot need not have all of them
             interfaces.load(type_name)
 
@@ -109,6 +112,7 @@ class Operations:
         self._requests: dict[int | None, Request] = {}
         self._stops = stops
         self._told_latch: tuple[str, str, float] | None = None
+        self._kept_out = ""
         self._graph = Graph(node)
         self._clock = RobotClock(node, self._graph)
         self._lifeline = lifeline
@@ -119,7 +123,8 @@ class Operations:
         limiter.look_at_joints = self._joint_states.known
         self.failsafes = FailSafes(self.send_zeros)
         self._subscriptions = Subscriptions(node, self._graph, loop, outbox)
-        self._clients = Clients(node, self.failsafes, limiter, lifeline)
+        self._speed_limits = SpeedLimits(node, self._graph, limiter)
+        self._clients = Clients(node, self.failsafes, limiter, lifeline, self._speed_limits)
         loop.after_turn = self._clients.look
         self._joint_states.relied_on = self._velocities.moving_joints
         limits = {"limiter": limiter, "joint_states": self._joint_states}
@@ -136,48 +141,49 @@ class Operations:
         cancelling = Cancelling(node=node, graph=self._graph, clients=self._clients, send_event=outbox.send)
         self._relays = Relays(self._velocities, partial(Relay, node=node, graph=self._graph, loop=loop, create=create))
         self._table = table
-        table.update(
-            {
-                "cancel": self._cancel,
-                "topics": self._graph.topics,
-                "counted": self._graph.counted,
-                "services": self._services,
-                "servers": self._graph.servers,
-                "nodes": self._graph.nodes,
-                "node": self._graph.node,
-                "endpoints": self._graph.endpoints,
-                "wait_endpoints": self._graph.wait_endpoints,
-                "subscribe": self._subscriptions.subscribe,
-                "unsubscribe": self._subscriptions.unsubscribe,
-                "counts": self._subscriptions.counts_of,
-                "publish": self._publishers.publish,
-                "repeat": self._publishers.repeat,
-                "repeat_stop": self._repeat_stop,
-                "move": motions.move,
-                "relay": self._relays.relay,
-                "relay_feed": self._relays.feed,
-                "relay_stop": self._relay_stop,
-                "relays": self._relays.counts,
-                "call": self._clients.call,
-                "cancel_when": cancelling.cancel_when,
-                "joint_states": self._joint_states.wait,
-                "failsafe_publish": self._publishers.failsafe,
-                "failsafe_call": self._clients.failsafe,
-                "stop": self._stop,
-                "zero": self._zero,
-                "stats": self._stats,
-            }
-        )
-        watching = Watching(node, self._graph, latch=stops.latch, stop=self.failsafes.carry_out)
+        table.update(self._operations(motions, cancelling))
         for steps in (
             self._graph.settle(),
             self._expire(),
             self._obey_latch(),
-            watching.watch(lambda: limiter.watch, self._is_driven, lambda: self.failsafes.has_goals),
+            self._watch(),
             self._velocities.watch(),
             self._leave_when_shared_memory_is_lost(),
         ):
             loop.start(steps, log_failure)
+
+    def _operations(self, motions: Motions, cancelling: Cancelling) -> dict[str, Operation]:
+        """The operations that the server may request, by the name in a request."""
+        return {
+            "cancel": self._cancel,
+            "topics": self._graph.topics,
+            "counted": self._graph.counted,
+            "services": self._services,
+            "servers": self._graph.servers,
+            "nodes": self._graph.nodes,
+            "node": self._graph.node,
+            "endpoints": self._graph.endpoints,
+            "wait_endpoints": self._graph.wait_endpoints,
+            "subscribe": self._subscriptions.subscribe,
+            "unsubscribe": self._subscriptions.unsubscribe,
+            "counts": self._subscriptions.counts_of,
+            "publish": self._publishers.publish,
+            "repeat": self._publishers.repeat,
+            "repeat_stop": self._repeat_stop,
+            "move": motions.move,
+            "relay": self._relays.relay,
+            "relay_feed": self._relays.feed,
+            "relay_stop": self._relay_stop,
+            "relays": self._relays.counts,
+            "call": self._clients.call,
+            "cancel_when": cancelling.cancel_when,
+            "joint_states": self._joint_states.wait,
+            "failsafe_publish": self._publishers.failsafe,
+            "failsafe_call": self._clients.failsafe,
+            "stop": self._stop,
+            "zero": self._zero,
+            "stats": self._stats,
+        }
 
     def is_at_rest(self) -> bool:
         """Return whether no request is in progress and there are no velocity topics. Thread-safe."""
@@ -226,6 +232,7 @@ class Operations:
             self._relays,
             self._subscriptions,
             self._clients.pool,
+            self._speed_limits,
             self._clock,
             self._joint_states,
         ):
@@ -236,6 +243,39 @@ class Operations:
         """End what the server moves, after the fail-safes: it was silent for longer than its link lease."""
         for acting in self._acting():
             acting.end("lease")
+
+    def _watch(self) -> Steps[None]:
+        """Return the steps of the watchdog."""
+        watching = Watching(
+            self._node,
+            self._graph,
+            latch=self._stops.latch,
+            stop=self.failsafes.carry_out,
+            keep_out=self._keep_out,
+            began=self._limiter.watched_by,
+            cancel_others=self._cancel_others,
+        )
+        return watching.watch(lambda: self._limiter.watch, self._is_driven, lambda: self.failsafes.has_goals)
+
+    def _keep_out(self, reason: str) -> None:
+        """End what drives the robot, because it is about to enter a keep-out zone. Later commands may drive it away."""
+        self.failsafes.carry_out()
+        for acting in self._acting():
+            acting.end("keep_out")
+        if reason != self._kept_out:
+            sys.stderr.write(f"the watchdog ends what drives the robot: {reason}\n")
+        self._outbox.send(KeptOut(event="kept_out", reason=reason))
+        self._kept_out = reason
+
+    def _cancel_others(self, reason: str) -> None:
+        """Cancel the goals of other clients, which drive the robot towards a keep-out zone, if the policy allows it."""
+        cancelled = [name for name in self._graph.moving_actions() if self._limiter.may_cancel(name)]
+        for name in cancelled:
+            self._loop.start(self._clients.cancel_all(name), log_failure)
+        if cancelled and reason != self._kept_out:
+            sys.stderr.write(f"the watchdog cancels the goals of {', '.join(cancelled)}: {reason}\n")
+            self._outbox.send(KeptOut(event="kept_out", reason=reason))
+        self._kept_out = reason
 
     def end_lasting(self) -> None:
         """End repeats, relays and motions, after the zeros, because a stopper has died.

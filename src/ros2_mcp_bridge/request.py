@@ -42,6 +42,7 @@ _WHY_ENDED: Mapping[EndedBy, tuple[ErrorKind, str]] = {
     "lease": ("lapsed", "The server was silent for longer than its link lease"),
     "latch": ("latched", "The latch of this robot is set, or was since this was accepted; only an operator resets it"),
     "stopper": ("stopped", "The stopper died, and what moved was stopped"),
+    "keep_out": ("refused", "The robot was about to enter a keep-out zone of its policy"),
 }
 
 

@@ -182,7 +182,9 @@ class Outbox:
         self._credit: Credit | None = None
 
     def begin_pieces(self, window_bytes: int) -> None:
-        """Allow only so many bytes of pieces under way from now on; 0 has no effect. A second call changes nothing."""
+        """Send in pieces from now on, of which about so many bytes are under way (see `Credit`); 0 has no effect. A
+        second call changes nothing.
+        """
         with self._changed:
             if window_bytes and self._credit is None:
                 self._credit = Credit(max(window_bytes, PIECE_BYTES))
@@ -202,7 +204,7 @@ class Outbox:
         """Send a reply or an event. If it is too large for a packet, an error is sent instead."""
         packet = _pack(header, body)
         with self._changed:
-            if self._credit is not None and len(packet) > PIECE_BYTES:
+            if self._credit is not None and "id" in header and len(packet) > self._credit.piece_bytes:
                 self._large.append(Cut("event", LANE_OF_REQUESTS, packet))
             else:
                 self._packets.append(packet)
@@ -282,7 +284,8 @@ class Outbox:
             if self._credit is None:
                 packet = queue.take_batch()
             else:
-                queue.cut = queue.cut or Cut("event", queue.number, queue.take_batch(PIECE_BYTES, PIECE_SAMPLES))
+                batch_bytes = self._credit.piece_bytes
+                queue.cut = queue.cut or Cut("event", queue.number, queue.take_batch(batch_bytes, PIECE_SAMPLES))
                 packet = self._piece_of(queue.cut, self._credit)
                 queue.cut = queue.cut if queue.cut.left_bytes else None
             if queue.has_work:
@@ -304,7 +307,7 @@ class Outbox:
         return bool(self._packets or ((self._large or self._queues) and may_write_pieces))
 
     def _piece_of(self, cut: Cut, credit: Credit) -> bytes:
-        packet, size = cut.take()
+        packet, size = cut.take(credit.piece_bytes)
         credit.write(size)
         return packet
 

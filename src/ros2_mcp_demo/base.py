@@ -58,8 +58,12 @@ class Base:
     """The moving base. `pose` is its true pose, `odometry` the pose by its encoders.
 
     `linear` (m/s) and `angular` (rad/s) are its velocities; `blocked`: it is commanded to move, but stands against an
-    obstacle.
+    obstacle. Faults: its odometry counts `counts` of each metre and `turns` of each turn; with `are_exchanged` wheels
+    it turns against its commands, which its encoders do not see.
     """
+
+    counts, turns = 1.0, 1.0
+    are_exchanged = False
 
     def __init__(self, world, rng, pose=None):
         self._world = world
@@ -73,6 +77,8 @@ class Base:
 
     def step(self, linear, angular, dt):
         """Drive for `dt` s towards these velocities (m/s, rad/s), as far as inertia and walls allow."""
+        if self.are_exchanged:
+            angular = -angular
         before = self.linear
         braking = abs(linear) < abs(self.linear) or linear * self.linear < 0
         self.linear = approach(self.linear, linear, (LINEAR_BRAKING if braking else LINEAR_ACCELERATION) * dt)
@@ -87,7 +93,10 @@ class Base:
         right, counted_right = self.right.roll(self.linear + half_turn_speed, dt)
         self.pose = self.pose.moved((left + right) / 2, (right - left) / WHEEL_SEPARATION)
         turned = (counted_right - counted_left) / WHEEL_SEPARATION
-        self.odometry = self.odometry.moved((counted_left + counted_right) / 2, turned)
+        if self.are_exchanged:
+            turned = -turned
+        counted = (counted_left + counted_right) / 2
+        self.odometry = self.odometry.moved(self.counts * counted, self.turns * turned)
         self.travelled += abs(left + right) / 2
 
     def _is_blocked_at(self, pose):

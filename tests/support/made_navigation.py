@@ -150,10 +150,9 @@ READ = (
 )
 
 
-def grid(cells: Any) -> CostGrid:
-    origin = SimpleNamespace(
-        position=SimpleNamespace(x=-2.0, y=-2.0, z=0.0), orientation=SimpleNamespace(x=0, y=0, z=0, w=1)
-    )
+def grid(cells: Any, corner: tuple[float, float] = (-2.0, -2.0)) -> CostGrid:
+    x, y = corner
+    origin = SimpleNamespace(position=SimpleNamespace(x=x, y=y, z=0.0), orientation=SimpleNamespace(x=0, y=0, z=0, w=1))
     info = SimpleNamespace(width=cells.shape[1], height=cells.shape[0], resolution=0.1, origin=origin)
     return CostGrid(SimpleNamespace(header=SimpleNamespace(frame_id="map"), info=info, data=cells.ravel()))
 

@@ -6,7 +6,6 @@ import contextlib
 import getpass
 import os
 import shutil
-import socket
 import subprocess
 import time
 from collections.abc import Generator, Mapping, Sequence
@@ -32,6 +31,7 @@ class Sshd:
     `home` is the home of those who log in: empty, so that nobody's start-up files matter.
     """
 
+    host: str
     port: int
     folder: Path
     process: subprocess.Popen[bytes]
@@ -65,7 +65,7 @@ class Sshd:
 
     def address(self, port: int | None = None, query: str = "") -> str:
         """Of `--robot`; another port where something stands between."""
-        return f"ssh://{self.user}@127.0.0.1:{port or self.port}{query}"
+        return f"ssh://{self.user}@{self.host}:{port or self.port}{query}"
 
     def command_lines(self) -> list[bytes]:
         """Of all that runs there of those who logged in."""
@@ -80,12 +80,21 @@ class Sshd:
         """The key is known under this port, too."""
         public = (self.folder / "host_key.pub").read_text().split()[:2]
         with self.known_hosts.open("a") as known:
-            known.write(f"[127.0.0.1]:{port} {' '.join(public)}\n")
+            known.write(f"[{self.host}]:{port} {' '.join(public)}\n")
 
 
 @contextmanager
-def sshd(folder: Path, env: Mapping[str, str], lines: Sequence[str] = ()) -> Generator[Sshd, None, None]:
+def sshd(
+    folder: Path,
+    env: Mapping[str, str],
+    lines: Sequence[str] = (),
+    *,
+    host: str = "127.0.0.1",
+    before: Sequence[str] = (),
+) -> Generator[Sshd, None, None]:
     """An sshd for the time of a block, whose logins have these variables; `lines` are added to its configuration.
+
+    It listens at `host`; `before` is what its command begins with, such as the way into another network.
 
     Skips the test where there is none.
     """
@@ -102,7 +111,7 @@ def sshd(folder: Path, env: Mapping[str, str], lines: Sequence[str] = ()) -> Gen
             [
                 *lines,
                 f"Port {port}",
-                "ListenAddress 127.0.0.1",
+                f"ListenAddress {host}",
                 f"HostKey {folder / 'host_key'}",
                 f"AuthorizedKeysFile {folder / 'authorized_keys'}",
                 f"PidFile {folder / 'pid'}",
@@ -122,13 +131,13 @@ def sshd(folder: Path, env: Mapping[str, str], lines: Sequence[str] = ()) -> Gen
         Path("/run/sshd").mkdir(mode=0o755, exist_ok=True)  # it separates privileges there
     log = (folder / "log").open("wb")
     process = subprocess.Popen(
-        [_SSHD, "-D", "-e", "-f", str(folder / "config")], stdin=subprocess.DEVNULL, stdout=log, stderr=log
+        [*before, _SSHD, "-D", "-e", "-f", str(folder / "config")], stdin=subprocess.DEVNULL, stdout=log, stderr=log
     )
     log.close()
-    running = Sshd(port=port, folder=folder, process=process)
+    running = Sshd(host=host, port=port, folder=folder, process=process)
     running.knows(port)
     try:
-        _await_listening(process, port, folder / "log")
+        _await_listening(process, folder / "log")
         yield running
     finally:
         process.kill()
@@ -140,10 +149,10 @@ def _make_key(path: Path) -> None:
         subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", str(path)], check=True, timeout=30)
 
 
-def _await_listening(process: subprocess.Popen[bytes], port: int, log: Path) -> None:
+def _await_listening(process: subprocess.Popen[bytes], log: Path) -> None:
     deadline = time.monotonic() + _LISTENS_S
     while time.monotonic() < deadline and process.poll() is None:
-        with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1.0):
+        if "Server listening on" in log.read_text(errors="replace"):
             return
         time.sleep(0.01)
     raise AssertionError(f"sshd does not listen: {log.read_text(errors='replace')}")

@@ -56,14 +56,14 @@ def test_mcp_is_served_over_stdio_without_what_windows_lacks(server: RawServer) 
 def test_a_unix_socket_is_refused_with_the_way_out_where_python_knows_none() -> None:
     code, text = said("connect", "/tmp/robot.sock")
     assert code == 1
-    assert "Python knows no Unix sockets on Windows" in text
+    assert "Python does not support Unix sockets on Windows" in text
     assert "streamable-http" in text
 
 
 def test_the_simulated_robot_says_where_it_runs() -> None:
     code, text = said("demo")
     assert code == 1
-    assert "The simulated robot runs under Linux alone." in text
+    assert "The simulated robot runs only on Linux." in text
 
 
 def test_a_server_without_a_robot_says_how_to_name_one() -> None:

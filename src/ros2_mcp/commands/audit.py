@@ -51,7 +51,7 @@ def audit(folder: Path, step: str, *, limit: int = 50, as_json: bool = False, he
     if not folder.is_dir():
         raise NotFound(
             f"There is no audit in {folder}.",
-            "It is there once something was done. Of a robot that its policy names: ros2-mcp --policy FILE audit …, or "
+            "It is created by the first command. For a robot that its policy names: ros2-mcp --policy FILE audit …, or "
             "--state DIR.",
         )
     if step == "show":

@@ -23,7 +23,7 @@ def connect(path: Path) -> int:
     """
     if sys.platform == "win32":
         raise LinkError(
-            "Python knows no Unix sockets on Windows, so that no server is reached at one.",
+            "Python does not support Unix sockets on Windows.",
             "Start one that serves over HTTP: ros2-mcp --transport streamable-http.",
         )
     connection = socket.socket(socket.AF_UNIX)
@@ -31,8 +31,8 @@ def connect(path: Path) -> int:
         connection.connect(str(path.expanduser()))
     except OSError as error:
         raise LinkError(
-            f"No server is reached at {path}: {error.strerror or error}.",
-            f"Start one there (ros2-mcp --socket {path}), and be its user or in the group of the socket.",
+            f"No server can be reached at {path}: {error.strerror or error}.",
+            f"Start one there (ros2-mcp --socket {path}), as this user, or as one that shares the group of the socket.",
         ) from error
     client_has_ended = threading.Event()
     threading.Thread(target=_carry_out, args=(connection, client_has_ended), daemon=True).start()

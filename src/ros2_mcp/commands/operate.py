@@ -102,7 +102,10 @@ def reset(folder: Path) -> str:
         return f"The latch of {folder.name} is not set. Another robot: ros2-mcp --policy FILE operate, or --state DIR."
     if folder.stat().st_uid != own_uid():  # otherwise the server could not write files that this user creates
         owner = name_of(folder.stat().st_uid)
-        raise Refused("Without a server its user resets the latch.", f"Run this as {owner}, or start the server.")
+        raise Refused(
+            "Without a server, only the user who owns its files can reset the latch.",
+            f"Run this as {owner}, or start the server.",
+        )
     by, log = f"operator {name_of(own_uid())}", Audit(lambda: audit_folder(StateFolder(folder)))
     try:
         latch.reset(by=by, seen=state.count)
@@ -118,7 +121,7 @@ def reset(folder: Path) -> str:
 def _step(servers: Sequence[Server], step: str, words: list[str]) -> list[Row]:
     """Return the answers of all servers, or of the one with the given request. Raises `RobotError`."""
     if step not in _STEPS:
-        raise BadInput(f"There is nothing called {step!r} to do.", f"Choose from {', '.join(_STEPS)}.")
+        raise BadInput(f"There is no step called {step!r}.", f"Choose from {', '.join(_STEPS)}.")
     if step in ("list", "stop", "reset"):
         return [server.do(step) for server in servers]
     if not words:

@@ -139,7 +139,7 @@ def _trial(command: str) -> trials.Trial:
     verb, _, rest = command.strip().partition(" ")
     name, _, rest = rest.strip().partition(" ")
     if not name:
-        raise BadInput(f"{command!r} is no command.", f"Write {_FORM}")
+        raise BadInput(f"{command!r} is not a command.", f"Write {_FORM}")
     row = dict.fromkeys(("type", "value", "rate_hz", "duration_s", "facts"), "") | {"verb": verb, "name": name}
     rest, row["value"] = _json_in(rest)
     for word in shlex.split(rest):

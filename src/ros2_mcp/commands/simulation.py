@@ -158,7 +158,7 @@ def simulated_robot(settings: Settings, graph: Graph, robot: str = DEFAULT) -> G
     """
     if sys.platform == "win32":
         raise RosNotFound(
-            "The simulated robot runs under Linux alone.", "In WSL it runs as it is; or name a robot with --robot."
+            "The simulated robot runs only on Linux.", "In WSL it runs as it is; or name a robot with --robot."
         )
     command = find_ros(with_interfaces(replace(settings, domain_id=graph.domain_id), robot)).command(
         "ros2_mcp_demo", ["--robot", robot, "--until-stdin-closes"]

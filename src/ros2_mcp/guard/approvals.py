@@ -81,13 +81,30 @@ class Grant:
         """Return whether the grant covers this command."""
         if exact.subject != self.exact.subject or exact.epoch != self.exact.epoch:
             return False
-        return all(_size_at(exact.value, path.split(".")) <= most for path, most in self.most.items())
+        sizes = ((_size_at(goal, path.split(".")), most) for goal in exact.goals for path, most in self.most.items())
+        return all(size <= most for size, most in sizes)
 
     def in_words(self) -> str:
         """Return a description of the commands that the grant allows."""
         exact = self.exact
         bounds = "".join(f", {word(path)} at most {number(most)}" for path, most in self.most.items())
         return f"{exact.verb} {word(exact.name)} ({word(exact.type)}){bounds}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RouteApproval:
+    """The used approval of a list of goals, which covers them until the job that sends them ends. It covers a single
+    goal, too, which its job sends again after a pause.
+    """
+
+    id: str
+    exact: ExactCommand
+
+    def covers(self, exact: ExactCommand) -> bool:
+        """Return whether this command is one of the list's goals."""
+        mine = self.exact
+        is_same = exact.route_id == mine.route_id and exact.subject == mine.subject and exact.epoch == mine.epoch
+        return is_same and not exact.route and exact.digest in mine.goal_digests
 
 
 class Approvals:
@@ -115,6 +132,7 @@ class Approvals:
         self._changed = changed
         self._requests: dict[str, Request] = {}
         self._grants: dict[str, Grant] = {}
+        self._routes: dict[str, RouteApproval] = {}
 
     # ── asked by the guard ─────────────────────────────────────────────────────────────────────────────────────────
 
@@ -131,9 +149,14 @@ class Approvals:
         for grant in self._grants.values():
             if grant.covers(exact):
                 return grant.id
+        approved = self._routes.get(exact.route_id)
+        if approved and approved.covers(exact):
+            return approved.id
         request = self._requests.get(exact.key)
         if request and request.state == "approved":
             del self._requests[exact.key]  # before anything is sent, so that no other call can use it as well
+            if exact.route_id:
+                self._routes[exact.route_id] = RouteApproval(id=request.id, exact=exact)
             return request.id
         if request and request.state == "denied":
             raise Refused(
@@ -163,6 +186,10 @@ class Approvals:
         self._requests[exact.key] = request
         self._changed("asked", {"approval": request.id, **exact.line()})
         return request
+
+    def end_route(self, route_id: str) -> None:
+        """End the approval of a list of goals: the job that sends them has ended."""
+        self._routes.pop(route_id, None)
 
     def leave(self, principal: Principal) -> None:
         """Withdraw the waiting requests of a client that has disconnected."""
@@ -241,12 +268,14 @@ class Approvals:
         bounds = dict(most or {})
         for path, value in bounds.items():
             if not (math.isfinite(value) and value >= 0):
-                raise BadInput(f"The bound of {path} is no number from 0 on.")
+                raise BadInput(f"The bound of {path} is not a number from 0 on.")
             if not math.isfinite(_size_at(request.exact.value, path.split("."))):
-                raise BadInput(f"What waits has no number at {word(path)}.", "Name a value that operate show has.")
+                raise BadInput(
+                    f"The waiting request has no number at {word(path)}.", "Name a value that operate show has."
+                )
         grant = Grant(id=self._fresh_id(), exact=request.exact, until=self._clock() + for_s, by=by, most=bounds)
         if not grant.covers(request.exact):
-            raise BadInput("What waits is beyond that bound.", "Raise it, or deny the request.")
+            raise BadInput("The waiting request exceeds that bound.", "Raise it, or deny the request.")
         del self._requests[request.exact.key]
         self._grants[grant.id] = grant
         self._changed(

@@ -172,7 +172,7 @@ class _Chain:
             return
         match = _LINE.fullmatch(line)
         if not match:
-            verdict.faults.append(f"{place} is no line of an audit: it was changed.")
+            verdict.faults.append(f"{place} is not a line of an audit: it was changed.")
             return
         body, seq, prev, digest = match[1], int(match[2]), match[3].decode(), match[4].decode()
         if hashlib.sha256(body).hexdigest() != digest:

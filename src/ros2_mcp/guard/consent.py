@@ -47,6 +47,10 @@ class Consent:
         """Return whether that request still waits for an answer."""
         return any(one.id == request_id for one in self.approvals.waiting())
 
+    def end_route(self, route_id: str) -> None:
+        """End the approval of a list of goals."""
+        self.approvals.end_route(route_id)
+
     def leave(self, principal: Principal) -> None:
         """Withdraw the waiting requests of a client that has disconnected."""
         self.approvals.leave(principal)
@@ -101,7 +105,8 @@ class Auditing:
 
 def exact_of(act: Act, policy: str, epoch: str) -> ExactCommand:
     """Return the exact command that is approved and audited."""
-    return ExactCommand.of(act.command, act.facts.value, policy=policy, epoch=epoch, told=act.facts.told)
+    facts = act.facts
+    return ExactCommand.of(act.command, facts.value, policy=policy, epoch=epoch, told=facts.told, route=facts.route)
 
 
 def _outcome(error: BaseException | None, ended_by: str) -> str:

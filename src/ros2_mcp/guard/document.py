@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
+from ros2_mcp_common.policy.keep_out import KeepOut
 from ros2_mcp_common.policy.rules import RuleSet
 
 Mode = Literal["observe", "confirm", "autonomous"]
@@ -43,8 +44,9 @@ class Feedback:
 class Pose:
     """The topic of the robot's pose, and the zone that the robot must not leave while it is driven ("": none).
 
-    `brake_mps2` is the robot's deceleration in m/s²: the robot is stopped early enough to come to rest inside the zone.
-    `frame_id` is the frame of the zone: a pose in another frame counts as unknown.
+    `brake_mps2` and `brake_radps2` are the robot's decelerations: the robot is stopped early enough to come to rest
+    inside the zone, and before keep-out zones. `frame_id` is the frame of the zones: a pose in another frame counts as
+    unknown. With a `base`, the topic has transforms, and the pose is the one from `frame_id` to `base`.
     """
 
     topic: str
@@ -54,6 +56,8 @@ class Pose:
     max_age_s: float = 1.0
     zone: str = ""
     brake_mps2: float = 1.0
+    base: str = ""
+    brake_radps2: float = 2.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,6 +98,7 @@ class Document:
     state: str = ""
     feedback: Feedback | None = None
     pose: Pose | None = None
+    keep_out: KeepOut | None = None
     consent: Consent = Consent()
     audit: Auditing = Auditing()
 
@@ -101,6 +106,8 @@ class Document:
     def form(self) -> Mapping[str, Any]:
         """The canonical form, from which the digest is computed: the content without file name and line numbers."""
         form = {name: value for name, value in asdict(self).items() if name != "origin"}
+        if form["keep_out"]:
+            del form["keep_out"]["rule"]
         for entries in (form["rules"][key] for key in ("allow", "forbid", "limits")):
             for entry in entries:
                 del entry["rule"]

@@ -117,8 +117,8 @@ def _check(settings: Settings) -> None:
     is_local = is_loopback(settings.host)
     if settings.no_login and (not is_local or settings.behind_proxy or settings.public_url):
         raise BadInput(
-            "--no-login would let everybody in who reaches this server from elsewhere.",
-            "It is for this machine alone (--host 127.0.0.1, no proxy). Leave it out: a token is made by itself.",
+            "--no-login would give access to anyone who reaches this server over the network.",
+            "It is only for this machine (--host 127.0.0.1, no proxy). Leave it out: a token is made automatically.",
         )
     if settings.no_login and settings.token_file:
         raise BadInput("--no-login and --token-file contradict each other.", "Give one of them.")

@@ -10,11 +10,11 @@ import hashlib
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any, cast
 
 from ros2_mcp.guard.policy import verb_of
-from ros2_mcp.model.commands import Command, Principal
+from ros2_mcp.model.commands import Command, Principal, Route, SendGoal
 from ros2_mcp.model.text import is_name
 from ros2_mcp_common.policy.velocity import VELOCITY_TYPES
 
@@ -29,7 +29,9 @@ _SENTENCES: Mapping[str, str] = {
     "goal": "Send a goal to {name}",
     "cancel": "Cancel goals of {name}",
 }
-_NOT_BOUND = frozenset({"principal", "name", "type", "value", "rate_hz", "duration_s", "risk", "choice", "qos"})
+_NOT_BOUND = frozenset(
+    {"principal", "name", "type", "value", "rate_hz", "duration_s", "risk", "choice", "qos", "route"}
+)
 _NOT_SAID = frozenset(
     {"messages", "goal_id", "repeat_id", "motion_id", "relay_id", "wait_match_s", "wait_ack_s", "timeout_s", "wait_s"}
 )
@@ -49,8 +51,10 @@ class ExactCommand:
     """A resolved command: an approval covers exactly this. `value` is decoded in full, including defaults.
 
     `digest` is SHA-256 over the type and the CDR bytes that are sent, or, where `of` got no bytes, over the type and
-    the value as canonical JSON. `more` are the other fields of the command that affect its outcome, `policy` is the
-    hash of the policies, `epoch` the stop epoch of the request, `told` further sentences for the person who approves.
+    the value as canonical JSON; of a list of goals, over the whole list. `more` are the other fields of the command
+    that affect its outcome, `policy` is the hash of the policies, `epoch` the stop epoch of the request, `told` further
+    sentences for the person who approves. `route` is the list of goals that begins with this one, with full values, and
+    `route_id` the id of the list, which is new for each call.
     """
 
     principal: Principal
@@ -65,6 +69,8 @@ class ExactCommand:
     policy: str = ""
     epoch: str = ""
     told: Sequence[str] = ()
+    route: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    route_id: str = ""
 
     @classmethod
     def of(
@@ -76,6 +82,7 @@ class ExactCommand:
         policy: str = "",
         epoch: str = "",
         told: Sequence[str] = (),
+        route: Sequence[object] = (),
     ) -> ExactCommand:
         """Return the exact form of a command.
 
@@ -87,9 +94,12 @@ class ExactCommand:
             epoch: the stop epoch in which the command was accepted.
             told: further sentences about the value for the person who approves, such as the extremes of a trajectory;
                 they are not part of what is approved.
+            route: the full values of the goals of a list that begins with this goal.
         """
         value = command.value if value is None else value
-        of = body or canonical(value).encode()
+        listed = command.route if isinstance(command, SendGoal) and command.route else None
+        of_list = _route(listed, route or listed.goals) if listed and listed.goals else {}
+        of = canonical(of_list).encode() if of_list else body or canonical(value).encode()
         more = {
             each.name: getattr(command, each.name)
             for each in fields(command)
@@ -102,6 +112,8 @@ class ExactCommand:
             type=command.type,
             value=value,
             digest=hashlib.sha256(canonical(command.type).encode() + of).hexdigest(),
+            route=of_list,
+            route_id=listed.id if listed else "",
             rate_hz=command.rate_hz,
             duration_s=command.duration_s,
             more={name: found for name, found in more.items() if found not in (None, "", 0)},
@@ -132,6 +144,17 @@ class ExactCommand:
         parts = [self.subject, self.digest, self.rate_hz, self.duration_s, self.epoch]
         return hashlib.sha256(canonical(parts).encode()).hexdigest()
 
+    @property
+    def goals(self) -> Sequence[Any]:
+        """The values of all goals that an approval covers: those of the list, or the only one."""
+        return self.route.get("goals", (self.value,))
+
+    @property
+    def goal_digests(self) -> frozenset[str]:
+        """The digests of `goals`, each as that of a command with this value."""
+        kind = canonical(self.type).encode()
+        return frozenset(hashlib.sha256(kind + canonical(goal).encode()).hexdigest() for goal in self.goals)
+
     def line(self, **more: Any) -> dict[str, Any]:
         """Return the fields of the audit line of this command, with `more` added."""
         return {
@@ -150,6 +173,7 @@ class ExactCommand:
                 for name, found in more.items()
             },
             **({"more": canonical(self.more)} if self.more else {}),
+            **({"route": canonical(self.route)} if self.route else {}),
             "value": self.value,
         }
 
@@ -159,7 +183,7 @@ class ExactCommand:
         return [
             f"{self._effect()}{self._type()}, {self._often()}.",
             *self.told,
-            self._values(),
+            *([self._values(self.value)] if not self.route else self._listed()),
             *self._motion(),
             f"For the client {_text(self.principal.name)} ({word(self.principal.transport)}). "
             f"Digest {' '.join(groups)}.",
@@ -177,6 +201,21 @@ class ExactCommand:
     def _type(self) -> str:
         return f" ({word(self.type)})" if self.type else ""
 
+    def _listed(self) -> list[str]:
+        """Return the sentences about a list of goals: how it is carried out, and each goal."""
+        goals, loops, waits = self.goals, self.route["loops"], self.route["waits_s"]
+        missed = "goes on" if self.route["goes_on"] else "ends it"
+        often = "once" if loops == 1 else f"{number(loops)} times"
+        told = f"It begins a list of {number(len(goals))} goals, in this order, {often}; a missed one {missed}."
+        waiting = [f", then wait {number(wait_s)} s" if wait_s else "" for wait_s in waits]
+        return [
+            told,
+            *(
+                f"Goal {place}{wait}: {self._values(goal)}"
+                for place, (goal, wait) in enumerate(zip(goals, waiting, strict=True), 1)
+            ),
+        ]
+
     def _often(self) -> str:
         if self.rate_hz is None and self.duration_s is None:
             return "once" if self.verb not in ("relay", "play", "record") else "until it ends or is stopped"
@@ -184,10 +223,10 @@ class ExactCommand:
         lasting = f"for {number(self.duration_s)} s" if self.duration_s else "without end"
         return f"{rate} {lasting}"
 
-    def _values(self) -> str:
+    def _values(self, value: Any) -> str:
         parameters: Mapping[str, Any] | None = self.more.get("parameters")
         if parameters is None:
-            leaves = [(path, leaf) for path, leaf in leaves_of(self.value) if not is_default(leaf)]
+            leaves = [(path, leaf) for path, leaf in leaves_of(value) if not is_default(leaf)]
             others, none = "every other value is 0 or empty", "Every value is 0 or empty."
         else:  # parameters: all are shown, because a default value is set as well
             leaves = [
@@ -222,6 +261,11 @@ class ExactCommand:
         if leaf is None:
             return "empty"
         return _text(leaf) if isinstance(leaf, str) else _text(canonical(leaf))
+
+
+def _route(route: Route, goals: Sequence[object]) -> dict[str, Any]:
+    waits_s = [*route.waits_s] or [0.0] * len(goals)
+    return {"goals": [*goals], "loops": route.loops, "waits_s": waits_s, "goes_on": route.goes_on}
 
 
 class _Given(dict[str, str]):

@@ -62,6 +62,10 @@ class Approvals(Protocol):
         """Return whether that request still waits for an answer."""
         ...
 
+    def end_route(self, route_id: str) -> None:
+        """End the approval of a list of goals: its job has ended."""
+        ...
+
     def leave(self, principal: Principal) -> None:
         """Withdraw the waiting requests of a client that has disconnected."""
         ...

@@ -145,7 +145,7 @@ class _Clients:
                 with suppress(asyncio.TimeoutError):  # closing a socket with an unread request discards the answer
                     await asyncio.wait_for(reader.readline(), SHOWN_S)
                 self._operated.audit.note("operator refused", by=name_of(uid), uid=uid)
-                await _send(writer, {"ok": False, "error": f"{name_of(uid)} is no operator of this robot."})
+                await _send(writer, {"ok": False, "error": f"{name_of(uid)} is not an operator of this robot."})
             elif len(self._serving) > _MOST_CLIENTS:
                 await _send(writer, {"ok": False, "error": "Too many operators are connected."})
             else:

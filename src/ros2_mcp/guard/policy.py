@@ -11,7 +11,7 @@ from ros2_mcp.model import commands
 from ros2_mcp.model.commands import SERVER, Command, ServiceBorne
 from ros2_mcp.model.errors import BadValue
 from ros2_mcp.model.text import named
-from ros2_mcp_common.policy.rules import NO_TERMS, NO_VALUE, Rules, RuleSet, Ruling, Terms
+from ros2_mcp_common.policy.rules import NO_TERMS, NO_VALUE, Allowance, Rules, RuleSet, Ruling, Terms
 from ros2_mcp_common.policy.trajectory_limits import LookAtJoints, nobody_measures
 from ros2_mcp_common.policy.velocity import VELOCITY_TYPES
 from ros2_mcp_common.policy.verbs import Verb, meaning
@@ -57,10 +57,12 @@ class Facts:
     `value` is the full value as it will be sent, including defaults: the message, the request, the goal, or the
     parameters' values by name. None if no rule checks it. `publishers` are the robot's own nodes that publish the type
     on the topic. `joints` returns the measured states of a trajectory's joints. `told` are sentences about the value
-    for the person who approves it, worded as in `exact`.
+    for the person who approves it, worded as in `exact`. `route` are the full values of all goals of the list that
+    begins with this one, which are decided with it.
     """
 
     value: object = None
+    route: Sequence[object] = ()
     publishers: Sequence[str] = ()
     joints: LookAtJoints = nobody_measures
     told: Sequence[str] = ()
@@ -163,12 +165,17 @@ class Policy:
         value: Any = NO_VALUE
         if facts.value is not None:
             value = facts.value
-        judged = ruling.judge(value, facts.joints, _terms(command, facts.publishers))
-        if judged.problem:
-            return _refused(command, judged.problem, judged.rule)
+        allowances: list[Sequence[Allowance]] = []
+        values = facts.route or (value,)
+        for number, each in enumerate(values, 1):
+            judged = ruling.judge(each, facts.joints, _terms(command, facts.publishers))
+            if judged.problem:
+                which = f"goal {number} of {len(values)}: " if facts.route else ""
+                return _refused(command, f"{which}{judged.problem}", judged.rule)
+            allowances += judged.allowances
         # The mildest of the fitting rules applies, so that the order of the rules does not matter.
-        chosen = [min(fitting, key=lambda entry: _MILDEST.index(entry.consent)) for fitting in judged.allowances]
-        rule = "; ".join(entry.rule for entry in chosen)
+        chosen = [min(fitting, key=lambda entry: _MILDEST.index(entry.consent)) for fitting in allowances]
+        rule = "; ".join(dict.fromkeys(entry.rule for entry in chosen))
         waits = any(entry.consent == "each" or (mode == "confirm" and not entry.consent) for entry in chosen)
         return Decision(verdict="consent" if waits else "allowed", rule=rule)
 

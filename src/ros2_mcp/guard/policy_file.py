@@ -7,6 +7,7 @@ from __future__ import annotations
 import errno
 import hashlib
 import json
+import math
 import os
 import re
 import stat
@@ -17,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from ros2_mcp.guard.document import Auditing, Consent, Document, Feedback, Pose
+from ros2_mcp.guard.keep_out_section import keep_out_of, limits_of, polygon
 from ros2_mcp.guard.policy import VERBS, Policy
 from ros2_mcp.guard.section import PolicyFileError, Section, parse
 from ros2_mcp.model.names import did_you_mean
@@ -26,6 +28,7 @@ from ros2_mcp_common.policy.checks import Checks, Pace, Zone
 from ros2_mcp_common.policy.feedback import PARTS
 from ros2_mcp_common.policy.rules import Allowance, Forbidden, Limit, Ramp, Rules, RuleSet
 from ros2_mcp_common.policy.trajectory_limits import CurveLimits, JointBounds
+from ros2_mcp_common.policy.transform_chain import TF
 from ros2_mcp_common.wire.limits import MAX_RATE_HZ, MIN_RATE_HZ
 
 SYSTEM_POLICY = (
@@ -77,7 +80,32 @@ def read_policies(chosen: Sequence[str], system: Path | None = None) -> list[Doc
     documents += [read_policy(choice) for choice in chosen]
     for key in ("feedback", "pose"):
         _check_said_once(key, [document for document in documents if document.form[key]])
+    for document in documents:
+        _check_watched(document, documents)
     return documents
+
+
+def _check_watched(document: Document, documents: Sequence[Document]) -> None:
+    """Raise an error for keep-out zones that no pose in their frame, or no speed, would watch."""
+    if document.keep_out is None:
+        return
+    frame_id = document.keep_out.frame_id
+    pose = next((one.pose for one in documents if one.pose), None)
+    if pose is None or all(one.feedback is None for one in documents):
+        missing = "pose" if pose is None else "feedback"
+        problem = f"keep_out needs {missing!r}: without it nothing sees whether the robot drives into a zone."
+        base = "pose: {topic: /tf, frame: map, base: base_footprint}"
+        raise PolicyFileError(document.origin, 0, problem, f"Such as {base}, and feedback: {{topic: /odom}}.")
+    if pose.frame_id != frame_id:
+        problem = (
+            f"keep_out is in the frame {frame_id!r}, and pose in {pose.frame_id!r}: neither says where the other is."
+        )
+        raise PolicyFileError(document.origin, 0, problem, f"Write frame: {pose.frame_id} in both.")
+    least_m = document.keep_out.least_margin_m(pose.brake_mps2, pose.brake_radps2)
+    if document.keep_out.margin_m < least_m:
+        speeds = f"brake_mps2 {pose.brake_mps2:g} and brake_radps2 {pose.brake_radps2:g}"
+        problem = f"the margin_m of keep_out is too small for this outline with {speeds}: it would be stopped too late."
+        raise PolicyFileError(document.origin, 0, problem, f"Write margin_m: {math.ceil(least_m * 100) / 100:g}.")
 
 
 def _check_said_once(key: str, documents: Sequence[Document]) -> None:
@@ -163,6 +191,7 @@ def document_of(text: str, origin: str) -> Document:
         raise top.error_at("policy", "this version knows policy: 1 only.")
     name = top.text("name", Path(origin.removeprefix("profile ")).stem)
     zones = {each: _zone(section) for each, section in top.named_sections("zones", "the zone").items()}
+    keep_out = keep_out_of(top.section("keep_out"), name)
     document = Document(
         name=name,
         origin=origin,
@@ -174,14 +203,18 @@ def document_of(text: str, origin: str) -> Document:
             name=name,
             allow=tuple(_allowance(section, name, zones) for section in top.sections("allow", "a rule of allow")),
             forbid=tuple(_forbidden(section, name) for section in top.sections("forbid", "a rule of forbid")),
-            limits=tuple(
-                _limit(section, f"{name}: limit {each}", zones)
-                for each, section in top.named_sections("limits", "the limit").items()
+            limits=(
+                *(
+                    _limit(section, f"{name}: limit {each}", zones)
+                    for each, section in top.named_sections("limits", "the limit").items()
+                ),
+                *limits_of(keep_out),
             ),
             zones=zones,
         ),
         feedback=_feedback(top.section("feedback")),
         pose=_pose(top.section("pose"), zones),
+        keep_out=keep_out,
         consent=_consent(top.section("consent")),
         audit=_audit(top.section("audit")),
     )
@@ -378,7 +411,7 @@ def _checks_by_path(fields: Section, zones: dict[str, Zone]) -> Checks:
         if curve := section.section("curve"):
             found["curve"][path] = _curve(curve)
         section.done()
-    return Checks(**found, zero=tuple(zero))
+    return Checks(zero=tuple(zero), keep_out=None, **found)
 
 
 def _whole(section: Section, key: str) -> tuple[int, int]:
@@ -430,10 +463,8 @@ def _joint(section: Section) -> JointBounds:
 
 
 def _zone(section: Section) -> Zone:
-    polygon = section.points("polygon")
-    if len(polygon) < 3:
-        raise section.error_at("polygon", "a polygon needs three points or more.")
-    zone = Zone(section.text("frame", "map"), polygon, section.needed_number("margin_m", 0.0))
+    corners = polygon(section, "polygon")
+    zone = Zone(section.text("frame", "map"), corners, section.needed_number("margin_m", 0.0))
     section.done()
     return zone
 
@@ -487,12 +518,18 @@ def _pose(section: Section | None, zones: dict[str, Zone]) -> Pose | None:
     if zone and section.text("frame", frame_id) != frame_id:
         problem = f"the zone {zone!r} is in the frame {frame_id!r}: a place in another frame says nothing of it."
         raise section.error_at("frame", problem, f"Write frame: {frame_id}, or leave it out; or give the zone another.")
+    base = section.text("base")
+    if base and (section.has("path") or section.has("type")):
+        raise section.error_at("base", "with 'base' the topic has transforms: leave out 'type' and 'path'.")
+    told = _told_on(section, usual)
     pose = Pose(
-        **_told_on(section, usual),
+        **({**told, "type": TF} if base else told),
+        base=base,
         frame_id=section.text("frame", frame_id),
         max_age_s=section.needed_number("max_age_s", usual.max_age_s, low=0.05),
         zone=zone,
         brake_mps2=section.needed_number("brake_mps2", usual.brake_mps2, low=0.01),
+        brake_radps2=section.needed_number("brake_radps2", usual.brake_radps2, low=0.01),
     )
     section.done()
     return pose

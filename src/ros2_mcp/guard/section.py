@@ -199,7 +199,7 @@ class Section:
         return outer.each(what) if outer else {}
 
     def each(self, what: str) -> Mapping[str, Section]:
-        """Return the mappings of all keys, by key."""
+        """Return the nested mapping of each key, by key."""
         return {name: Section(self._nodes[name], f"{what} {name}", self.origin) for name in self.all()}
 
     def all(self) -> Iterator[str]:

@@ -106,9 +106,9 @@ def servers_in(folder: Path, patience_s: float | None = None, *, of_one: bool = 
         ) from error
     if not found:
         raise NotFound(
-            f"No server of the robot {folder.name} runs.",
-            f"It would have a socket in {folder}. Of a robot that its policy names: ros2-mcp --policy FILE operate, or "
-            "--state DIR. Without a server, the same with operate reset resets the latch.",
+            f"No server of the robot {folder.name} is running.",
+            f"It would have a socket in {folder}. For a robot that is named by its policy: ros2-mcp --policy FILE "
+            "operate, or --state DIR. ros2-mcp operate reset also resets the latch without a server.",
         )
     return _of_one_robot(found) if of_one else found
 

@@ -86,7 +86,7 @@ class StateFolder:
         except OSError as error:
             raise StateUnusable(f"The state folder cannot be made: {error}.") from error
         if not stat.S_ISDIR(found.st_mode):
-            raise StateUnusable(f"The state folder {self.path} is no folder, or a link to one.")
+            raise StateUnusable(f"The state folder {self.path} is not a folder, or a link to one.")
         if is_of_others(found):
             raise StateUnusable(f"The state folder {self.path} belongs to another user.")
         if others_can_write(found):

@@ -116,7 +116,7 @@ def read_tokens(path: Path) -> Tokens:
         except BadInput as error:
             raise BadInput(f"{path}, line {number}: {error.message}", error.hint) from None
         if digest in logins or any(login.name == other.name for other in logins.values()):
-            raise BadInput(f"{path}, line {number}: {login.name} or its token is there twice.")
+            raise BadInput(f"{path}, line {number}: {login.name} or its token occurs twice.")
         logins[digest] = login
     if not logins:
         raise BadInput(f"{path} has no token.", f"Add one: ros2-mcp --token-file {path} token NAME")
@@ -148,7 +148,7 @@ def add_token(path: Path, name: str, scopes: Sequence[str]) -> str:
 def _entry(words: Sequence[str]) -> tuple[bytes, Login]:
     if len(words) != 3 or not _NAME.fullmatch(words[0]):
         raise BadInput(
-            f"{' '.join(words)!r} is no token.",
+            f"{' '.join(words)!r} is not a token.",
             "A line has a name (letters, digits, _ . -), scopes with commas between them, and sha256:… of the token.",
         )
     scopes = words[1].split(",")
@@ -198,6 +198,6 @@ def _secret(path: Path) -> str:
 
 def _refuse_others(path: Path, found: os.stat_result, bits: int, what: str) -> None:
     if not stat.S_ISREG(found.st_mode):
-        raise BadInput(f"{path} is no file.")
+        raise BadInput(f"{path} is not a file.")
     if is_of_others(found) or (sys.platform != "win32" and found.st_mode & bits):
         raise BadInput(f"{path} can be {what} by others.", f"Make it yours alone: chmod 600 {path}")

@@ -87,7 +87,7 @@ def rows_of(path: Path) -> Iterator[Row]:
             try:
                 expected = row["decision"].strip()
                 if expected not in DECISIONS.values():
-                    raise BadInput(f"{expected!r} is no decision.", f"It is {', '.join(DECISIONS.values())}.")
+                    raise BadInput(f"{expected!r} is not a decision.", f"It is {', '.join(DECISIONS.values())}.")
                 yield Row(line=reader.line_num, trial=trial_of(row), expected=expected)
             except BadInput as error:
                 raise BadInput(f"{path}:{reader.line_num}: {error}") from error
@@ -158,7 +158,7 @@ def _judged(verb: Verb, request: Any) -> Any:
     try:
         return judged_part(verb, given) if verb in ("goal", "set") else request
     except Exception as error:  # an error of `judged_part`: a parameter without a name or a value
-        raise BadInput(f"This is no request of that service: {error}.") from error
+        raise BadInput(f"This is not a request of that service: {error}.") from error
 
 
 def _json(row: Mapping[str, str], column: str) -> Any:
@@ -173,7 +173,7 @@ def _number(row: Mapping[str, str], column: str) -> float | None:
     try:
         return float(text) if text else None
     except ValueError as error:
-        raise BadInput(f"Column {column} is no number: {text!r}.") from error
+        raise BadInput(f"Column {column} is not a number: {text!r}.") from error
 
 
 def unbounded(policy: Policy, trial: Trial) -> list[str]:

@@ -22,7 +22,11 @@ def watch_of(policy: Policy) -> Mapping[str, Any]:
     named = next(((found.pose, found.rules.zones) for found in policy.documents if found.pose), None)
     if named and named[0]:
         pose, zones = named
-        watch["pose"] = {**asdict(pose), "zone": asdict(zones[pose.zone]) if pose.zone else None}
+        watch["pose"] = {
+            **asdict(pose),
+            "zone": asdict(zones[pose.zone]) if pose.zone else None,
+            "keep_out": [asdict(found.keep_out) for found in policy.documents if found.keep_out],
+        }
     return watch
 
 

@@ -9,6 +9,8 @@ from typing import Any
 from ros2_mcp.guard.document import Document
 from ros2_mcp_common.policy.checks import Checks, Zone
 from ros2_mcp_common.policy.feedback import UNITS
+from ros2_mcp_common.policy.keep_out import KeepOut
+from ros2_mcp_common.policy.polygons import Polygon
 from ros2_mcp_common.policy.rules import Allowance, Forbidden, Limit, RuleSet, Ruling
 from ros2_mcp_common.policy.trajectory_limits import CurveLimits, JointBounds
 
@@ -76,7 +78,27 @@ def watched(document: Document, most: Mapping[str, float]) -> list[str]:
         told.append(
             f"{pose.topic} tells the robot's place in the frame {pose.frame_id}. {stopped} {_one_of(whens)}.{way_back}"
         )
+    if keep_out := document.keep_out:
+        told += _keep_out(keep_out)
     return told
+
+
+def _keep_out(keep_out: KeepOut) -> Iterable[str]:
+    """Yield sentences about the keep-out zones: each with its corners, and what happens before one."""
+    for name, corners in keep_out.zones.items():
+        yield f"The keep-out zone {name} in the frame {keep_out.frame_id} has the corners {_corners(corners)} m."
+    round_m = f"a circle of {keep_out.radius_m:g} m"
+    outline = f"the polygon {_corners(keep_out.footprint)} m" if keep_out.footprint else round_m
+    yield (
+        f"The robot's outline, {outline}, keeps {keep_out.margin_m:g} m from keep-out zones: goals and planned paths "
+        f"that lead nearer are refused, and a drive is ended when the path on {keep_out.plan} does, or before it "
+        f"comes nearer than {keep_out.watched_m:g} m. From there only velocities that lead away may drive it; nearer "
+        f"than {keep_out.latched_m:g} m the latch is set, and the operator drives it out."
+    )
+
+
+def _corners(polygon: Polygon) -> str:
+    return ", ".join(f"({x:g}, {y:g})" for x, y in polygon)
 
 
 def _speeds(parts: Mapping[str, float], over: float = 1.0) -> str:
@@ -150,6 +172,8 @@ def in_words(checks: Checks, types: Sequence[str] = ()) -> Iterable[str]:
         yield f"{path} at most {pace.most:g} per second between points, the first not before {pace.first_s:g} s"
     for path, curve in checks.curve.items():
         yield f"all along the curve of {path or 'the trajectory'}, {'; '.join(_curve(curve))}"
+    if checks.keep_out:
+        yield f"outside of the keep-out zones {', '.join(checks.keep_out.zones)}, with the robot's whole outline"
 
 
 def _with_unit(path: str, speed: float) -> str:
@@ -189,9 +213,8 @@ def _forbidden(entry: Forbidden) -> str:
 
 
 def _zone(name: str, zone: Zone) -> str:
-    corners = ", ".join(f"({x:g}, {y:g})" for x, y in zone.polygon)
     margin = f", {zone.margin_m:g} m from its edges" if zone.margin_m else ""
-    return f"The zone {name} in the frame {zone.frame_id} has the corners {corners} m{margin}."
+    return f"The zone {name} in the frame {zone.frame_id} has the corners {_corners(zone.polygon)} m{margin}."
 
 
 def _names(patterns: Sequence[str]) -> str:

@@ -40,6 +40,8 @@ _DRAIN_S = 0.005
 _KEPT_REASONS = 100
 # The most repeats whose start is remembered: as many as may run at once (`Repetition.most_running`).
 _KEPT_REPEATS = 256
+_MOST_REASON = 300
+"""The characters that are shown of a reason of the bridge, which names a zone and places."""
 _logger = logging.getLogger(__name__)
 
 
@@ -63,7 +65,8 @@ class Bridge:
     durations of this server's silence in s, one for each lapse of the link lease; `lapsed_at` is the time of the report
     of the last one (monotonic, in s; 0 before). `on_latched` is called when the latch was set, with the originator, the
     reason, and whether only the bridge's own latch is set so far; `latched_by` has originator and reason in words,
-    `latched_at` the time of the report. `relays_ended` has the last counts of cancelled relays, by name,
+    `latched_at` the time of the report. `kept_out` says before which keep-out zone the bridge last ended what drove the
+    robot, and `kept_out_at` when. `relays_ended` has the last counts of cancelled relays, by name,
     `repeats_begun` the time of the report that a repeat has sent its first message (monotonic, in s), and `motions` the
     last report of each motion, by name. `on_spent` is called with name, type and bound of each use of the policy's
     budgets.
@@ -89,6 +92,8 @@ class Bridge:
         self.failure = ""
         self.latched_by = ""
         self.latched_at = 0.0
+        self.kept_out = ""
+        self.kept_out_at = 0.0
         self.on_latched: Callable[[str, str, bool], None] = lambda _by, _reason, _own: None
         self.latch: Callable[[], Mapping[str, Any]] = dict
         self.clock = RobotClock()
@@ -381,6 +386,10 @@ class Bridge:
         """Process an event of the bridge."""
         if event["event"] == "stopper":
             _logger.warning("%s", event["message"])
+            return
+        if event["event"] == "kept_out":
+            self.kept_out, self.kept_out_at = quoted(event["reason"], _MOST_REASON), time.monotonic()
+            _logger.warning("what drove the robot was ended: %s", self.kept_out)
             return
         if event["event"] == "begun":
             self.repeats_begun[event["name"]] = time.monotonic()

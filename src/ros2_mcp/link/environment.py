@@ -157,7 +157,7 @@ def _not_found(search: finding.Search) -> RosNotFound:
     found = ", ".join(_available(search)) or "none"
     if search.distro:
         return RosNotFound(
-            f"ROS 2 {search.distro} was asked for (--distro) and is not there; found: {found}.",
+            f"ROS 2 {search.distro} was requested (--distro) but not found; found: {found}.",
             "Leave --distro out to use what is there." if found != "none" else way_out(search.distro),
         )
     return RosNotFound(

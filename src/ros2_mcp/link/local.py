@@ -22,7 +22,7 @@ def start_local(
 ) -> LocalBridge:
     """Find the ROS of this machine and start a bridge in it; arguments and errors as in `start_carrier`."""
     if sys.platform == "win32":
-        raise RosNotFound("The ROS 2 of this machine is not looked for on Windows.", way_out(settings.distro or ""))
+        raise RosNotFound("On Windows, this server does not search for a local ROS 2.", way_out(settings.distro or ""))
     options = [*(("--state", str(state)) if state else ()), *(("--under-policy",) if under_policy else ())]
     return LocalBridge(find_ros(settings, env), options, pass_stderr=settings.debug)
 

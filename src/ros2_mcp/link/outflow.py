@@ -12,8 +12,8 @@ from ros2_mcp_common.wire.pieces import LANE_OF_REQUESTS, Credit, Cut
 class Outflow:
     """The queue of large requests, sent one after the other in pieces, between which other packets pass.
 
-    An image that is published over a slow link therefore does not delay a stop. At most `window_bytes` are
-    unacknowledged.
+    An image that is published over a slow link therefore does not delay a stop. How much may be
+    unacknowledged is up to `Credit`.
     """
 
     def __init__(self, write: Callable[[bytes], None], window_bytes: int) -> None:
@@ -45,7 +45,7 @@ class Outflow:
             if sent.cancelled():
                 self._waiting.popleft()
                 continue
-            piece, size = cut.take()
+            piece, size = cut.take(self._credit.piece_bytes)
             self._credit.write(size)
             self._write(piece)
             if not cut.left_bytes:

@@ -37,7 +37,7 @@ def _refusal(sign: str, message: str, hint: str, *, is_lasting: bool = False) ->
 _REFUSALS: Sequence[_Refusal] = (
     _refusal(
         "remote host identification has changed",
-        "{host} shows another host key than the known one: it was installed anew, or somebody pretends to be it.",
+        "{host} shows another host key than the known one: it was reinstalled, or another machine impersonates it.",
         "If it was, run: {forget}, then: {doctor}",
         is_lasting=True,
     ),

@@ -28,11 +28,14 @@ CONNECT_S = 10
 # a small machine.
 REACH_S = 12.0
 # A bridge without any packet for this long, in s, has no server any more: it stops everything and exits. Longer than
-# any outage that one connection survives (ssh gives up after 4 s), so that it does not disturb its successor.
+# any outage that one connection survives (the server gives up after 4 to 5 s, ssh after 13), so that it does not
+# disturb its successor.
 ORPHAN_S = 15
 # The most characters of a failed command's output in an error: its last sentence or two.
 _MOST_SAID = 300
-_KEEPALIVE = ("ServerAliveInterval=1", "ServerAliveCountMax=3")
+# ssh's own questions whether the robot still answers, which matter until the bridge answers pings (`heartbeat.py`). ssh
+# reads the zip in packets of 32 KiB, behind which its questions wait: 4 s each at 64 kbit/s. Less than ORPHAN_S.
+_KEEPALIVE = ("ServerAliveInterval=1", "ServerAliveCountMax=12")
 # Options that must hold whatever the user's configuration says: no terminal, no questions, a connection of its own (a
 # shared one would outlive this server, with another keepalive), and nothing else than the stream on it. `IPQoS`: ssh's
 # default without a terminal is the background class of Wi-Fi.

@@ -159,11 +159,11 @@ def _options(kind: str, query: str | None, address: str) -> dict[str, str | int]
     found: dict[str, str | int] = {}
     for key, value in parse_qsl(query or "", keep_blank_values=True):
         if key in found:
-            raise BadInput(f"{quoted(key)} stands twice in {quoted(address)}.", "Give it once.")
+            raise BadInput(f"{quoted(key)} occurs twice in {quoted(address)}.", "Give it once.")
         if key not in _KEYS[kind]:
             raise BadInput(
-                f"Behind the question mark of {quoted(address)} stands {quoted(key)}.",
-                f"For {kind} there can be: {', '.join(_KEYS[kind])}.",
+                f"{quoted(address)} has the unknown parameter {quoted(key)}.",
+                f"Parameters of {kind} are: {', '.join(_KEYS[kind])}.",
             )
         if key == "container":
             found[key] = _checked("container", value, _CONTAINER, address)

@@ -34,7 +34,7 @@ def argument_of(entry: Entry) -> Argument:
     entry.check_keys(_KEYS)
     name, kind = entry.text("name"), entry.text("type") or "string"
     if not _NAME.fullmatch(name):
-        raise FrontMatterError(entry.line_of("name"), f"{name!r} is no name for an argument: letters, digits, _ only.")
+        raise FrontMatterError(entry.line_of("name"), f"{name!r} is not an argument name: letters, digits, _ only.")
     if kind not in KINDS:
         hint = did_you_mean(kind, list(KINDS), f"Choose from: {', '.join(KINDS)}.")
         raise FrontMatterError(entry.line_of("type"), f"{kind!r} is not a type. {hint}")

@@ -313,12 +313,32 @@ class ChangeState(_OfNode):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class Route:
+    """The list of goals to which a goal belongs. A person approves the whole list with its first goal.
+
+    `id` is that of the job that sends them. Only the first goal's command has `goals`, the values of all goals in their
+    order, with the number of `loops`, the wait after each goal in s, and whether a missed goal does not end the list
+    (`goes_on`).
+    """
+
+    id: str
+    goals: Sequence[Mapping[str, Any]] = ()
+    loops: int = 1
+    waits_s: Sequence[float] = ()
+    goes_on: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class SendGoal(ServiceBorne):
-    """Send a goal to the action `name` of type `type`; `value` is the goal, `goal_id` its 32 hexadecimal digits."""
+    """Send a goal to the action `name` of type `type`; `value` is the goal, `goal_id` its 32 hexadecimal digits.
+
+    `route` is the list to which it belongs, if any.
+    """
 
     ACT = "Sending a goal to {0.name}"
 
     goal_id: str
+    route: Route | None = None
 
     @property
     def service(self) -> str:

@@ -280,7 +280,7 @@ def _unreadable(data: bytes, described: str) -> BadData:
         return BadData(f"0 bytes with the format {quoted(described)} are not a whole picture: it is empty.", _FORMATS)
     codec = next((name for sign, name in _VIDEO.items() if sign in words), "")
     if codec or data.startswith(_ANNEX_B):
-        what = f"{codec or 'H.264 or H.265'} is a video: a message alone is no whole picture"
+        what = f"{codec or 'H.264 or H.265'} is a video: a message alone is not a whole picture"
         return BadData(f"{what} ({len(data)} bytes, format {quoted(described)}).", _VIDEO_HINT)
     is_begun = any(data.startswith(start) for start in _STARTS)
     why = "they are damaged, or end too early" if is_begun else "they begin as none does"

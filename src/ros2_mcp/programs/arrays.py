@@ -55,10 +55,10 @@ async def points(
     stride: int | None = None,
     limit: int = USUAL_POINTS,
 ) -> list[tuple[float, ...]]:
-    """The points of a PointCloud2 message, each as (x, y, z, and then the fields that are named).
+    """The points of a PointCloud2 message, each as (x, y, z, followed by the given fields).
 
-    Points without a finite place are left out. If there are more than limit (at most 50,000), each stride-th is taken,
-    and a note of the result says so. A packed rgb is 0xRRGGBB.
+    Points that are not finite are omitted. If there are more than limit (at most 50,000), every stride-th point is
+    returned, and a note in the result says so. A packed rgb is 0xRRGGBB.
     """
     _whole("limit", limit, 1, MOST_POINTS)
     if stride is not None:
@@ -80,9 +80,10 @@ async def points(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GridFacts(MapFacts):
-    """An occupancy grid: m per cell, size in cells, the pose of the corner of cell (0, 0), and shares of all cells.
+    """An occupancy grid: metres per cell, size in cells, the pose of the corner of cell (0, 0), and shares of all
+    cells.
 
-    `held` is the number by which the other functions of grids find its cells.
+    `held` is the number by which the other grid functions find its cells.
     """
 
     held: int
@@ -90,7 +91,7 @@ class GridFacts(MapFacts):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NearestCell:
-    """The middle of a cell in the grid's frame, how far it is, and its value."""
+    """The centre of a cell in the frame of the grid, its distance, and its value."""
 
     x: float
     y: float
@@ -100,7 +101,7 @@ class NearestCell:
 
 @function()
 async def grid(use: Use, message: Message) -> GridFacts:
-    """Takes a map or a costmap (OccupancyGrid) for grid_value, grid_nearest and grid_rows, and says where it is."""
+    """Read a map or costmap (OccupancyGrid) for grid_value, grid_nearest and grid_rows; returns its frame and size."""
     found = await _grid_of(use, "grid", message)
     facts = await _computed("grid", found.cells.size, found.facts)
     rounded = {name: round(getattr(facts, name), 6) for name in ("free", "occupied", "unknown")}
@@ -110,7 +111,7 @@ async def grid(use: Use, message: Message) -> GridFacts:
 
 @function()
 async def grid_value(use: Use, grid: Message, x: float, y: float) -> int | None:
-    """The value of the cell at a place in m: -1 unknown, 0 free to 100 occupied; None outside."""
+    """The value of the cell at a position (m): -1 unknown, 0 free to 100 occupied; None outside the grid."""
     found = await _grid_of(use, "grid_value", grid)
     return await _computed("grid_value", 0, found.value, x, y)
 
@@ -119,7 +120,7 @@ async def grid_value(use: Use, grid: Message, x: float, y: float) -> int | None:
 async def grid_nearest(
     use: Use, grid: Message, x: float, y: float, kind: Literal["occupied", "free", "unknown"] = "occupied"
 ) -> NearestCell | None:
-    """The nearest cell of a kind to a place in m; None if there is none. Occupied is 50 and more."""
+    """The cell of a kind that is nearest to a position (m); None if there is none. Occupied means 50 or more."""
     if kind not in [*KINDS]:
         raise BadInput(f"robot.grid_nearest: kind is one of {', '.join(KINDS)}.")
     found = await _grid_of(use, "grid_nearest", grid)
@@ -135,10 +136,10 @@ async def grid_nearest(
 
 @function()
 async def grid_rows(use: Use, grid: Message, stride: int | None = None) -> list[list[int]]:
-    """The values of a grid by rows: rows[0] is the lowest (least y), rows[0][0] the cell at the origin.
+    """The values of a grid by rows: rows[0] has the smallest y, and rows[0][0] is the cell at the origin.
 
-    With a stride each value is the largest of stride × stride cells. Without one it is the smallest that gives at most
-    250,000 values; a note of the result says so.
+    With a stride each value is the largest of stride × stride cells. Without one, the stride is the smallest that gives
+    at most 250,000 values; a note in the result says so.
     """
     found = await _grid_of(use, "grid_rows", grid)
     height, width = found.cells.shape
@@ -164,10 +165,10 @@ async def unpack(
     count: int | None = None,
     step: int | None = None,
 ) -> list[Any]:
-    """Numbers out of bytes, by a format of Python's struct: unpack("<Hf", m["data"], offset=8) is [7, 1.5].
+    """Unpack numbers from bytes, by a format of Python's struct: unpack("<Hf", m["data"], offset=8) is [7, 1.5].
 
-    With count it gives a list of so many records, each step bytes after the one before (default: its size). "<" is
-    little-endian, ">" big-endian; H is uint16, f float32, d float64.
+    With count it returns a list of that many records, which begin step bytes apart (default: the size of a record). "<"
+    is little-endian, ">" big-endian; H is uint16, f float32, d float64.
     """
     content = use.held.get(data)
     if isinstance(content, list):

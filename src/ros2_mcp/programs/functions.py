@@ -52,7 +52,7 @@ async def messages(
     start: str = "",
     end: str = "",
 ) -> Stream:
-    """Every message of these topics as it comes, for `for`."""
+    """Every message of these topics in order, for a `for` loop."""
     if not topic_names:
         raise BadInput("No topic is given.", 'Write for message in robot.messages("/odom"): …')
     source = await use.sources.open(bag, start, end, waits=duration is not None, report=use.report)
@@ -63,7 +63,7 @@ async def messages(
 
 @function(recorded=False)
 async def feedback(use: Use, goal: Any) -> Stream:
-    """Each feedback of a goal that `goal(…)` has sent, until it has ended, for `for`."""
+    """Every feedback message of a goal that `goal(…)` has sent, until the goal ends, for a `for` loop."""
     given: Mapping[str, Any] = {"goal_id": goal}
     if isinstance(goal, Mapping):
         given = cast("Mapping[str, Any]", goal)
@@ -78,9 +78,9 @@ async def feedback(use: Use, goal: Any) -> Stream:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scan:
-    """A laser scan by angle: `beams` are [degrees to the left, m], without those that tell nothing; inf: no echo.
+    """A laser scan by angle: `beams` are [degrees to the left, m], without invalid ranges; inf means no echo.
 
-    `nearest_m` is None where nothing is in reach.
+    `nearest_m` is None if there is no obstacle within range.
     """
 
     topic_name: str
@@ -92,7 +92,7 @@ class Scan:
 
 @function()
 async def scan(use: Use, topic_name: str = "", timeout: float = 5.0, bag: str = "") -> Scan:
-    """The newest laser scan by angle; without a name of the only scanner."""
+    """The newest laser scan by angle; without a name, that of the only scanner."""
     source = await use.sources.open(bag, waits=False, report=use.report)
     if not topic_name:
         found = await source.publishing(LASER_SCAN)
@@ -123,7 +123,7 @@ async def scan(use: Use, topic_name: str = "", timeout: float = 5.0, bag: str = 
 
 @function()
 async def picture(use: Use, topic_name: str, timeout: float = 5.0, bag: str = "") -> dict[str, Any]:
-    """Hands a picture of a camera to the model, at the end."""
+    """Show a picture of a camera to the model when the program has ended."""
     source = await use.sources.open(bag, waits=False, report=use.report)
     found = await echo(source.lasting(timeout), topic_name, "", Selection())
     if not found.images:
@@ -134,11 +134,11 @@ async def picture(use: Use, topic_name: str, timeout: float = 5.0, bag: str = ""
 
 @function(risk="act", recorded=False)
 async def turn(use: Use, angle_deg: float, speed: float | None = None) -> Driven:
-    """Turns on the spot by odometry; positive: left."""
+    """Turn in place by odometry; positive: left."""
     return await drive(use.robot, use.session, DriveRequest(angle_deg=angle_deg, speed=speed), use.report)
 
 
 @function(risk="act", recorded=False)
 async def stop(use: Use) -> list[str]:
-    """Ends what this program has in motion; the program goes on."""
+    """End everything that this program has in motion; the program continues."""
     return await use.stop_own()

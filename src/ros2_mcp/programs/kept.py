@@ -192,7 +192,7 @@ class KeptPrograms(Kept):
         if not program.description.strip() or len(program.description) > _MOST_DESCRIPTION:
             raise BadInput(f"A description has 1 to {_MOST_DESCRIPTION} characters: say what the program is for.")
         if not is_unicode(program.code + program.description):
-            raise BadInput("The program or its description is no text that can be written.")
+            raise BadInput("The program or its description is not a text that can be written.")
 
     def _file(self, name: str) -> Path:
         if self._folder is None:

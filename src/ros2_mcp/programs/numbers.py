@@ -17,17 +17,17 @@ Values = Iterable[Any]
 
 
 def finite(values: Values) -> list[float]:
-    """Those that are finite numbers, in their order."""
+    """The values that are finite numbers, in their order."""
     return [float(value) for value in values if _is_finite(value)]
 
 
 def least(values: Values) -> float:
-    """The smallest."""
+    """The smallest value."""
     return min(_some(values))
 
 
 def greatest(values: Values) -> float:
-    """The largest."""
+    """The largest value."""
     return max(_some(values))
 
 
@@ -38,14 +38,14 @@ def mean(values: Values) -> float:
 
 
 def deviation(values: Values) -> float:
-    """The standard deviation of all values (not of a sample); 0 of one value."""
+    """The standard deviation of all values (of the population, not a sample); 0 for one value."""
     found = _some(values)
     middle = math.fsum(found) / len(found)
     return math.sqrt(math.fsum((value - middle) ** 2 for value in found) / len(found))
 
 
 def percentile(values: Values, percent: float) -> float:
-    """The value below which so many per cent lie, between neighbours in proportion; 50 is the median."""
+    """The value below which that percentage of the values lies, interpolated linearly; 50 is the median."""
     if not 0 <= percent <= 100:
         raise ValueError(f"percent is {percent}: give 0 to 100")
     found = sorted(_some(values))
@@ -56,7 +56,7 @@ def percentile(values: Values, percent: float) -> float:
 
 
 def slope(values: Sequence[Any], times_s: Sequence[Any]) -> float:
-    """How much the values grow in a second: the line of least squares through values at times in seconds."""
+    """The change per second: the slope of the least-squares line through values at times in seconds."""
     if len(values) != len(times_s):
         raise ValueError(f"{len(values)} values and {len(times_s)} times: give as many of each")
     pairs = [(float(t), float(v)) for t, v in zip(times_s, values, strict=True) if _is_finite(t) and _is_finite(v)]
@@ -70,18 +70,18 @@ def slope(values: Sequence[Any], times_s: Sequence[Any]) -> float:
 
 
 def normalize_angle(angle_rad: float) -> float:
-    """The same direction in (-pi, pi]."""
+    """The same angle in (-pi, pi]."""
     turned = math.remainder(_number(angle_rad), math.tau)
     return math.pi if turned == -math.pi else turned
 
 
 def angle_difference(from_rad: float, to_rad: float) -> float:
-    """The shortest turn from one direction to another, counter-clockwise positive, in (-pi, pi]."""
+    """The shortest rotation from one angle to another, counter-clockwise positive, in (-pi, pi]."""
     return normalize_angle(_number(to_rad) - _number(from_rad))
 
 
 def mean_angle(values: Values) -> float:
-    """The mean direction; that of pi and -pi is pi, not 0."""
+    """The mean angle; that of pi and -pi is pi, not 0."""
     found = _some(values)
     x, y = math.fsum(map(math.cos, found)), math.fsum(map(math.sin, found))
     if math.hypot(x, y) < 1e-9 * len(found):  # the rounding error of directions that cancel each other
@@ -90,7 +90,7 @@ def mean_angle(values: Values) -> float:
 
 
 def yaw(orientation: Any) -> float:
-    """The heading of a quaternion, or of what has an orientation (a pose, odometry) or a rotation (a transform)."""
+    """The heading of a quaternion, or of a value with an orientation (pose, odometry) or rotation (transform)."""
     x, y, z, w = (_number(part) for part in _parts(_quaternion(orientation), ("x", "y", "z", "w")))
     if not math.isfinite(length := math.hypot(x, y, z, w)) or length < 1e-6:
         raise ValueError("this quaternion has length 0: it was never filled in")
@@ -98,7 +98,7 @@ def yaw(orientation: Any) -> float:
 
 
 def distance(one: Any, other: Any) -> float:
-    """Between two points with x, y and perhaps z, in their unit; also of poses (their position)."""
+    """The distance between two points with x, y and optionally z, in their unit; also between poses."""
     return math.dist(_point(one), _point(other))
 
 

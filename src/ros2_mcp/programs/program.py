@@ -261,7 +261,7 @@ class Program(Job):
     def keep(self, picture: Picture) -> None:
         """Add a picture to the result."""
         if len(self.record.pictures) >= _MOST_PICTURES:
-            raise BadInput(f"A program hands over at most {_MOST_PICTURES} pictures.")
+            raise BadInput(f"A program can return at most {_MOST_PICTURES} pictures.")
         self.record.pictures.append(picture)
 
     # ── calls from the sandbox ─────────────────────────────────────────────────────────────────────────────────

@@ -126,7 +126,7 @@ class Sandbox:
 
     @asynccontextmanager
     async def open(self) -> AsyncGenerator[Sandbox, None]:
-        """Within this context there is a process: a new one for the check and for the run, each killed at its end."""
+        """Provide a process within this context: one for the check and one for the run, each killed at its end."""
         from pydantic_monty import AsyncMonty
 
         async with AsyncMonty(

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 from ros2_mcp.model.arguments import Argument, shown
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.graph.known_names import is_of_every_node, live_names
+from ros2_mcp.prompts.navigation import navigation_prompt
 from ros2_mcp.prompts.prompt import Message, Prompt, step
 from ros2_mcp.robot import Robot
 from ros2_mcp_common.wire.limits import MAX_RATE_HZ, MIN_RATE_HZ
@@ -26,9 +27,9 @@ _DISCOVERY_S = 4.0
 _TRUTH = "Report only what the results say; where a value is missing, say so."
 
 
-def base_prompts(robot: Robot) -> list[Prompt]:
-    """Return the four prompts that every server has."""
-    return [_echo_and_analyze(robot), _RELAY, _HEALTH, _COMPARE]
+def base_prompts(robot: Robot, missing: Collection[str] = ()) -> list[Prompt]:
+    """Return the five prompts that every server has; `missing` are the tools that it does not offer."""
+    return [_echo_and_analyze(robot), _RELAY, _HEALTH, _COMPARE, navigation_prompt(missing)]
 
 
 def _window(name: str, default: float, what: str, minimum: float = 0.1, maximum: float = _MEASURE_S) -> Argument:

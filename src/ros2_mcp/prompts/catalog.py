@@ -51,7 +51,7 @@ class Catalog:
         tools: Sequence[str] = (),
         tell: Tell = tell_on_stderr,
     ) -> None:
-        self._base = base_prompts(robot)
+        self._base = base_prompts(robot, missing or {})
         taken = frozenset(prompt.name for prompt in self._base)
         self._folder = PromptFolder(folder, tell, taken=taken, tools=frozenset(tools)) if folder else None
         self._programs = _kept_in(programs, tell) if programs and kept.RUNS not in (missing or {}) else None

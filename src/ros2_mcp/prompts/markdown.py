@@ -60,7 +60,7 @@ def _prompt(front: Entry, name: str, body: str) -> Prompt:
     front.check_keys(_PROMPT_KEYS)
     name = front.text("name") or name
     if not _NAME.fullmatch(name):
-        raise FrontMatterError(front.line_of("name"), f"{name!r} is no name: letters, digits, dots, - and _ only.")
+        raise FrontMatterError(front.line_of("name"), f"{name!r} is not a name: letters, digits, dots, - and _ only.")
     if not body.strip():
         raise FrontMatterError(front.line_of("name"), "There is no text after the front matter.")
     arguments = arguments_under(front, "arguments")

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from ros2_mcp.guard.policy import Facts
-from ros2_mcp.model.commands import ServiceBorne
+from ros2_mcp.model.commands import SendGoal, ServiceBorne
 from ros2_mcp.model.errors import BadValue
 from ros2_mcp.robot.core import Core
 from ros2_mcp.robot.joints import RobotJoints
@@ -31,6 +31,9 @@ async def facts_of(
     is_asked = with_value or (ruling is not None and ruling.needs_value)
     value = await _judged(prepared) if is_asked and prepared.has_value else None
     facts = Facts(value=value)
+    if value is not None and isinstance(command, SendGoal) and command.route:
+        goals = [prepared.changed(replace(command, value=goal)) for goal in command.route.goals]
+        facts = replace(facts, route=[await _judged(each) for each in goals])
     if value is None and ruling and ruling.curves:
         await joints.look()  # the bridge alone sees the trajectories of a relay or playback, and needs the limits
     trajectories = list(trajectories_in(value)) if with_value or (ruling and ruling.curves) else []

@@ -348,6 +348,16 @@ class Graph:
         return self._bridge.latched_at
 
     @property
+    def kept_out(self) -> str:
+        """Why the bridge last ended what drove the robot towards a keep-out zone; "" if it never did."""
+        return self._bridge.kept_out
+
+    @property
+    def kept_out_at(self) -> float:
+        """The time of that report (monotonic, in s); 0 if there was none."""
+        return self._bridge.kept_out_at
+
+    @property
     def domain_id(self) -> int | None:
         """The ROS domain; None until there is a bridge."""
         return self._bridge.hello.domain_id if self._bridge.hello else None

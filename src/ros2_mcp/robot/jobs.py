@@ -217,13 +217,20 @@ class Jobs:
         if job.failure:
             raise job.failure
 
-    async def wait(self, job: Job, timeout_s: float = math.inf, *, every_second: Report | None = None) -> None:
-        """Wait for the end of a job for at most `timeout_s`, with a report every second; end the job if this is
-        cancelled.
+    async def wait(
+        self,
+        job: Job,
+        timeout_s: float = math.inf,
+        *,
+        every_second: Report | None = None,
+        until: Callable[[], bool] = lambda: False,
+    ) -> None:
+        """Wait for the end of a job for at most `timeout_s`, with a report every second, which is also when `until` is
+        asked whether to wait no longer; end the job if this is cancelled.
         """
         deadline = monotonic() + timeout_s
         try:
-            while job.is_running and (left_s := deadline - monotonic()) > 0:
+            while job.is_running and not until() and (left_s := deadline - monotonic()) > 0:
                 await job.wait(min(1.0, left_s) if every_second else left_s)
                 if every_second:
                     await every_second()

@@ -82,7 +82,7 @@ class Values:
         missing = [name for name in answer["missing"] if not self.definitions.knows(name)]
         if missing:
             raise UnknownInterface(
-                f"No definition of {', '.join(missing)} is installed where the bridge runs, and no node tells it.",
+                f"No definition of {', '.join(missing)} is installed where the bridge runs, and no node provides it.",
                 await self._suggest_type(missing[0]),
             )
 

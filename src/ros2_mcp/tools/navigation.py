@@ -14,15 +14,22 @@ from ros2_mcp.ops.navigation.dock import DockRequest, NavDocked
 from ros2_mcp.ops.navigation.dock import dock as dock_robot
 from ros2_mcp.ops.navigation.localize import POSE_ESTIMATE, LocalizeRequest, NavLocalized, localize
 from ros2_mcp.ops.navigation.nav_map import MAP_SERVICES, MapRequest, MapVerb, NavMap, nav_map
-from ros2_mcp.ops.navigation.navigate import Navigated, navigate
+from ros2_mcp.ops.navigation.navigate import navigate
+from ros2_mcp.ops.navigation.navigated import Navigated
+from ros2_mcp.ops.navigation.pause import NavPaused, pause
 from ros2_mcp.ops.navigation.places import PlaceKept, PlaceList, PlaceRequest, list_places, set_place
 from ros2_mcp.ops.navigation.preview import Preview, preview
+from ros2_mcp.ops.navigation.probe import NavProbed, probe
+from ros2_mcp.ops.navigation.probe import What as Probing
 from ros2_mcp.ops.navigation.recover import BACK_UP, CLEAR, DRIVE, SPIN, NavRecovered, StackCommand, What, recover
+from ros2_mcp.ops.navigation.route import OnMissed, Routed, route
+from ros2_mcp.ops.navigation.route_plan import MOST_LOOPS
 from ros2_mcp.ops.results.results import Report
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.session import Session
-from ros2_mcp.tools.arguments import WHOLE_SENTENCE, Flag, Number, Pattern
+from ros2_mcp.tools.arguments import WHOLE_SENTENCE, Flag, Number, Pattern, Whole
 from ros2_mcp.tools.declare import tool
+from ros2_mcp_common.policy.velocity import VELOCITY_TYPES
 from ros2_mcp_common.wire.limits import MAX_DURATION_S
 
 PLACE = 95
@@ -55,6 +62,14 @@ def _as_list(to: Any) -> Any:
             raise _no_place(cast("object", to))  # a list of numbers is one place, written wrongly
         return [_as_object(one) for one in cast("list[Any]", to)]
     return to if to is None else [_as_object(to)]
+
+
+_OTHER_WORDS = {"clear_both": "clear", "backup": "back_up", "drive_on_heading": "drive_ahead", "drive": "drive_ahead"}
+"""Words for Nav2's recoveries as others spell them."""
+
+
+def _as_recovery(what: Any) -> Any:
+    return _OTHER_WORDS.get(what, what) if isinstance(what, str) else what
 
 
 Pose = Annotated[
@@ -109,6 +124,78 @@ async def ros2_navigate(
 
 
 @tool(
+    title="Drive a route",
+    risk="actuate",
+    does={"goal": (NAVIGATE,)},
+    group="navigation",
+    by_default=False,
+    finds="patrol, tour of waypoints, loop, wait at each place, skip a missed place",
+)
+async def ros2_nav_route(
+    robot: Robot,
+    session: Session,
+    report: Report,
+    to: Annotated[
+        list[dict[str, Any]] | None,
+        BeforeValidator(_as_list),
+        Field(
+            description='In order, each {"place": name} or {"x", "y", "yaw_deg", "frame"} (m, degrees; frame: map); '
+            'with "wait_s" for its own wait.'
+        ),
+    ] = None,
+    loops: Annotated[Whole, Field(ge=1, le=MOST_LOOPS, description="How often to drive the list.")] = 1,
+    wait_s: Annotated[Number, Field(ge=0, le=MAX_DURATION_S, description="Seconds to wait at each place.")] = 0,
+    on_missed: Annotated[OnMissed, Field(description="After a place that was not reached.")] = "stop",
+    job_id: Annotated[str, Field(description="Wait for this running job instead.")] = "",
+    timeout_s: Annotated[Number, Field(ge=0, le=MAX_DURATION_S, description="Maximum wait in seconds.")] = 45.0,
+    stop_when_stuck_s: Annotated[
+        Number, Field(ge=0, le=MAX_DURATION_S, description="A place counts as missed after so long without progress.")
+    ] = 0,
+    action_name: Action = "",
+) -> Routed:
+    """Drive to places in order with Nav2, in loops, with waits. Can move the robot.
+
+    Each place is a goal of its own, and reported as reached or missed, with the cause. An approval covers the whole
+    list. After a time-out, call again with the job_id; ros2_nav_pause pauses it, ros2_stop ends it.
+    """
+    return await route(
+        robot,
+        session,
+        to,
+        loops=loops,
+        wait_s=wait_s,
+        on_missed=on_missed,
+        action=action_name,
+        job_id=job_id,
+        timeout_s=timeout_s,
+        stuck_s=stop_when_stuck_s or None,
+        report=report,
+    )
+
+
+@tool(
+    title="Pause a navigation",
+    risk="actuate",
+    does={"goal": (NAVIGATE,)},
+    group="navigation",
+    by_default=False,
+    finds="pause driving, hold the robot, continue the route, resume navigation",
+)
+async def ros2_nav_pause(
+    robot: Robot,
+    report: Report,
+    resume: Annotated[Flag, Field(description="Go on with the rest instead. Can move the robot.")] = False,
+    job_id: Annotated[str, Field(description="The navigation, if several run.")] = "",
+) -> NavPaused:
+    """Pause the running ros2_navigate or ros2_nav_route: its goal is cancelled, the robot measured to stand, and the
+    rest of the list kept.
+
+    With resume it goes on, and reports how far the robot was moved meanwhile. A pause ends by itself after an hour.
+    """
+    return await pause(robot, job_id, resume=resume, report=report)
+
+
+@tool(
     title="Why it does not navigate",
     risk="read",
     group="navigation",
@@ -130,6 +217,29 @@ async def ros2_nav_check(
     finding has its cause, the proof in numbers and a remedy, the worst first.
     """
     return await check_navigation(robot, to)
+
+
+@tool(
+    title="Try a small move",
+    risk="actuate",
+    does={"publish": tuple(VELOCITY_TYPES)},
+    group="navigation",
+    by_default=False,
+    beside={"ros2_nav_check": "Use it when ros2_nav_check finds nothing."},
+    finds="odometry wrong direction, lidar mounted wrong, wheels swapped, calibration check",
+)
+async def ros2_nav_probe(
+    robot: Robot,
+    session: Session,
+    report: Report,
+    what: Annotated[Probing, Field(description="Only one of both motions.")] = "both",
+) -> NavProbed:
+    """Drive 0.2 m ahead and turn 30° left, and compare odometry, laser scan and gyro with the command. Moves the robot.
+
+    Finds a lidar that is turned against its transform, odometry with a wrong sign or scale, and exchanged wheels. Needs
+    0.5 m free all round the outline.
+    """
+    return await probe(robot, session, what, report)
 
 
 @tool(
@@ -269,7 +379,11 @@ async def ros2_nav_recover(
     robot: Robot,
     session: Session,
     report: Report,
-    what: Annotated[What | None, Field(description="Clear a costmap, or a short move with collision checks.")] = None,
+    what: Annotated[
+        What | None,
+        BeforeValidator(_as_recovery),
+        Field(description="Clear costmaps (both, or one), or make a short move with collision checks."),
+    ] = None,
     amount: Annotated[Number | None, Field(description="Of a move: m (0.3), of spin degrees to the left (90).")] = None,
     stack: Annotated[StackCommand | None, Field(description="Instead: command all of Nav2's servers.")] = None,
     node_name: Annotated[str, Field(description="The lifecycle manager, if there are several.")] = "",

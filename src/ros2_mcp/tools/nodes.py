@@ -61,7 +61,7 @@ async def ros2_parameter_list(
 async def ros2_parameter_get(
     robot: Robot,
     node_name: NodeName,
-    names: Annotated[list[str] | None, Field(description="Names of parameters; default: all, to be set back.")] = None,
+    names: Annotated[list[str] | None, Field(description="Names of parameters. Default: all.")] = None,
     whole: Annotated[Flag, Field(description="Also return long values, in full.")] = False,
 ) -> parameters.Dump:
     """Read parameters of a node as name → value, in the form in which they can be set."""

@@ -216,7 +216,7 @@ def _value(name: str, kind: FieldType, below: _Plan | None, value: Any) -> Any:
     if kind.arity == "single":
         return _single(name, kind, below, value)
     if not isinstance(value, list):
-        raise ValueError(f"{quoted(name)} is no list")
+        raise ValueError(f"{quoted(name)} is not a list")
     elements = cast("list[Any]", value)
     if kind.base in _DTYPES:
         numbers = [np.nan if each is None else _single(name, kind, below, each) for each in elements]
@@ -228,7 +228,7 @@ def _value(name: str, kind: FieldType, below: _Plan | None, value: Any) -> Any:
 def _single(name: str, kind: FieldType, below: _Plan | None, value: Any) -> Any:
     if below is not None:
         if not isinstance(value, dict):
-            raise ValueError(f"{quoted(name)} is no object")
+            raise ValueError(f"{quoted(name)} is not an object")
         return below.made(cast("Mapping[str, Any]", value))
     if kind.base == "string":  # a value whose type differs between messages, or is not known here, becomes JSON text
         return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False, separators=(",", ":"))

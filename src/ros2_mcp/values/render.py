@@ -87,7 +87,7 @@ class Rendered:
 
 
 class _Limits(NamedTuple):
-    """`slice` is that of elements which were asked for by a path, `text` that of characters."""
+    """Limits of one rendering; `slice` is for elements selected by a path, `text` for selected characters."""
 
     array: int
     string: int

@@ -91,7 +91,7 @@ class LocalPage:
         except (ValueError, RecursionError):
             return _text(400, "This is no JSON.")
         if not isinstance(asked, dict):
-            return _text(400, "This is no call.")
+            return _text(400, "This is not a call.")
         fields = cast("Mapping[str, Any]", asked)
         arguments, call = fields.get("arguments"), self._calls.get(str(fields.get("name")))
         if call is None or not isinstance(arguments, dict):

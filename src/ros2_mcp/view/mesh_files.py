@@ -79,7 +79,7 @@ def _packed(name: str, most: int, prefixes: Sequence[Path]) -> PackedMesh:
     descriptor = os.open(path, os.O_RDONLY | PLAIN | getattr(os, "O_NONBLOCK", 0))
     with os.fdopen(descriptor, "rb") as opened:
         if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-            raise BadData("It is no file.")
+            raise BadData("It is not a file.")
         data = opened.read(MOST_BYTES + 1)
     return packed_mesh(parts_of(data, path.suffix), most)
 

@@ -202,7 +202,7 @@ def _kept_pick(given: Mapping[str, Any]) -> Pick:
 def picks_of(given: Any) -> Sequence[Pick]:
     """Parse a page's JSON into picks. Raises `BadInput` if it is not valid."""
     if not isinstance(given, list):
-        raise BadInput("These are no picks.")
+        raise BadInput("These are not picks.")
     return [_pick(one) for one in cast("list[Any]", given)[-MOST_PICKS:]]
 
 
@@ -211,7 +211,7 @@ def _pick(given: Any) -> Pick:
         fields = cast("Mapping[str, Any]", dict(given))
         return _KINDS[fields.get("kind", "place")](fields)
     except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise BadInput("This is no pick.", str(error)) from error
+        raise BadInput("This is not a pick.", str(error)) from error
 
 
 def _place(fields: Mapping[str, Any]) -> Pick:

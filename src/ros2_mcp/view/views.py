@@ -179,7 +179,7 @@ class View:
             subject=f"{subject}{at}",
             is_open=is_open,
             asked_at=self._told_at,
-            shows=[_told(one.panel, one.content, now_ns) for one in seen if one.panel.name != "robot"],
+            shows=[panel_in_words(one.panel, one.content, now_ns) for one in seen if one.panel.name != "robot"],
             picks=self.picks,
         )
 
@@ -377,7 +377,7 @@ async def press(acting: Acting, robot: Robot) -> Mapping[str, Any]:
     }
 
 
-def _told(panel: Panel, content: Content | None, now_ns: int) -> str:
+def panel_in_words(panel: Panel, content: Content | None, now_ns: int) -> str:
     """Return one line for the model: what a panel shows, and how old what is from before."""
     if content is None:
         return f"{panel.name}: nothing yet"
@@ -414,11 +414,11 @@ def update_request(arguments: Mapping[str, Any]) -> UpdateRequest:
             at_s=None if at_s is None else _time(at_s),
         )
     except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise BadInput("This is no question of the page.", str(error)) from error
+        raise BadInput("This is not a question of the page.", str(error)) from error
 
 
 def _time(value: Any) -> float:
     at_s = float(value)
     if not 0 <= at_s < 1e11:
-        raise ValueError(f"{at_s} is no time")
+        raise ValueError(f"{at_s} is not a time")
     return at_s

@@ -21,14 +21,15 @@ from weakref import WeakKeyDictionary
 
 from ros2_mcp_bridge.request import OperationError, Request, Steps
 from ros2_mcp_common.policy.checks import Checks
-from ros2_mcp_common.policy.feedback import rules_of
+from ros2_mcp_common.policy.feedback import Watchdog, rules_of
 from ros2_mcp_common.policy.fields import QuickCheck, floats_of, put
 from ros2_mcp_common.policy.flight import brakes
+from ros2_mcp_common.policy.keep_out import STANDING_GOALS, STRAIGHT_GOALS
 from ros2_mcp_common.policy.ramp import Bucket, PerMinute, Ramp
 from ros2_mcp_common.policy.rules import Limit, Rules, Ruling, judged_part
 from ros2_mcp_common.policy.trajectory_limits import LookAtJoints, nobody_measures
-from ros2_mcp_common.policy.velocity import VELOCITY_TYPES
-from ros2_mcp_common.policy.verbs import Verb, meaning
+from ros2_mcp_common.policy.velocity import VELOCITY_TYPES, planar
+from ros2_mcp_common.policy.verbs import CANCEL_GOAL, Verb, matches, meaning
 from ros2_mcp_common.wire.limits import MAX_JUDGED_BYTES
 from ros2_mcp_common.wire.protocol import Spent
 
@@ -50,6 +51,9 @@ _WAYS: Mapping[str, Sequence[Verb]] = {
     "failsafe_publish": ("publish", "relay", "play"),
 }
 """The verbs that a request that publishes may stand for. Only the server knows whether a relay plays a bag."""
+
+
+_NO_WATCHDOG = "the robot's pose is not known yet, and there are keep-out zones"
 
 
 def refused(problem: str) -> OperationError:
@@ -78,7 +82,8 @@ class Limiter:
 
     `start` runs steps on the ROS thread's loop; `now` returns monotonic seconds. `send_event` reports to the server
     what was used of a budget, which the server keeps for the next bridge. `look_at_joints` returns the positions of
-    joints, from which trajectories are judged.
+    joints, from which trajectories are judged. `watchdog` judges velocities, and where goals start, by keep-out zones;
+    it is there as soon as the rules are watched.
     """
 
     def __init__(
@@ -92,9 +97,11 @@ class Limiter:
         self.rules: Rules | None = None
         self.watch: Mapping[str, Any] | None = None
         self.look_at_joints: LookAtJoints = nobody_measures
+        self.watchdog: Watchdog | None = None
         self.start = start
         self.now = now
         self.send_event = send_event
+        self._keeps_out = False
         self._per_minute: dict[tuple[str, str], PerMinute] = {}
         self._left_at: dict[tuple[str, str], float] = {}
         self._topics: dict[tuple[str, str], TopicLimits] = {}
@@ -113,6 +120,8 @@ class Limiter:
             self._resume(given.get("spent", ()))
         except (ValueError, TypeError, KeyError, AttributeError) as error:
             raise OperationError("bad_request", f"These rules cannot be read: {error!r}") from error
+        pose: Any = watch.get("pose") or {}
+        self._keeps_out = bool(pose.get("keep_out"))
         self.rules, self.is_under_policy, self.watch = rules, True, watch
         return rules.digest
 
@@ -199,6 +208,9 @@ class Limiter:
                 self.judge(ruling, judged_part(meaning(*key).verb, message))
             except ValueError as error:
                 raise refused(f"The policy of this robot: {error}.") from error
+        meant = meaning(*key)
+        if meant.verb == "goal" and not matches(STANDING_GOALS, meant.type):
+            self.check_start(meant.type, message)
         if leaves and (most := ruling.most("per_minute")) is not None:
             self.check_minute(key, most)
 
@@ -218,6 +230,40 @@ class Limiter:
         if ruling.problem:
             raise refused(f"The policy of this robot: {ruling.problem} ({ruling.rule}).")
         return ruling
+
+    @property
+    def speed_of_goals(self) -> float:
+        """The speed in m/s beyond which the watchdog ends goals; 0 if it looks at none."""
+        feedback: Any = (self.watch or {}).get("feedback") or {}
+        return float(feedback.get("goals", {}).get("linear", 0.0))
+
+    def may_cancel(self, action: str) -> bool:
+        """Return whether the policy allows cancelling the goals of others of this action."""
+        return self.rules is not None and not self.rules.ruling("cancel", action, CANCEL_GOAL).problem
+
+    def watched_by(self, watchdog: Watchdog) -> None:
+        """Take the watchdog, which knows where the robot is."""
+        self.watchdog = watchdog
+
+    def check_start(self, type_name: str = "", request: Any = None) -> None:
+        """Raise `OperationError` of kind `refused` if a goal may not drive the robot from where it is now, or one of
+        `STRAIGHT_GOALS` may not drive as far as this request asks for.
+        """
+        if self._keeps_out:
+            problem = self.watchdog.problem_of_start(self.now()) if self.watchdog else _NO_WATCHDOG
+            if self.watchdog and not problem and (sign := STRAIGHT_GOALS.get(type_name)):
+                length_m = abs(float(request.goal.target.x))
+                problem = self.watchdog.problem_of_straight(sign * length_m, self.now())
+            if problem:
+                raise refused(f"The policy of this robot: {problem} (keep_out).")
+
+    def check_velocity(self, message: Any) -> None:
+        """Raise `OperationError` of kind `refused` if the robot could not stop before a keep-out zone."""
+        if self._keeps_out and not is_zero(message):
+            velocity = planar(message)
+            problem = self.watchdog.problem_of_velocity(velocity, self.now()) if self.watchdog else _NO_WATCHDOG
+            if problem:
+                raise refused(f"The policy of this robot: {problem} (keep_out).")
 
     def check_minute(self, key: tuple[str, str], most: float) -> None:
         """Raise `OperationError` if one more use within this minute exceeds `most`; `key` is a name and a type."""
@@ -259,6 +305,7 @@ class _Way:
         self.is_slow = rate_hz is not None and rate_hz < SLOW_HZ
         self.for_s = ruling.most("for_s")
         self.has_curve = bool(ruling.curves)
+        self.leads = any(limit.checks.keep_out for limit in ruling.limits)
         self._checks = _all_checks(ruling)
         self._quick: QuickCheck | None = None
 
@@ -322,7 +369,13 @@ class TopicLimits:
             OperationError: of kind `refused`, if the message exceeds a limit and may not be clamped.
         """
         way = self._way(request)
-        if way is None or way.is_within(message):
+        if way is None:
+            return False
+        if self._type in VELOCITY_TYPES:
+            self._limiter.check_velocity(message)
+        elif way.leads:
+            self._limiter.check_start()
+        if way.is_within(message):
             return False
         as_what = "stream" if request.op == "relay" else "tool"
         settled = way.ruling.settle(message, as_what, self._limiter.look_at_joints)

@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from ros2_mcp_bridge.loop import Seldom
 from ros2_mcp_bridge.request import OperationError, Request, Steps
@@ -47,6 +47,13 @@ class Heard(Protocol):
     def type(self) -> str:
         """The full type of the topic."""
         ...
+
+
+class _Plan(NamedTuple):
+    """The topic of the path that the robot's own software follows."""
+
+    topic: str
+    type: str = "nav_msgs/msg/Path"
 
 
 class Ear:
@@ -117,13 +124,29 @@ class Ear:
 class Watching:
     """The watchdog of one bridge: receives feedback, judges it, and if it finds something stops the
     robot and sets the latch.
+
+    Before a keep-out zone `keep_out` is called instead, which ends what drives the robot, without the latch. `began`
+    gets the watchdog when it begins. `cancel_others` is called when others drive the robot towards such a zone.
     """
 
-    def __init__(self, node: Node, graph: Graph, *, latch: Latch, stop: Callable[[], object]) -> None:
+    def __init__(
+        self,
+        node: Node,
+        graph: Graph,
+        *,
+        latch: Latch,
+        stop: Callable[[], object],
+        keep_out: Callable[[str], object] = lambda _: None,
+        began: Callable[[Watchdog], object] = lambda _: None,
+        cancel_others: Callable[[str], object] = lambda _: None,
+    ) -> None:
         self._node = node
         self._graph = graph
         self._latch = latch
         self._stop = stop
+        self._keep_out = keep_out
+        self._began = began
+        self._cancel_others = cancel_others
 
     def watch(
         self,
@@ -138,12 +161,11 @@ class Watching:
         if speed is None and pose is None:
             return
         watchdog = Watchdog(speed, pose)
+        self._began(watchdog)
+        plans = {keep_out.plan for keep_out in pose.keep_out if keep_out.plan} if pose else set[str]()
+        sources = [(speed, _speed_to), (pose, _pose_to), *((_Plan(topic), _plan_to) for topic in sorted(plans))]
         try:
-            ears = [
-                (Ear(self._node, self._graph, rule), take(watchdog))
-                for rule, take in ((speed, _speed_to), (pose, _pose_to))
-                if rule
-            ]
+            ears = [(Ear(self._node, self._graph, rule), take(watchdog)) for rule, take in sources if rule]
         except OperationError as error:  # without its type nothing is received, so that nothing can drive for long
             sys.stderr.write(f"the watchdog hears nothing: {error}\n")
             ears = []
@@ -152,7 +174,10 @@ class Watching:
             for ear, take in ears:
                 ear.hear(take)
 
-        yield from rounds(watchdog, hear, is_driven, self._end, by_goal=by_goal)
+        def end(found: str) -> None:
+            (self._end if watchdog.latches else self._keep_out)(found)
+
+        yield from rounds(watchdog, hear, is_driven, end, by_goal=by_goal, cancel_others=self._cancel_others)
 
     def _end(self, found: str) -> None:
         """Send zeros, then set the latch: in memory at once, in its file on another thread, because writing
@@ -173,16 +198,19 @@ def rounds(
     end: Callable[[str], None],
     now: Callable[[], float] = time.monotonic,
     by_goal: Callable[[], bool] = lambda: False,
+    cancel_others: Callable[[str], object] = lambda _: None,
 ) -> Steps[None]:
     """Steps that go on for ever: tell the watchdog whether the robot is driven, pass it the messages that have
-    come, and `end` on a finding.
+    come, and `end` on a finding, or `cancel_others` on one about what others drive.
     """
     while True:
         watchdog.told(is_driven(), now(), by_goal=by_goal())
         hear()
         if found := watchdog.look(now()):
             end(found)
-        yield LOOK_S if watchdog.is_busy else REST_LOOK_S
+        elif others := watchdog.look_at_others(now()):
+            cancel_others(others)
+        yield LOOK_S if watchdog.is_busy or watchdog.is_moved_by_others else REST_LOOK_S
 
 
 def _speed_to(watchdog: Watchdog) -> Callable[[Any], None]:
@@ -195,3 +223,7 @@ def _pose_to(watchdog: Watchdog) -> Callable[[Any], None]:
         watchdog.heard_pose(message, getattr(header, "frame_id", ""), time.monotonic())
 
     return take
+
+
+def _plan_to(watchdog: Watchdog) -> Callable[[Any], None]:
+    return watchdog.heard_plan

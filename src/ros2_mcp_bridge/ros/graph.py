@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING
 
 from ros2_mcp_bridge.request import OperationError, Request, Steps
 from ros2_mcp_bridge.ros import participants, qos, rcl
+from ros2_mcp_common.policy.keep_out import STANDING_GOALS
 from ros2_mcp_common.policy.velocity import MOTION_TYPES
+from ros2_mcp_common.policy.verbs import matches, meaning
 from ros2_mcp_common.wire.protocol import (
     NOT_COUNTED,
     CountedReply,
@@ -158,6 +160,15 @@ class Graph:
                 message = "{} has {} publishers and {} subscribers; waited for {} and {}."
                 raise OperationError("timeout", message.format(topic, *present, publishers, subscribers))
             yield WAIT_POLL_S
+
+    def moving_actions(self) -> list[str]:
+        """Return the names of the actions whose goals may move a robot's base."""
+        return sorted(
+            meant.name
+            for service, types in self._node.get_service_names_and_types()
+            for meant in (meaning(service, type_name) for type_name in types)
+            if meant.verb == "goal" and not matches(STANDING_GOALS, meant.type)
+        )
 
     def subscribers(self, topic: str) -> list[TopicEndpointInfo]:
         """Return rclpy's information about every subscriber of a topic, except stoppers."""

@@ -114,4 +114,4 @@ def _no_python(type_name: str, error: SyntaxError) -> tuple[str, str]:
                 f"Rename the field in the definition and build the package again. The other types of "
                 f"{type_name.partition('/')[0]} can be used.",
             )
-    return f"rclpy cannot load {type_name}: its module is no valid Python: {error}.", "Build its package again."
+    return f"rclpy cannot load {type_name}: its module is not valid Python: {error}.", "Build its package again."

@@ -1,4 +1,9 @@
-"""Detection of a replaced shared-memory segment, through which messages would otherwise arrive.
+"""Shared memory: removing what killed participants leave, and detecting that the port through which messages come has
+been replaced.
+
+A participant of Fast DDS has a segment of 0.55 MB, `/dev/shm/fastrtps_` and 16 hexadecimal digits. As long as its
+process lives, that holds a lock on the file `…_el`, which it takes before it makes the segment. One that is killed
+leaves both, and nobody else removes them: a container, whose shared memory has 64 MB, would be full after 120 kills.
 
 Fast DDS lets a participant receive through `/dev/shm/fastrtps_portN`, where N is the UDP port that it would use
 otherwise. Another process that takes the file for that of a dead process may replace it, most often soon after a killed
@@ -7,6 +12,8 @@ process was replaced. Then no message arrives any more, permanently.
 
 from __future__ import annotations
 
+import fcntl
+import os
 import re
 import time
 from contextlib import suppress
@@ -17,9 +24,25 @@ from ros2_mcp_bridge.ros.participants import ports_of
 _LOCK_OF_A_PORT = re.compile(r"/dev/shm/fast\w+_port(\d+)_el")
 _MAPPED_PORT = re.compile(r"/dev/shm/fast\w+_port(\d+)( \(deleted\))?$", re.MULTILINE)
 
+_SEGMENT = re.compile(r"fast(?:rtps|dds)_[0-9a-f]{16}")
+# The least age in s of a segment that is removed, since its creation: who was killed may have sent something last.
+_KEPT_S = 60.0
+
 _FOLDER = Path("/dev/shm")
 # Two changes within a tick of the file system's clock (4 ms) look like one; this is far longer.
 _TICK_NS = 1_000_000_000
+
+
+def remove_dead(folder: Path = _FOLDER) -> None:
+    """Remove the segments that killed participants of this user have left."""
+    with suppress(OSError):  # another one may do the same
+        for path in [path for path in folder.iterdir() if _SEGMENT.fullmatch(path.name)]:
+            with suppress(OSError), path.with_name(f"{path.name}_el").open("rb") as lock:
+                about = os.fstat(lock.fileno())
+                if about.st_uid == os.geteuid() and time.time() - about.st_mtime > _KEPT_S:
+                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    path.unlink()
+                    Path(lock.name).unlink()
 
 
 def newest_change() -> int | None:

@@ -251,7 +251,7 @@ class Stopper:
         interface = interfaces.load(type_name)
         request = rcl.deserialize(bytes.fromhex(told["body"]), interface.Request)
         if meaning(name, type_name).verb != "cancel" and not brakes(name, type_name, request):
-            raise OperationError("bad_request", "it is no request that ends something")
+            raise OperationError("bad_request", "it is not a request that ends something")
         if key not in self._clients:
             self._clients[key] = rcl.client(self._node, interface, name, CALLS)
         self._calls[told["call"]] = Call(self._clients[key], request, told["server"])

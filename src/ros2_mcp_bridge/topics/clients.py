@@ -14,13 +14,14 @@ from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from ros2_mcp_bridge.exit.failsafes import FailSafes, Motion, begun_by, ended_by
 from ros2_mcp_bridge.exit.lifeline import Lifeline
 from ros2_mcp_bridge.exit.limiter import Limiter
+from ros2_mcp_bridge.exit.speed_limit import SpeedLimits
 from ros2_mcp_bridge.request import OperationError, Request, Steps
 from ros2_mcp_bridge.ros import interfaces, rcl
 from ros2_mcp_bridge.topics.pace import Pace
 from ros2_mcp_bridge.topics.pool import Pool
 from ros2_mcp_common.policy import stamps
 from ros2_mcp_common.policy.flight import SET_MODE, brakes
-from ros2_mcp_common.policy.verbs import READING_TYPES
+from ros2_mcp_common.policy.verbs import CANCEL_GOAL, READING_TYPES
 from ros2_mcp_common.wire import protocol
 from ros2_mcp_common.wire.protocol import CallReply
 
@@ -41,6 +42,8 @@ KNOWS_US_S = 0.5
 # its own losses within 3 s. Then a request that changes nothing is sent once more, unless the server has answered
 # before.
 ASKS_AGAIN_S = 3.0
+# The longest wait for the answer to a request to cancel the goals of others.
+CANCELLED_S = 1.0
 # Discovery can lose a server for a short time; a server missing for longer than this is gone.
 GONE_AFTER_S = 0.3
 # The default depth of 10 loses responses if more arrive at the same moment.
@@ -52,11 +55,14 @@ ServiceKey = tuple[str, str]
 class Clients:
     """Pooled clients of services, including those of actions."""
 
-    def __init__(self, node: Node, failsafes: FailSafes, limiter: Limiter, lifeline: Lifeline) -> None:
+    def __init__(
+        self, node: Node, failsafes: FailSafes, limiter: Limiter, lifeline: Lifeline, speed_limits: SpeedLimits
+    ) -> None:
         self._node = node
         self._lifeline = lifeline
         self._failsafes = failsafes
         self._limiter = limiter
+        self._speed_limits = speed_limits
         self.pool: Pool[ServiceKey, Client] = Pool(node.destroy_client)
         self._awaited: dict[Future, tuple[Request, Pace]] = {}
         self._paces: WeakKeyDictionary[Client, Pace] = WeakKeyDictionary()
@@ -77,6 +83,7 @@ class Clients:
         latest = started + request.number("within_s", wait_s + timeout_s)
         with self._use(request) as (client, message):
             yield from _wait_server(client, service, wait_s, latest)
+            yield from self._speed_limits.tell(request)
             pace = self._paces.setdefault(client, Pace())
             yield from pace.wait_turn(request, latest)
             sent_at = time.monotonic()
@@ -106,6 +113,14 @@ class Clients:
         elapsed_s = round(time.monotonic() - sent_at, 6)
         return {"waited_s": round(sent_at - started, 6), "elapsed_s": elapsed_s}, body
 
+    def cancel_all(self, action: str) -> Steps[None]:
+        """Steps that ask the server of an action to cancel all of its goals."""
+        head = {"op": "call", "service": f"{action}/_action/cancel_goal", "type": CANCEL_GOAL, "timeout_s": CANCELLED_S}
+        interface = interfaces.load(CANCEL_GOAL)
+        request = Request(head, rcl.serialize(interface.Request()))  # no goal and no time stand for all goals
+        request.interface = interface
+        yield from self.call(request)
+
     def look(self) -> None:
         """Wake the requests whose answers have come.
 
@@ -131,7 +146,7 @@ class Clients:
             service, type_name = request.text("service"), request.text("type")
             ends = ended_by(service, type_name, message)
             if ends is None:
-                problem = f"{service} cancels no goals, nor does it make a vehicle stand: it cannot be left."
+                problem = f"{service} neither cancels goals nor stops a vehicle, so it cannot be a fail-safe."
                 raise OperationError("bad_request", problem)
 
             def call_if_ready() -> Future | None:
@@ -161,10 +176,10 @@ class Clients:
         try:
             message = rcl.deserialize(request.body, request.interface.Request)
         except Exception as error:  # the middlewares raise errors of many kinds
-            problem = f"{request.op}: the body is no request of {type_name}: {error}"
+            problem = f"{request.op}: the body is not a request of {type_name}: {error}"
             raise OperationError("bad_request", problem) from error
         if request.flag("brakes") and not brakes(service, type_name, message):
-            raise OperationError("bad_request", f"{service} is not asked to make a vehicle stand: it is an order.")
+            raise OperationError("bad_request", f"This request to {service} does not stop a vehicle: it is an order.")
         stamps.zero(message)  # in any case, a trajectory begins when it arrives
         self._limiter.check_call(request, message, leaves=False)  # before anything is created, or waited for
         create = partial(rcl.client, self._node, request.interface, service, MANY_AT_ONCE)

@@ -263,7 +263,7 @@ class Relays:
         """
         relay, offset = self._open.get(request.text("name")), 0
         sizes = request.sizes("sizes")
-        if relay is not None and relay.ended_by in ("stop", "lease", "latch", "stopper"):
+        if relay is not None and relay.ended_by in ("stop", "lease", "latch", "stopper", "keep_out"):
             raise Cancelled(relay.ended_by)
         if relay is None or not relay.is_running:
             raise OperationError("not_found", f"There is no running relay {request.text('name')!r}.")

@@ -411,7 +411,7 @@ def _plain(values: Any) -> Any:
 
 def _square_root(value: float) -> float:
     if value < 0:
-        raise Undecided(f"sqrt() of {value:g} is no number.")
+        raise Undecided(f"sqrt() of {value:g} is not a number.")
     return math.sqrt(value)
 
 
@@ -419,7 +419,7 @@ def _yaw(quaternion: Any) -> float:
     """Return the heading in rad, -π to π, counterclockwise about z. The quaternion may have any length."""
     x, y, z, w = (float(getattr(quaternion, name)) for name in "xyzw")
     if not any((x, y, z, w)):
-        raise Undecided("yaw() of a quaternion of zeros is no direction.")
+        raise Undecided("yaw() of a quaternion of zeros is not a direction.")
     return yaw_rad(x, y, z, w)
 
 

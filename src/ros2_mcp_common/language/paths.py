@@ -231,7 +231,7 @@ def _where(types: Types, path: str, field: TypedField, found: re.Match[str]) -> 
     value = int(found["number"]) if found["number"] else found["text"] or found["other"] or ""
     kind = below.type if below and not below.is_list else None
     if below is None or kind is None or not (kind.base in TEXTS if isinstance(value, str) else kind.is_number):
-        raise PathError(path, f"{found[0].strip()} cannot be asked of {field.type}.", _NOT_AN_INDEX)
+        raise PathError(path, f"{found[0].strip()} cannot be applied to {field.type}.", _NOT_AN_INDEX)
     return Where(below, value)
 
 

@@ -76,7 +76,7 @@ def nearest_range(scan: Any, from_deg: float, to_deg: float) -> float:
         NoRange: if the scan has no bearings, no ray points there, or none of those that do has a measurement.
     """
     if not (math.isfinite(from_deg) and math.isfinite(to_deg)):
-        raise NoRange("the angles that are asked for are not finite.")
+        raise NoRange("the requested angles are not finite.")
     if why := no_bearings(scan):
         raise NoRange(f"the scan has no bearings: {why}.")
     ranges = scan.ranges

@@ -25,6 +25,8 @@ from ros2_mcp_common.policy.field_values import (
     steps_of,
     with_frame_ids,
 )
+from ros2_mcp_common.policy.keep_out import KeepOut, problem_of_goal
+from ros2_mcp_common.policy.polygons import distance, is_inside
 from ros2_mcp_common.policy.trajectory_limits import CurveLimits, LookAtJoints, nobody_measures, seconds, states_at
 from ros2_mcp_common.policy.trajectory_limits import problem as problem_of_curve
 
@@ -62,7 +64,7 @@ class Checks:
     `norm`: the largest length of the vector of all numbers at or below the path. `range`: the inclusive bounds of each
     number. `one_of`: the allowed values. `zero`: all numbers at or below the path are 0. `count`: the least and largest
     number of elements of a list. `zone`: the name of the zone in which the position lies. `pace`, `curve`: limits on
-    trajectories, see `Pace` and `CurveLimits`.
+    trajectories, see `Pace` and `CurveLimits`. `keep_out`: the zones that the whole value, a goal, may not lead into.
     """
 
     norm: Mapping[str, float] = field(default_factory=dict[str, float])
@@ -73,12 +75,13 @@ class Checks:
     zone: Mapping[str, str] = field(default_factory=dict[str, str])
     pace: Mapping[str, Pace] = field(default_factory=dict[str, Pace])
     curve: Mapping[str, CurveLimits] = field(default_factory=dict[str, CurveLimits])
+    keep_out: KeepOut | None = None
 
     @property
     def is_empty(self) -> bool:
         """Whether there are no limits."""
         by_path = (self.norm, self.range, self.one_of, self.zero, self.count, self.zone, self.pace, self.curve)
-        return not any(by_path)
+        return not any(by_path) and self.keep_out is None
 
 
 # ── judging ────────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -108,6 +111,8 @@ def _problems(checks: Checks, value: Any, zones: Mapping[str, Zone], look: LookA
         for shown, found in at(value, path):
             if reason := problem_of_curve(found, limits, look):
                 yield f"{shown or 'the trajectory'}: {reason}"
+    if checks.keep_out and (reason := problem_of_goal(checks.keep_out, value)):
+        yield reason
 
 
 def _by_path(checks: Checks) -> Sequence[tuple[Mapping[str, Any], Callable[[str, Any, Any], Iterator[str]]]]:
@@ -176,33 +181,12 @@ def outside(position: Any, frame_id: str, zone: Zone) -> str:
     x, y = (number_at(position, axis, axis) for axis in ("x", "y"))
     if not (math.isfinite(x) and math.isfinite(y)):
         return "is no finite position"
-    if not _is_inside(x, y, zone.polygon):
+    if not is_inside(x, y, zone.polygon):
         return f"({x:.6g}, {y:.6g}) lies outside"
-    nearest = min(_distance(x, y, one, other) for one, other in _edges(zone.polygon))
+    nearest = distance(x, y, zone.polygon)
     return (
         f"is {nearest:.3g} m from the edge, at least {zone.margin_m:g} m is needed" if nearest < zone.margin_m else ""
     )
-
-
-def _edges(polygon: Sequence[tuple[float, float]]) -> Iterator[tuple[tuple[float, float], tuple[float, float]]]:
-    return ((polygon[place - 1], polygon[place]) for place in range(len(polygon)))
-
-
-def _is_inside(x: float, y: float, polygon: Sequence[tuple[float, float]]) -> bool:
-    inside = False
-    for (x1, y1), (x2, y2) in _edges(polygon):
-        if (y1 > y) != (y2 > y) and x < (x2 - x1) * (y - y1) / (y2 - y1) + x1:
-            inside = not inside
-    return inside
-
-
-def _distance(x: float, y: float, one: tuple[float, float], other: tuple[float, float]) -> float:
-    """Return the distance from the point (x, y) to the line segment from `one` to `other`."""
-    dx, dy = other[0] - one[0], other[1] - one[1]
-    squared = dx * dx + dy * dy
-    along = ((x - one[0]) * dx + (y - one[1]) * dy) / squared if squared else 0.0
-    along = min(1.0, max(0.0, along))
-    return math.hypot(x - one[0] - along * dx, y - one[1] - along * dy)
 
 
 def _too_fast(shown: str, points: Any, pace: Pace) -> Iterator[str]:

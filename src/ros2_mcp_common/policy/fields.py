@@ -87,7 +87,7 @@ class QuickCheck:
     @classmethod
     def of(cls, checks: Sequence[Checks], message: Any) -> QuickCheck | None:
         """Return the quick check for messages like this one, or None if there is none."""
-        if any(each.one_of or each.count or each.zone or each.pace or each.curve for each in checks):
+        if any(each.one_of or each.count or each.zone or each.pace or each.curve or each.keep_out for each in checks):
             return None
         try:
             return cls(checks, message)

@@ -15,6 +15,7 @@ from typing import Any, Literal, cast
 from ros2_mcp_common.policy.checks import Checks, Pace, Zone, clamp
 from ros2_mcp_common.policy.checks import problem as problem_of
 from ros2_mcp_common.policy.field_values import get
+from ros2_mcp_common.policy.keep_out import keep_out_of
 from ros2_mcp_common.policy.trajectory_limits import CurveLimits, JointBounds, LookAtJoints, nobody_measures
 from ros2_mcp_common.policy.verbs import Verb, is_meta, matches, meaning
 
@@ -492,6 +493,7 @@ def _checks(value: Mapping[str, Any]) -> Checks:
         zone=dict(value["zone"]),
         pace={path: Pace(**each) for path, each in value["pace"].items()},
         curve={path: _curve(each) for path, each in value["curve"].items()},
+        keep_out=keep_out_of(value["keep_out"]) if value["keep_out"] else None,
     )
 
 

@@ -14,6 +14,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
 import zlib
 from typing import Any
 
@@ -23,9 +24,11 @@ MARKER = b"\0ros2-mcp "
 # The oldest Python that can search for ROS 2. Humble, the oldest supported ROS 2, has 3.10; the system's own Python,
 # which only searches, may be older.
 OLDEST_PYTHON = (3, 8)
-# The longest time from here to the bridge's hello, the same as the bridge's own limit: for setup files on a slow disk.
-# Then the kernel ends a process that hangs, since the server may be gone.
+# The longest time for the zip to arrive, and again from there to the bridge's hello, the same as the bridge's own
+# limit: for setup files on a slow disk. Then the kernel ends a process that hangs, since the server may be gone.
 ALARM_S = 30
+# The period at which it is told how much of the zip has come.
+TELLS_S = 0.5
 # The program that the next Python executes: this same text, which is in its argument as base64.
 AGAIN = "import base64,sys,zlib;line=sys.argv.pop().encode();exec(zlib.decompress(base64.b64decode(line)))"
 # The newest name of a Python to look for (python3.16), and how many Pythons to try.
@@ -108,10 +111,12 @@ def main() -> None:
     if sys.version_info[:2] < OLDEST_PYTHON:
         _become_newer()  # before anything else is read
     head = json.loads(_read_line())
-    archive = _read(head["size"])
     nonce = head["nonce"]
+    # Before the zip is read, which takes 15 s at 64 kbit/s: the server waits for this line no longer than 12 s.
+    tell(nonce, "reached", python=sys.version.split()[0], executable=sys.executable, machine=os.uname().machine)
+    archive = _read(head["size"], nonce)
+    signal.alarm(ALARM_S)
     try:
-        tell(nonce, "reached", python=sys.version.split()[0], executable=sys.executable, machine=os.uname().machine)
         if head["container"]:
             _enter_container(nonce, head["container"], head["words"])
         if sys.version_info[:2] < OLDEST_PYTHON:
@@ -170,13 +175,20 @@ def _read_line() -> bytes:
         return stream.readline()
 
 
-def _read(size: int) -> bytes:
+def _read(size: int, nonce: str) -> bytes:
+    """Read the zip. Over a slow link say now and then how much has come: ssh gives up without a word for 13 s, as its
+    own questions wait behind the zip.
+    """
     data = b""
+    told_s = time.monotonic()
     while len(data) < size:
         piece = os.read(0, size - len(data))
         if not piece:
             sys.exit(1)  # the server is gone
         data += piece
+        if time.monotonic() - told_s > TELLS_S:
+            told_s = time.monotonic()
+            tell(nonce, "receiving", bytes=str(len(data)))
     return data
 
 

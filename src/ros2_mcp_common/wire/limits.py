@@ -38,12 +38,21 @@ MOST_WAITING_BYTES = 96_000_000
 # The longest wait in s of samples that are not urgent, such as lines of the log for people and models. At rest they
 # wait longer (AT_REST_S of the loop), so that the bridge may sleep.
 NO_HURRY_S = 0.1
-# The size of a piece of a large packet on a slow link. A small packet passes between two pieces: 26 ms at 5 Mbit/s.
-# Smaller pieces cost too many packets and acknowledgements.
+# The largest piece of a large packet over a network. A small packet passes between two pieces: 26 ms at 5 Mbit/s.
+# Smaller pieces cost too many packets and acknowledgements, so that only a slower link gets them: as much as it carries
+# in PIECE_S, but at least LEAST_PIECE_BYTES. These fit into one TCP segment, and take 0.13 s at 64 kbit/s.
 PIECE_BYTES = 16 * 1024
-# The initial and smallest window of unacknowledged bytes of pieces, all of which may be ahead of a small packet in the
-# link: 0.1 s at 5 Mbit/s. 128 KiB were measured to double the time of a request there, for no more images.
+LEAST_PIECE_BYTES = 1024
+PIECE_S = 0.026
+# The window of unacknowledged bytes of pieces, all of which may be ahead of a small packet in the link: 0.1 s at
+# 5 Mbit/s. 128 KiB were measured to double the time of a request there, for no more images. A slower link gets less: as
+# much as it carries in WINDOW_S. A new link, whose rate is not known, begins with FIRST_WINDOW_BYTES, in pieces of
+# FIRST_PIECE_BYTES: 0.5 s at 64 kbit/s, in four TCP segments, which even a short queue holds. One of 5 Mbit/s at 42 ms
+# is full after 0.25 s, one of 50 Mbit/s at 0.1 s after 1.75 s.
 WINDOW_BYTES = 64 * 1024
+WINDOW_S = 0.1
+FIRST_WINDOW_BYTES = 4 * 1024
+FIRST_PIECE_BYTES = 1024
 # The largest window, for a link that carries more in one round trip: 160 Mbit/s at 0.2 s, which is little memory.
 MOST_WINDOW_BYTES = 4 * 1024 * 1024
 # The fastest turn in rad/s with which `ros2_drive` steers back to its course or squares a line: within the limits of

@@ -11,7 +11,15 @@ import time
 from collections import deque
 from typing import TYPE_CHECKING
 
-from ros2_mcp_common.wire.limits import MOST_WINDOW_BYTES, PIECE_BYTES
+from ros2_mcp_common.wire.limits import (
+    FIRST_PIECE_BYTES,
+    FIRST_WINDOW_BYTES,
+    LEAST_PIECE_BYTES,
+    MOST_WINDOW_BYTES,
+    PIECE_BYTES,
+    PIECE_S,
+    WINDOW_S,
+)
 from ros2_mcp_common.wire.packets import PacketError, PacketReader, pack
 
 if TYPE_CHECKING:
@@ -25,25 +33,28 @@ if TYPE_CHECKING:
 LANE_OF_REQUESTS = 0
 
 
-# The window exceeds what the link carries in one round trip by this factor and SPARE_BYTES, which shows whether the
-# link can carry more; the window grows by as much each time. So a quarter of a round trip waits in the link, plus one
-# piece, which keeps a slow link busy.
+# The window exceeds what the link carries in one round trip by this factor and by a spare, which shows whether the link
+# can carry more; the window grows by as much each time. So a quarter of a round trip waits in the link, plus the spare:
+# what the link carries in WINDOW_S, between LEAST_PIECE_BYTES and PIECE_BYTES.
 GAIN = 1.25
-SPARE_BYTES = PIECE_BYTES
 # The capacity of the link is the highest rate of this last period: longer than the pause between two images, and short
 # enough that a radio link that has become slow is noticed.
 RATE_KEPT_S = 5.0
+# A piece that is acknowledged so much later than in the shortest round trip, in s, shows that the link carries less
+# than that by now, or that what is sent compresses less (ssh -C). Retransmissions alone take less.
+SLOWED_S = 0.5
 
 
 class Credit:
     """The bytes of pieces that may still be written: only a limited number may be unacknowledged.
 
-    The limit is `least_bytes`, or a little more than the link carried in its shortest round trip. With less, a fast
-    link with a long round trip would idle; with more, small packets would wait behind large ones.
+    The limit is what the link carries in WINDOW_S, but no more than `enough_bytes`; or, if that is more, a little more
+    than it carried in its shortest round trip. With less, a fast link with a long round trip would idle; with more,
+    small packets would wait behind large ones.
     """
 
-    def __init__(self, least_bytes: int, now: Callable[[], float] = time.monotonic) -> None:
-        self._least_bytes = least_bytes
+    def __init__(self, enough_bytes: int, now: Callable[[], float] = time.monotonic) -> None:
+        self._enough_bytes = enough_bytes
         self._now = now
         self._written = 0
         self._acknowledged = 0
@@ -56,14 +67,23 @@ class Credit:
     def window_bytes(self) -> int:
         """The maximum number of unacknowledged bytes."""
         if not self._rates:
-            return self._least_bytes
-        carried = int(GAIN * self._rates[0][1] * self._rtt_s) + SPARE_BYTES
-        return max(self._least_bytes, min(carried, MOST_WINDOW_BYTES))
+            return min(FIRST_WINDOW_BYTES, self._enough_bytes)
+        rate = self._rates[0][1]
+        short = min(rate * WINDOW_S, self._enough_bytes)
+        spare = max(LEAST_PIECE_BYTES, min(rate * WINDOW_S, PIECE_BYTES))
+        return int(min(max(short, GAIN * rate * self._rtt_s + spare), MOST_WINDOW_BYTES))
+
+    @property
+    def piece_bytes(self) -> int:
+        """How large the next piece may be."""
+        if not self._rates:
+            return FIRST_PIECE_BYTES
+        return int(max(LEAST_PIECE_BYTES, min(self._rates[0][1] * PIECE_S, PIECE_BYTES)))
 
     @property
     def has_room(self) -> bool:
         """Whether another piece may be written."""
-        return self._written - self._acknowledged + PIECE_BYTES <= self.window_bytes
+        return self._written - self._acknowledged + self.piece_bytes <= self.window_bytes
 
     def write(self, size: int) -> None:
         """Record that a piece of `size` bytes is written."""
@@ -90,6 +110,8 @@ class Credit:
         took_s = max(now - left_s, 1e-6)  # the clock's resolution
         self._rtt_s = min(self._rtt_s or took_s, took_s)
         rate = (end - acknowledged) / took_s
+        if took_s > self._rtt_s + SLOWED_S:
+            self._rates.clear()
         while self._rates and self._rates[-1][1] <= rate:
             self._rates.pop()
         while self._rates and self._rates[0][0] < now - RATE_KEPT_S:
@@ -111,9 +133,9 @@ class Cut:
         """The number of bytes not sent yet."""
         return len(self._rest)
 
-    def take(self) -> tuple[bytes, int]:
+    def take(self, most_bytes: int = PIECE_BYTES) -> tuple[bytes, int]:
         """Return the next piece as a packet, and the number of bytes of the whole in it."""
-        body, self._rest = bytes(self._rest[:PIECE_BYTES]), self._rest[PIECE_BYTES:]
+        body, self._rest = bytes(self._rest[:most_bytes]), self._rest[most_bytes:]
         header = {self._kind: "piece", "lane": self._lane, **({"begins": True} if self._begins else {})}
         self._begins = False
         return pack(header, body), len(body)

@@ -137,6 +137,13 @@ class LatchSet(TypedDict):
     own: bool
 
 
+class KeptOut(TypedDict):
+    """The `kept_out` event: what drove the robot towards a keep-out zone was ended; `reason` says where."""
+
+    event: Literal["kept_out"]
+    reason: str
+
+
 class MotionProgress(TypedDict):
     """The `motion` event: the current report of the controller of the motion of that name."""
 
@@ -145,7 +152,7 @@ class MotionProgress(TypedDict):
     report: dict[str, object]
 
 
-Told = FrameIdChanged | Lapsed | LatchSet | MotionProgress | RepeatBegun | Spent | StopperEvent
+Told = FrameIdChanged | KeptOut | Lapsed | LatchSet | MotionProgress | RepeatBegun | Spent | StopperEvent
 """The events of the bridge besides `hello` and samples."""
 
 
@@ -189,7 +196,7 @@ class Cancelled(TypedDict):
     cancelled: bool
 
 
-EndedBy = Literal["", "cancel", "stop", "lease", "latch", "stopper"]
+EndedBy = Literal["", "cancel", "stop", "lease", "latch", "stopper", "keep_out"]
 
 
 class Ended(TypedDict):

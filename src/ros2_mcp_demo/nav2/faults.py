@@ -39,6 +39,13 @@ def _attribute(part, name, wrong, right):
     )
 
 
+def _of_base(name, wrong, right):
+    """Return the fault of the simulated wheels or encoders."""
+    return (lambda stack: setattr(stack.base.robot.base, name, wrong)), (
+        lambda stack: setattr(stack.base.robot.base, name, right)
+    )
+
+
 def _joins(make):
     """Return the fault that adds a node; healing removes it."""
     made = []
@@ -198,7 +205,13 @@ FAULTS = {
     "20 bond lost": (lambda stack: setattr(stack.navigator, "starved", True), _fed_again),
     "20 server died": _dies("planner"),
     "21 acknowledged too late": _parameter("navigator", "default_server_timeout", 1, 200),
+    "22 rate missed": _attribute("controller", "most_hz", 3.0, math.inf),
     "23 sees itself": _attribute("lidar", "sees_itself", True, False),
+    "26 lidar turned": _attribute("lidar", "turned_deg", 180, 0),
+    "26 lidar turned a little": _attribute("lidar", "turned_deg", 40, 0),
+    "27 odometry turns the wrong way": _of_base("turns", -1.0, 1.0),
+    "27 odometry counts half": _of_base("counts", 0.5, 1.0),
+    "27 wheels exchanged": _of_base("are_exchanged", True, False),
     "28 lost": _attribute("amcl", "off", (1.1, 0.8, 0.9), (0.0, 0.0, 0.0)),
     "30 progress": _parameters(
         "controller",

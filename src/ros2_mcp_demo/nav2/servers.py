@@ -61,7 +61,9 @@ class Planner(Managed, PlannerServer):
 
 
 class Controller(Managed, ControllerServer):
-    """Serves /follow_path."""
+    """Serves /follow_path. `most_hz` is the rate that its computer is able to keep, in Hz."""
+
+    most_hz = math.inf
 
     def __init__(self, robot, namespace, navigation, action, **parameters):
         super().__init__(robot, namespace, navigation)
@@ -82,7 +84,7 @@ class Controller(Managed, ControllerServer):
             return
         if not self.is_active:
             self._end("abort", NO_PROGRESS, "the controller server is not active")
-        elif self.is_due(self.setting("controller_frequency"), "command"):
+        elif self.is_due(min(self.setting("controller_frequency"), self.most_hz), "command"):
             self._drive_on()
         if self._handle and self.is_due(FEEDBACK_RATE, "feedback"):
             left = self._drive.remaining(self.robot.believed())

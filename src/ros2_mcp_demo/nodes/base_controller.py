@@ -105,8 +105,8 @@ class BaseController(RobotPart):
     def _publish(self, stamp):
         base, message = self.robot.base, self.headed(self._odometry, stamp, "odom")
         place(message.pose.pose, base.odometry)
-        message.twist.twist.linear.x = base.linear
-        message.twist.twist.angular.z = base.angular
+        message.twist.twist.linear.x = base.counts * base.linear
+        message.twist.twist.angular.z = base.turns * base.angular * (-1 if base.are_exchanged else 1)
         self._odom.publish(message)
         self._joint_state.header.stamp = stamp
         self._joint_state.position = [base.left.angle, base.right.angle]

@@ -6,6 +6,7 @@ from __future__ import annotations
 import array
 import math
 
+import numpy as np
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import LaserScan
 
@@ -17,9 +18,12 @@ OWN_BEAMS, OWN_RANGE = slice(0, 13), 0.13
 
 
 class Lidar(RobotPart):
-    """The driver of the laser scanner. `sees_itself`: a part of the robot behind the scanner blocks some beams."""
+    """The driver of the laser scanner. `sees_itself`: a part of the robot behind the scanner blocks some beams.
+    `turned_deg`: it is mounted turned to the left by this, which its transform does not say.
+    """
 
     sees_itself = False
+    turned_deg = 0
 
     def __init__(self, robot, namespace):
         super().__init__("lidar", robot, namespace)
@@ -56,5 +60,6 @@ class Lidar(RobotPart):
         message.angle_max = message.angle_min + (BEAMS - 1) * message.angle_increment
         message.scan_time = 1.0 / rate
         message.range_min, message.range_max = RANGE_MIN, RANGE_MAX
-        message.ranges = array.array("f", self.robot.ranges.tobytes())
+        ranges = np.roll(self.robot.ranges, -round(self.turned_deg * BEAMS / 360))
+        message.ranges = array.array("f", ranges.tobytes())
         return message

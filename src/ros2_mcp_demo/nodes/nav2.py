@@ -132,6 +132,7 @@ class PlannerServer(LifecyclePart):
     def __init__(self, robot, namespace, navigation, action, clearing, costmap=None):
         """Create the server; `costmap` is the publisher of the global costmap if that has its own node."""
         super().__init__("planner_server", robot, namespace)
+        self.declare_parameter("planner_plugins", ["GridBased"])
         self.declare_number("max_planning_time", 5.0, 0.0, 60.0, "A search that takes longer fails [s]")
         self._navigation, self._action = navigation, action
         self._costmap = costmap or self.create_latched_publisher(OccupancyGrid, "global_costmap/costmap")
@@ -236,7 +237,14 @@ class ControllerServer(LifecyclePart):
         self.declare_number("max_angular_speed", 1.2, 0.1, 3.0, "Fastest turning speed [rad/s]")
         self._navigation = navigation
         self._commands = self.create_publisher(Twist, "cmd_vel_nav", 10)
+        self._limit = math.inf
+        if messages := optional.arrived("nav2_msgs", "msg"):
+            self.create_subscription(messages[0].SpeedLimit, "speed_limit", self._take_limit, 10)
         self.start()
+
+    def _take_limit(self, message):
+        share = self.setting("max_linear_speed") / 100 if message.percentage else 1.0
+        self._limit = share * message.speed_limit or math.inf
 
     def follow(self, drive):
         """Publish the next command of a drive; raises `Impossible`."""
@@ -250,7 +258,7 @@ class ControllerServer(LifecyclePart):
             pose = self._navigation.pose()
         except Impossible as error:
             raise Impossible(LOST, str(error)) from error
-        fastest, turning = self.setting("max_linear_speed"), self.setting("max_angular_speed")
+        fastest, turning = min(self._limit, self.setting("max_linear_speed")), self.setting("max_angular_speed")
         self.command(*drive.step(pose, robot.now, robot.base.blocked, fastest, turning))
 
     def command(self, linear, angular):

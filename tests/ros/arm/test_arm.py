@@ -86,7 +86,7 @@ def test_joints_go_where_they_are_sent_and_the_others_stay(agent, witness, way: 
     joints = {"elbow_joint": 0.9, "wrist_2_joint": 0.4}
     moved = agent.call("ros2_joint_move", joints=joints, speed=0.6, controller=way)
     assert moved["outcome"] == "reached", moved["note"]
-    assert moved["way"] == way
+    assert moved["interface"] == way
     found = witness.joints()
     for name, target in joints.items():
         assert found[name] == pytest.approx(target, abs=0.02)

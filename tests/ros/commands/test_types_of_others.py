@@ -123,7 +123,7 @@ def test_such_a_type_is_not_published_and_the_answer_says_what_to_install(strang
 
 def test_a_service_that_no_node_describes_is_listed_and_the_answer_says_what_is_missing(stranger: Agent) -> None:
     told = stranger.refusal("ros2_get_message_fields", message_type="mavros_msgs/srv/SetMode")
-    assert "no node tells it" in told and "mavros_msgs is not there" in told
+    assert "no node provides it" in told and "mavros_msgs is not there" in told
 
 
 # ── a field whose name is a word of Python ───────────────────────────────────────────────────────────────────────────

@@ -49,6 +49,7 @@ ASKED: dict[str, dict[str, Any]] = {
     "ros2_nav_dock": {"dock": "home"},
     "ros2_nav_localize": {"at": {"x": 1, "y": 0, "yaw_deg": 0}},
     "ros2_nav_map": {"what": "save", "path": "/maps/floor"},
+    "ros2_nav_probe": {},
     "ros2_nav_recover": {"stack": "pause"},
     "ros2_nav_preview": {"to": {"x": 1, "y": 0}},
     "ros2_navigate": {"to": [{"x": 1, "y": 0}]},

@@ -129,7 +129,7 @@ def test_joints_that_do_not_move_quote_what_the_robot_logged_meanwhile(agent: Ag
     robot.put(motors_off=True)
     moved = agent.whole("ros2_joint_move", {"joints": {"shoulder": 0.3}, "speed": 1})
     said = moved.content[0].text
-    assert moved.is_error and said.startswith("failed")
+    assert moved.is_error and said.startswith("aborted")
     assert said.count("motors are disabled") == 1 and "/motor_driver WARN" in said
     robot.put()
     moved = agent.call("ros2_joint_move", joints={"shoulder": 0.1}, speed=1)

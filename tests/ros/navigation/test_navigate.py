@@ -54,7 +54,7 @@ def test_a_place_is_kept_previewed_and_reached_with_a_heading(agent):
     later = agent.call("ros2_scene")  # the planner sent the way when it began, and does not send it again
     (path,) = [layer for layer in later["layers"] if layer["kind"] == "path"]
     assert (path["name"], path["x_m"], path["y_m"]) == ("/plan", pytest.approx(0.7), pytest.approx(0.2))
-    assert any("/plan was sent" in line for line in later["missing"]), later["missing"]
+    assert any("/plan was published" in line for line in later["missing"]), later["missing"]
 
 
 def test_the_patrol_of_the_how_to_visits_its_places_with_nav2(agent):
@@ -82,6 +82,22 @@ def test_a_goal_that_fails_is_explained_in_the_same_answer(agent):
 
     rejected = agent.call("ros2_navigate", to=[{"x": 1.0, "y": 0.0, "frame": "mapp"}])
     assert rejected["outcome"] == "rejected" and "mapp" in rejected["explanation"]["cause"]
+
+
+@pytest.mark.promise("ros2_nav_route", "with the cause")
+def test_a_missed_place_of_a_route_has_its_cause_and_the_rest_is_driven(agent):
+    to = [{"x": 0.5, "y": 0.1}, {"x": 2.5, "y": -1.0}, {"x": 0.1, "y": 0.0}]
+    done = agent.call("ros2_nav_route", to=to, on_missed="go_on", timeout_s=55)
+    assert (done["outcome"], [place["state"] for place in done["places"]]) == ("done", ["reached", "missed", "reached"])
+    assert "(2.50, -1.00) is occupied on /global_costmap/costmap" in done["summary"].splitlines()[0]
+    assert math.dist(position(agent), (0.1, 0.0)) < 0.25
+
+
+def test_a_preview_takes_a_start_and_a_planner_that_the_server_has(agent):
+    way = agent.call("ros2_nav_preview", to={"x": 0.5, "y": 0.0}, start={"x": -0.5, "y": 0.0}, planner_id="GridBased")
+    assert way["points"][0] == pytest.approx([-0.5, 0.0], abs=0.1) and way["length_m"] == pytest.approx(1.0, abs=0.2)
+    refused = agent.refusal("ros2_nav_preview", to={"x": 0.5, "y": 0.0}, planner_id="GridBase")
+    assert "Its planners: GridBased" in refused
 
 
 @pytest.mark.promise("ros2_navigate", "After a time-out, call again with the job_id")

@@ -104,6 +104,59 @@ def test_a_goal_goes_through_the_whole_chain(agent: Agent) -> None:
 
 
 @pytest.mark.parametrize(
+    ("faults", "causes"),
+    [
+        (
+            ("26 lidar turned a little", "27 wheels exchanged"),
+            (
+                "The lidar is turned against its transform by",
+                "turns against its commands, and odometry does not see it",
+            ),
+        ),
+        pytest.param((), (), marks=pytest.mark.full),
+        pytest.param(("26 lidar turned",), (r"turned against its transform by (17|18)\d°",), marks=pytest.mark.full),
+        pytest.param(
+            ("27 odometry turns the wrong way",), ("Odometry turns the wrong way: /odom",), marks=pytest.mark.full
+        ),
+        pytest.param(("27 odometry counts half",), ("Odometry counts 0.[45]",), marks=pytest.mark.full),
+    ],
+)
+def test_a_small_move_tells_what_only_a_motion_shows(
+    agent: Agent, robot: Planted, faults: tuple[str, ...], causes: tuple[str, ...]
+) -> None:
+    for fault in faults:
+        robot.tell("plant", fault)
+    try:
+        probed = agent.call("ros2_nav_probe")
+    finally:
+        for fault in faults:
+            robot.tell("heal", fault)
+    assert probed["verdict"] == ("WRONG" if faults else "AS COMMANDED"), probed
+    assert len(probed["findings"]) == len(causes)
+    for finding, cause in zip(probed["findings"], causes, strict=True):
+        assert re.search(cause, finding["cause"])
+
+
+@pytest.mark.parametrize(
+    ("fault", "told"),
+    [
+        ("4 monitor holds", r"polygon PolygonStop, with something at 0\.3\d m, bearing"),
+        pytest.param("22 rate missed", r"misses its rate: [23]\.\d of 10 Hz on /cmd_vel_nav", marks=pytest.mark.full),
+    ],
+)
+def test_what_holds_a_robot_on_its_way_is_told_while_it_is_under_way(
+    agent: Agent, robot: Planted, fault: str, told: str
+) -> None:
+    robot.tell("plant", fault)
+    try:
+        going = agent.call("ros2_navigate", to=[{"x": 2.0, "y": 0.3}], timeout_s=6)
+        assert going["outcome"] == "under way" and re.search(told, str(going["health"])), going
+    finally:
+        agent.call("ros2_stop")
+        robot.tell("heal", fault)
+
+
+@pytest.mark.parametrize(
     "fault", [pytest.param(one, marks=() if one in ALWAYS else pytest.mark.full) for one in CAUSES]
 )
 def test_a_planted_cause_is_the_first_that_is_told_and_no_decoy_is(agent: Agent, robot: Planted, fault: str) -> None:

@@ -129,7 +129,7 @@ def test_waypoints_that_were_missed_stand_in_the_first_line(nav_agent, nav2) -> 
         wait_for_result=True,
         force=True,
     )
-    assert done["status"] == "SUCCEEDED" and "MISSED 1 waypoint: number 1 (NO_VALID_PATH" in done["summary"]
+    assert done["status"] == "SUCCEEDED" and "MISSED 1 waypoint: poses[1] (NO_VALID_PATH" in done["summary"]
 
 
 def test_a_request_of_nothing_but_an_empty_needs_no_fields(nav_agent, nav2) -> None:

@@ -229,9 +229,9 @@ def test_the_bridge_judges_the_trajectories_of_others_and_sets_their_stamps_to_z
         ]
         return relay[count] > 0
 
-    until(lambda: comes("failed", seconds=2.0, to=2.0, away_s=0.0))  # 1.5 rad/s in its middle
+    until(lambda: comes("errors", seconds=2.0, to=2.0, away_s=0.0))  # 1.5 rad/s in its middle
     assert arm.seen()["goals"] == 0
-    until(lambda: comes("passed", seconds=6.0, to=0.6, away_s=-20.0))
+    until(lambda: comes("published", seconds=6.0, to=0.6, away_s=-20.0))
     until(lambda: arm.seen()["joints"]["joint_1"]["high"] > 0.1)
     seen = arm.seen()["joints"]["joint_1"]
     assert seen["speed"] < MOST, seen

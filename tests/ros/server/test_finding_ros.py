@@ -153,7 +153,7 @@ def seconds_of_the_refusal(server: RawServer) -> float:
 @pytest.mark.parametrize(
     ("options", "clear"),
     [
-        (["--distro", "foxy"], "ROS 2 foxy was asked for (--distro) and is not there; found: jazzy"),
+        (["--distro", "foxy"], "ROS 2 foxy was requested (--distro) but not found; found: jazzy"),
         (["--workspace", "/nowhere"], "The workspace /nowhere has no install/setup.bash. Build it"),
         (["--rmw", "rmw_none"], "rmw_none"),
     ],

@@ -306,7 +306,7 @@ def test_who_closes_stops_at_once_who_has_no_stream_with_its_lease_and_who_waits
     asks.begin()
     relays = asks.called("ros2_relay_list", {})["structuredContent"]["relays"]
     [ended] = [relay for relay in relays if relay["destination_topic"] == waits.topic]
-    assert ended["state"] == "stopped" and ended["passed"] > 10 and ended["elapsed_sec"] > SILENT_S
+    assert ended["state"] == "stopped" and ended["published"] > 10 and ended["elapsed_sec"] > SILENT_S
     assert ended["note"].count("end of its client") == 1
     goes(asks, "close")
 

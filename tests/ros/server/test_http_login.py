@@ -437,7 +437,7 @@ def test_with_tls_it_is_reached_under_its_public_name_and_no_other(
     ("options", "said"),
     [
         (("--host", "0.0.0.0"), "the token would cross the network in the open"),
-        (("--host", "0.0.0.0", "--no-login"), "--no-login would let everybody in"),
+        (("--host", "0.0.0.0", "--no-login"), "--no-login would give access to anyone"),
         (("--transport", "sse"), "Write --transport streamable-http instead"),
         (("--tls-cert", __file__), "belong together"),
         (("--tls-cert", __file__, "--tls-key", __file__), f"TLS cannot be spoken with {__file__}"),

@@ -106,7 +106,7 @@ def test_a_message_of_a_topic_that_appears_later_is_waited_for(agent, peer) -> N
 
 
 @pytest.mark.promise("ros2_relay_start", "Returns a relay_id at once")
-@pytest.mark.promise("ros2_relay_list", "List this server's relays with the messages passed and dropped so far")
+@pytest.mark.promise("ros2_relay_list", "List this server's relays with the messages published and filtered out")
 @pytest.mark.promise("ros2_relay_list", "and the relays that ended last")
 @pytest.mark.promise("ros2_relay_stop", "Stop a relay")
 def test_a_relay_begins_at_once_and_is_listed_while_it_runs_and_afterwards(agent, latched) -> None:
@@ -116,8 +116,8 @@ def test_a_relay_begins_at_once_and_is_listed_while_it_runs_and_afterwards(agent
         relays = agent.call("ros2_relay_list")["relays"]
         return next(relay for relay in relays if relay["relay_id"] == begun["relay_id"])
 
-    until(lambda: listed()["passed"])
-    assert (listed()["state"], listed()["dropped"]) == ("running", 0)
+    until(lambda: listed()["published"])
+    assert (listed()["state"], listed()["filtered_out"]) == ("running", 0)
     agent.call("ros2_relay_stop", relay_id=begun["relay_id"])
     assert listed()["state"] == "stopped"
 

@@ -153,7 +153,7 @@ class Large:
             return next(one for one in relays if one["relay_id"] == relay)
 
         until(lambda: state()["state"] == "ended")
-        assert state()["passed"], state()
+        assert state()["published"], state()
 
 
 @pytest.fixture

@@ -195,7 +195,7 @@ def test_a_base_that_took_a_velocity_and_is_gone_leaves_stops_unconfirmed_until_
         until(lambda: not ground.server.do("ros2_topic_info", topic_name=f"{base}/cmd_vel")["subscribers"])
         said = [ground.stop(moves=True) for _ in range(2)]
         is_never_confirmed(said)
-        assert "is gone: it may move until it is seen again" in said[-1]["note"]
+        assert "has left the graph: it may still move" in said[-1]["note"]
         assert ground.robot.state()["speed"] == 0.3
         ground.robot.put(base=base)
         ground.server.knows(f"{base}/cmd_vel", 1)

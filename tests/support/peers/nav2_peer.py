@@ -130,6 +130,11 @@ class Nav2:
         """Has the collision monitor hold for a polygon; "" lets go."""
         self._hold(polygon)
 
+    def push(self, x: float) -> None:
+        """Somebody pushes the base: its wheels turn."""
+        self._x = x
+        time.sleep(10 * STEP_S)  # as in `put`
+
     def speed(self) -> float:
         """How fast the base drives, or turns."""
         return max(map(abs, self._driven()))

@@ -32,6 +32,8 @@ class Navigator:
         self._node = node = Node("bt_navigator")
         group = ReentrantCallbackGroup()
         self._refuses, self._longer_m, self._recovers = False, 0.0, False
+        self._misses: list[float] = []
+        self._goals: list[float] = []
         self._follow = ActionClient(node, FollowPath, "follow_path", callback_group=group)
         self._spin = ActionClient(node, Spin, "spin", callback_group=group)
         self._self = ActionClient(node, NavigateToPose, "navigate_to_pose", callback_group=group)
@@ -51,9 +53,16 @@ class Navigator:
         self._spinning.start()
         assert self._follow.wait_for_server(30.0) and self._spin.wait_for_server(30.0)
 
-    def put(self, refuses: bool = False, longer_m: float = 0.0, recovers: bool = False) -> None:
-        """Whether it refuses to cancel, how much longer its way becomes after a second, whether it spins then."""
-        self._refuses, self._longer_m, self._recovers = refuses, longer_m, recovers
+    def put(
+        self, refuses: bool = False, longer_m: float = 0.0, recovers: bool = False, misses: tuple[float, ...] = ()
+    ) -> None:
+        """Whether it refuses to cancel, how much longer its way becomes after a second, whether it spins then; the
+        goals (by their x) to which it finds no path."""
+        self._refuses, self._longer_m, self._recovers, self._misses = refuses, longer_m, recovers, list(misses)
+
+    def goals(self) -> list[float]:
+        """The x of all goals that it has begun."""
+        return self._goals
 
     def leave(self) -> None:
         """Say goodbye to ROS."""
@@ -67,6 +76,10 @@ class Navigator:
 
     def _navigate(self, handle: Any) -> Any:
         goal = handle.request.pose
+        self._goals.append(round(goal.pose.position.x, 3))
+        if any(abs(goal.pose.position.x - x) < 1e-6 for x in self._misses):
+            handle.abort()
+            return NavigateToPose.Result(error_code=208, error_msg="no valid path")
         request = FollowPath.Goal()
         request.path.poses = [goal]
         child = self._wait(self._follow.send_goal_async(request))

@@ -18,7 +18,8 @@ from ros2_mcp_common.wire.packets import pack
 
 SOURCE = Path(__file__).resolve().parents[3] / "src/ros2_mcp_bridge"
 EXITS = {
-    ".publish_raw(": {"publishers.py": 2, "stopper.py": 1},  # what others have made, and zeros; zeros only
+    # What others have made, and zeros; zeros only; a limit that can only make Nav2 slower.
+    ".publish_raw(": {"publishers.py": 2, "stopper.py": 1, "speed_limit.py": 1},
     ".call_async(": {"clients.py": 1, "stopper.py": 1},  # calls, and fail-safes; fail-safes only
 }
 PATIENCE_S = 10.0

@@ -36,9 +36,10 @@ class Link:
         self.waited.clear()
         while self.now < end:
             while self.credit.has_room:
-                self.credit.write(PIECE_BYTES)
-                self.written += PIECE_BYTES
-                self.free_at = max(self.free_at, self.now) + PIECE_BYTES / self.bytes_per_s
+                size = self.credit.piece_bytes
+                self.credit.write(size)
+                self.written += size
+                self.free_at = max(self.free_at, self.now) + size / self.bytes_per_s
                 self.waited.append(self.free_at - self.now)
                 heapq.heappush(self.acks, (self.free_at + self.rtt_s, self.written))
             self.now, self.taken = heapq.heappop(self.acks)
@@ -47,7 +48,19 @@ class Link:
 
 
 @pytest.mark.parametrize(
-    ("mbit", "rtt_s"), [(0.5, 0.3), (5, 0.042), (5, 0.5), (20, 0.02), (50, 0.1), (50, 0.2), (150, 0.03), (1000, 0.001)]
+    ("mbit", "rtt_s"),
+    [
+        (0.064, 0.02),
+        (0.064, 0.6),
+        (0.5, 0.3),
+        (5, 0.042),
+        (5, 0.5),
+        (20, 0.02),
+        (50, 0.1),
+        (50, 0.2),
+        (150, 0.03),
+        (1000, 0.001),
+    ],
 )
 def test_a_link_is_used_whole_and_little_waits_in_it(mbit: float, rtt_s: float) -> None:
     link = Link(mbit * MBIT, rtt_s)

@@ -11,11 +11,13 @@ from typing import Any
 import pytest
 
 from ros2_mcp_bridge.stream import Outbox, Sample, SampleQueue, read_packets
-from ros2_mcp_common.wire.limits import PIECE_BYTES, WINDOW_BYTES
+from ros2_mcp_common.wire.limits import FIRST_PIECE_BYTES, FIRST_WINDOW_BYTES, PIECE_BYTES, WINDOW_BYTES
 from ros2_mcp_common.wire.packets import Packet, PacketError, PacketReader, pack
 from ros2_mcp_common.wire.pieces import Cut, Lanes
 
 PICTURE = os.urandom(20 * PIECE_BYTES)
+AT_FIRST = FIRST_WINDOW_BYTES // FIRST_PIECE_BYTES
+"""As many pieces are sent over a new link."""
 
 
 def sample(data: bytes) -> Sample:
@@ -71,8 +73,8 @@ def slow() -> Generator[tuple[Outbox, Slow]]:
 def test_no_more_is_under_way_than_the_window_and_a_reply_passes_it() -> None:
     with slow() as (outbox, link):
         outbox.add_samples(SampleQueue(3, 10, 10_000_000), [sample(PICTURE)])
-        pieces = [link.next() for _ in range(WINDOW_BYTES // PIECE_BYTES)]
-        assert [(piece.header["lane"], len(piece.body)) for piece in pieces] == [(3, PIECE_BYTES)] * len(pieces)
+        pieces = [link.next() for _ in range(AT_FIRST)]
+        assert [(piece.header["lane"], len(piece.body)) for piece in pieces] == [(3, FIRST_PIECE_BYTES)] * AT_FIRST
         outbox.reply(7, {})
         assert link.next().header == {"id": 7, "ok": {}}
         for piece in pieces:
@@ -105,7 +107,7 @@ def test_who_ends_a_subscription_does_not_wait_for_pictures_that_have_not_come()
     with slow() as (outbox, link):
         queue = SampleQueue(1, 10, 10_000_000)
         outbox.add_samples(queue, [sample(PICTURE), sample(PICTURE)])
-        for _ in range(WINDOW_BYTES // PIECE_BYTES):
+        for _ in range(AT_FIRST):
             list(link.lanes.feed(*link.next()))
         outbox.reply_after_samples(queue, 9, 0)
         assert link.next().header == {"id": 9, "ok": {"received": 2, "dropped": 2, "lost": 0}}

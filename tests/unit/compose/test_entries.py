@@ -91,8 +91,8 @@ def test_the_only_robot_of_a_file_needs_no_name(write: Write) -> None:
         ("robots:\n  lab:\n    at: local\n    domain_id: 1.5", 4, "domain_id must be a whole number"),
         ("robots:\n  lab:\n    at: local?domain_id=1\n    domain_id: 1", 4, "the address names a domain_id, too"),
         ("robots:\n  lab:\n    at: local\n    read_only: yes", 4, "read_only must be true or false"),
-        ("robots:\n  lab:\n    at: local\n    env:\n      A-B: c", 5, "«A-B» is no name of a variable"),
-        ("robots:\n  ../up:\n    at: local", 3, "«../up» is no name of a robot"),
+        ("robots:\n  lab:\n    at: local\n    env:\n      A-B: c", 5, "«A-B» is not a name of a variable"),
+        ("robots:\n  ../up:\n    at: local", 3, "«../up» is not a valid name of a robot"),
         ("robots:\n  lab:\n    at: local\n  lab:\n    at: local", 4, "'lab' is there twice"),
         ("robots:\n  lab: {at: [", 2, "not valid YAML"),
     ],
@@ -117,7 +117,7 @@ def test_a_file_that_others_can_write_names_no_robots(write: Write) -> None:
         (("lab=local?domain_id=1", "Lab=local?domain_id=2"), "Two robots are called 'lab'"),
         (("lab=local?domain_id=1", "yard=local?domain_id=1"), "lab and yard are one robot"),
         (("lab=ssh://a@host", "yard=ssh://b@host"), "lab and yard are one robot"),
-        (("lab=local", f"{'x' * 33}=local?domain_id=2"), "is no name of a robot"),
+        (("lab=local", f"{'x' * 33}=local?domain_id=2"), "is not a valid name of a robot"),
     ],
 )
 def test_names_and_robots_differ(robots: tuple[str, ...], problem: str) -> None:

@@ -216,7 +216,7 @@ def test_a_grant_covers_its_kind_for_its_time_and_no_more() -> None:
     approvals = Approvals(clock=clock, epoch=lambda: "3")
     with pytest.raises(ApprovalNeeded) as needed:
         approvals.require(drive(0.1))
-    with pytest.raises(BadInput, match="beyond that bound"):
+    with pytest.raises(BadInput, match="exceeds that bound"):
         approvals.grant(needed.value.request_id, 60, {"linear": 0.05}, by="operator ann")
     with pytest.raises(BadInput, match="no number at liner"):
         approvals.grant(needed.value.request_id, 60, {"liner": 0.05}, by="operator ann")

@@ -52,7 +52,7 @@ def test_check_names_the_line_of_a_mistake_and_the_nearest_right_key(
         ('publish cmd_vel geometry_msgs/Twist \'{"linear": {"x": 0.1}}\'', 0, "ALLOWED"),
         ("call /motors std_srvs/srv/Trigger", 1, "REFUSED"),
         ("publsh /cmd_vel", 1, "Did you mean publish?"),
-        ("publish", 1, "is no command"),
+        ("publish", 1, "is not a command"),
         ('publish /cmd_vel {"linear": {"x": 0.1}}', 1, "No type is given"),
         (f'publish /cmd_vel {TWIST} {{"liner": {{"x": 9}}, "linear": {{"x": 0.1}}}}', 0, "not bounded: liner.x ("),
         ('call /a/set_parameters rcl_interfaces/srv/SetParameters {"gain": 1.2}', 1, "no 'gain'. It takes parameters."),
@@ -142,7 +142,7 @@ def test_a_table_is_asked_row_by_row(folder: Path, capsys: pytest.CaptureFixture
         (f"publish,/x,{TWIST},{{,,,,allow,", "Column value is no JSON"),
         ("transition,/x,,activate,,,,allow,", "A text needs quotation marks"),
         (f"publish,/x,{TWIST},,,,7,allow,", "Column facts is no JSON object"),
-        (f"publish,/x,{TWIST},,fast,,,allow,", "Column rate_hz is no number: 'fast'"),
+        (f"publish,/x,{TWIST},,fast,,,allow,", "Column rate_hz is not a number: 'fast'"),
         (f"publish,/x,{TWIST}", "as many columns"),
     ],
 )

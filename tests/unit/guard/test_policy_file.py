@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from pathlib import Path
 
 import pytest
 
+from ros2_mcp.guard.policy import Policy
 from ros2_mcp.guard.policy_file import compiled, document_of, read_policies, read_policy
 from ros2_mcp.guard.section import PolicyFileError
+from ros2_mcp.guard.watch import watch_of
+from ros2_mcp_common.policy.feedback import rules_of
 from ros2_mcp_common.policy.rules import Ramp, Rules
 
 WHOLE = """\
@@ -93,6 +97,7 @@ def test_the_digest_is_of_what_is_said_and_not_of_how_it_is_written() -> None:
 
 
 SQUARE = "policy: 1\nzones: {square: {frame: odom, polygon: [[0, 0], [1, 0], [1, 1]]}}\n"
+KEEP_OUT = "policy: 1\nkeep_out:\n  zones:\n    stairs: [[3, 1], [4, 1], [4, 2]]\n"
 WRONG = [
     ("polcy: 1", 1, "needs 'policy'"),
     ("policy: 2", 1, "knows policy: 1 only"),
@@ -146,6 +151,20 @@ WRONG = [
     ("policy: 1\nfeedback:\n  topic: /odom\n  path: twist..twist", 4, "no path of a field"),
     ("policy: 1\nfeedback:\n  topic: /odom\n  still: {liner: 0.1}", 4, "Did you mean linear"),
     ("policy: 1\nfeedback:\n  topic: /odom\n  goals: {speed: 0.1}", 4, "means nothing in goals"),
+    ("policy: 1\npose:\n  topic: /tf\n  base: base_link\n  path: pose", 4, "leave out 'type' and 'path'"),
+    ("policy: 1\nkeep_out:\n  radius_m: 0.2", 3, "keep_out needs 'zones'"),
+    (f"{KEEP_OUT}", 3, "'footprint' or 'radius_m', one of both"),
+    (f"{KEEP_OUT}  radius_m: 0.2\n  footprint: [[1, 0], [0, 1], [-1, 0]]", 3, "'footprint' or 'radius_m', one of both"),
+    (f"{KEEP_OUT}  footprint: [[0.2, 0.1], [-0.2, 0.1]]", 5, "three points"),
+    (f"{KEEP_OUT}  radius_m: 0", 5, "it must be from 0.01"),
+    (f"{KEEP_OUT}  radius_m: 0.2\n  margin_m: 0.01", 6, "must be from 0.05"),
+    (f"{KEEP_OUT}  radius_m: 0.2\n  plan: plan", 6, "no full name of one topic"),
+    (f"{KEEP_OUT}  radius_m: 0.2\n  fame: map", 6, "Did you mean frame"),
+    ("policy: 1\nkeep_out:\n  zones:\n    a: [[0, 0], [1, 1]]", 4, "three points"),
+    ("policy: 1\nkeep_out:\n  zones:\n    a: [[0, 0], [2, 2], [2, 0], [0, 2]]", 4, "[0, 0]–[2, 2] and"),
+    ("policy: 1\nkeep_out:\n  zones:\n    a: [[0, 0], [.inf, 1], [1, 1]]", 4, "must be a number"),
+    ("policy: 1\nkeep_out:\n  zones:\n    a: [[0, 0], [1, 0], [2, 0]]", 4, "overlap"),
+    ("policy: 1\nzones:\n  hall:\n    polygon: [[0, 0], [2, 2], [2, 0], [0, 2]]", 4, "cross"),
 ]  # fmt: skip
 
 
@@ -242,3 +261,41 @@ def test_the_example_of_the_reference_is_a_policy() -> None:
     text = (Path(__file__).parents[3] / "docs/reference/policy-file.md").read_text("utf-8")
     document = document_of(text.partition("```yaml\n")[2].partition("```")[0], "reference")
     assert (document.name, len(document.rules.allow)) == ("hall-3", 5)
+
+
+PLACED = "pose: {topic: /tf, base: base_link}\n"
+WATCHED = f"{PLACED}feedback: {{topic: /odom}}\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (f"{KEEP_OUT}  radius_m: 0.2\n", "keep_out needs 'pose'"),
+        (f"{KEEP_OUT}  radius_m: 0.2\n{PLACED}", "keep_out needs 'feedback'"),
+        (f"{KEEP_OUT}  radius_m: 0.2\n  frame: odom\n{WATCHED}", "Write frame: map in both"),
+        (f"{KEEP_OUT}  footprint: [[1, 0.3], [-1, 0.3], [-1, -0.3], [1, -0.3]]\n{WATCHED}", "Write margin_m: 0.25."),
+    ],
+)
+def test_zones_that_nothing_would_watch_in_time_are_errors(tmp_path: Path, text: str, said: str) -> None:
+    with pytest.raises(PolicyFileError, match=re.escape(said)):
+        read_policies([str(written(tmp_path, text))], tmp_path / "none")
+
+
+def test_keep_out_zones_reach_the_bridge_as_they_are_written(tmp_path: Path) -> None:
+    text = f"{KEEP_OUT}  radius_m: 0.2\n{WATCHED}"
+    documents = read_policies([str(written(tmp_path, text))], tmp_path / "none")
+    rules = compiled(documents)
+    assert Rules.from_json(json.loads(json.dumps(rules.as_json()))) == rules
+    _, pose = rules_of(json.loads(json.dumps(watch_of(Policy(documents=documents, rules=rules)))))
+    assert pose is not None and list(pose.keep_out) == [documents[0].keep_out]
+    assert (pose.base, pose.type, pose.frame_id) == ("base_link", "tf2_msgs/msg/TFMessage", "map")
+    goal = rules.policies[0].limits[0]
+    assert goal.rule.endswith("line 3: keep_out") and "nav2_msgs/action/NavigateToPose" in goal.types
+
+
+def written(folder: Path, text: str) -> Path:
+    folder.chmod(0o700)
+    file = folder / "p.yaml"
+    file.write_text(text, "utf-8")
+    file.chmod(0o600)
+    return file

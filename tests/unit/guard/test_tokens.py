@@ -92,15 +92,15 @@ DIGEST = "sha256:" + "0" * 64
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        ("cell observe", "line 2: 'cell observe' is no token"),
+        ("cell observe", "line 2: 'cell observe' is not a token"),
         (f"cell observe {DIGEST} more", "line 2"),
         (f"the/cell observe {DIGEST}", "line 2"),
         (f"cell obsreve {DIGEST}", "Did you mean observe"),
         (f"cell observe, {DIGEST}", "no scope ''"),
         ("cell observe in-the-open", "line 2: The token of cell is not kept as sha256"),
         (f"cell observe {DIGEST.upper()}", "line 2"),
-        (f"cell act {DIGEST}\nother act {DIGEST}", "line 3: other or its token is there twice"),
-        (f"cell act {DIGEST}\ncell act {DIGEST[:-1]}1", "line 3: cell or its token is there twice"),
+        (f"cell act {DIGEST}\nother act {DIGEST}", "line 3: other or its token occurs twice"),
+        (f"cell act {DIGEST}\ncell act {DIGEST[:-1]}1", "line 3: cell or its token occurs twice"),
         ("", "has no token"),
     ],
 )

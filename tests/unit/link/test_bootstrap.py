@@ -9,6 +9,7 @@ import json
 import os
 import subprocess
 import sys
+import time
 import zipfile
 import zlib
 from pathlib import Path
@@ -131,6 +132,28 @@ def test_stage_1_answers_whether_the_way_in_executes_words_or_joins_them(joins_w
     assert start.arrival.failure
     assert "No ROS 2 found there" in start.arrival.failure.message
     assert done.stderr == b""
+
+
+def test_over_a_slow_link_stage_1_answers_before_the_bridge_is_there_and_while_it_comes(tmp_path: Path) -> None:
+    """ssh and the server give up a far side that says nothing."""
+    start = bootstrap((), Search(ros_root=str(tmp_path), distro="none"))
+    sent, stages = start.pack(), list[str]()
+    first, rest = sent[:-60_000], sent[-60_000:]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(start.argv, stdin=pipe, stdout=pipe, env=HERE, cwd=tmp_path) as process:
+        assert process.stdin and process.stdout
+        for part in (first, *(rest[place : place + 100] for place in range(0, 1000, 100))):
+            process.stdin.write(part)
+            process.stdin.flush()
+            if part is first:
+                start.arrival.feed(process.stdout.readline())
+                stages = [report.stage for report in start.arrival.reports]
+            time.sleep(0.1)
+        start.arrival.feed(process.stdout.readline())
+        process.kill()
+    assert stages == ["reached"]
+    assert [report.stage for report in start.arrival.reports] == ["reached", "receiving"]
+    assert 0 < int(start.arrival.reports[1].details["bytes"]) < len(packed_bridge())
 
 
 def stage_1_where(path: Path, **search: str) -> Arrival:

@@ -10,13 +10,13 @@ import pytest
 
 from ros2_mcp.link.connection import Connection
 from ros2_mcp.link.subscription import Subscription
-from ros2_mcp_common.wire.limits import PIECE_BYTES, WINDOW_BYTES
+from ros2_mcp_common.wire.limits import FIRST_PIECE_BYTES, FIRST_WINDOW_BYTES, PIECE_BYTES, WINDOW_BYTES
 from ros2_mcp_common.wire.packets import Packet, pack
 from ros2_mcp_common.wire.pieces import Cut, Lanes
 from support.stream_peer import Peer, connected
 
 PICTURE = os.urandom(10 * PIECE_BYTES)
-IN_WINDOW = WINDOW_BYTES // PIECE_BYTES
+IN_WINDOW = FIRST_WINDOW_BYTES // FIRST_PIECE_BYTES
 
 
 class Bridge:

@@ -121,7 +121,7 @@ async def test_a_robot_that_is_out_of_reach_does_not_hold_up_the_answer_of_its_s
     with anyio.fail_after(stopping._BRIDGE_S):  # after which it would have been given up
         alone = await stopping.stop_in_reach(robot)
         several = await about_all.stop([cast(Member, member)], "local")
-    assert not alone.confirmed and "nothing has come from it for 2.4 s" in alone.summary()
+    assert not alone.confirmed and "no data from it for 2.4 s" in alone.summary()
     assert [one.stopped.note for one in several.robots] == [alone.note] and not several.confirmed
     assert robot.stops.epoch == 2
     noting.may_answer.set()

@@ -9,14 +9,14 @@ from ros2_mcp.ops.actions.running import RunningGoal, from_above
 
 def test_missed_waypoints_are_told_with_their_codes() -> None:
     missed = {"missed_waypoints": [{"index": 1, "error_code": 208}], "error_code": 0}
-    assert told_by_result(FOLLOW_WAYPOINTS, missed).startswith("MISSED 1 waypoint: number 1 (NO_VALID_PATH (208)")
-    assert told_by_result(FOLLOW_WAYPOINTS, {"missed_waypoints": [0, 2]}) == "MISSED 2 waypoints: number 0, number 2."
+    assert told_by_result(FOLLOW_WAYPOINTS, missed).startswith("MISSED 1 waypoint: poses[1] (NO_VALID_PATH (208)")
+    assert told_by_result(FOLLOW_WAYPOINTS, {"missed_waypoints": [0, 2]}) == "MISSED 2 waypoints: poses[0], poses[2]."
 
 
 def test_waypoints_that_were_skipped_or_failed_are_told() -> None:
     statuses = [{"waypoint_index": one, "waypoint_status": status} for one, status in enumerate((1, 3, 2))]
     told = told_by_result("nav2_msgs/action/NavigateThroughPoses", {"waypoint_statuses": statuses})
-    assert told == "MISSED 2 waypoints: number 1 failed, number 2 skipped."
+    assert told == "MISSED 2 waypoints: poses[1] failed, poses[2] skipped."
 
 
 def test_nothing_is_told_where_all_went_well_or_of_other_actions() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from ros2_mcp.model.errors import BadInput, BridgeLost
 from ros2_mcp.ops.relay import relay
-from ros2_mcp.ops.relay.relay import Relay, RelayRequest, way
+from ros2_mcp.ops.relay.relay import Relay, RelayRequest, path_between
 from ros2_mcp.robot import Robot
 from support.made_bridge import NUMBER, MadeBridge
 from support.tasks import soon
@@ -21,12 +21,12 @@ def from_to(source: str, destination: str) -> RelayRequest:
 
 def test_a_way_along_several_relays_is_found() -> None:
     relays = [("/a", "/b"), ("/b", "/x"), ("/b", "/c"), ("/c", "/d")]
-    assert way(relays, "/a", "/d") == ["/a", "/b", "/c", "/d"]
-    assert way(relays, "/d", "/a") == []
+    assert path_between(relays, "/a", "/d") == ["/a", "/b", "/c", "/d"]
+    assert path_between(relays, "/d", "/a") == []
 
 
 def test_a_circle_of_others_ends_the_search() -> None:
-    assert way([("/a", "/b"), ("/b", "/a")], "/a", "/z") == []
+    assert path_between([("/a", "/b"), ("/b", "/a")], "/a", "/z") == []
 
 
 async def test_no_relay_may_feed_itself_through_others_unless_they_have_ended(robot: Robot) -> None:

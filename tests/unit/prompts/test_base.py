@@ -42,12 +42,14 @@ CONTRACT: dict[str, dict[str, Any]] = {
         "tolerance_percent": 0.1,
         "sync_by_timestamp": True,
     },
+    "base.ros2-navigation-check": {"to": ""},
 }
 NEEDED = {
     "base.ros2-topic-echo-and-analyze": {"topic_name": "/imu"},
     "base.ros2-topic-relay": {"source_topic": "/imu", "destination_topic": "/imu_slow"},
     "base.ros2-node-health-check": {},
     "base.ros2-topic-diff-monitor": {"topic1_name": "/imu", "topic2_name": "/imu_slow"},
+    "base.ros2-navigation-check": {},
 }
 LEAST_AND_MOST = [
     ("base.ros2-topic-echo-and-analyze", {"duration_sec": "0.1", "analysis_type": "statistics"}),
@@ -73,6 +75,8 @@ LEAST_AND_MOST = [
         {"duration_sec": "0.1", "diff_fields": "a.b, c", "tolerance_percent": "0", "sync_by_timestamp": "false"},
     ),
     ("base.ros2-topic-diff-monitor", {"duration_sec": "600", "tolerance_percent": "100"}),
+    ("base.ros2-navigation-check", {"to": "door"}),
+    ("base.ros2-navigation-check", {"to": "2.0, -1.2"}),
 ]
 EVERY_FORM = [
     *((name, {}) for name in NEEDED),
@@ -98,6 +102,16 @@ def test_the_prompts_have_the_arguments_and_defaults_of_the_contract(robot: Robo
         prompt.name: {argument.name: argument.default for argument in prompt.arguments}
         for prompt in base_prompts(robot)
     } == CONTRACT
+
+
+async def test_the_prompt_on_navigation_leads_from_the_cause_to_its_remedy_with_what_is_offered(robot: Robot) -> None:
+    text = await text_of(robot, "base.ros2-navigation-check", {"to": "2, 1"})
+    assert steps_of(text) == [("ros2_nav_check", {"to": {"x": 2.0, "y": 1.0}})]
+    for tool in ("ros2_nav_recover", "ros2_nav_localize", "ros2_nav_probe", "ros2_navigate"):
+        assert tool in text
+    by_default, tools = await tools_named(assemble(Settings()), "base.ros2-navigation-check", {})
+    assert tools == {"ros2_health_check", "ros2_parameter_set", "ros2_navigate"}
+    assert "--tools default,navigation" in by_default
 
 
 @pytest.mark.parametrize(("name", "given"), [*((name, {}) for name in NEEDED), *LEAST_AND_MOST])

@@ -156,7 +156,7 @@ async def test_topics_of_which_damage_left_nothing_are_not_said_to_be_silent(dam
     summary, structured = await answer_of(tools, "ros2_topic_compare", asked)
     await store.close()
     assert structured["reasons"] == [
-        "Nothing was compared: of /odom and /odom_again nothing can be read, for the recording is damaged."
+        "Nothing was compared: the recording is damaged, and no message of /odom and /odom_again can be read."
     ]
     assert "are lost" in summary and "sent nothing" not in summary
 

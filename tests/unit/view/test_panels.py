@@ -7,6 +7,7 @@ import struct
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -17,12 +18,17 @@ from ros2_mcp.settings import Settings
 from ros2_mcp.view import panels
 from ros2_mcp.view.look import Chunks, Look
 from ros2_mcp.view.panels.frames import FramesPanel
+from ros2_mcp.view.panels.map import MapPanel
 from ros2_mcp.view.panels.plot import PlotPanel
 from ros2_mcp.view.panels.space import SpacePanel
+from ros2_mcp.view.panels.values import ValuesPanel
+from ros2_mcp.view.views import panel_in_words
 from support.panels import page_of
 from support.room_bag import RATE_HZ, SPEED, START_NS, room_bag
 
 SECOND = 1_000_000_000
+NONE: Any = None
+"""A source that nobody reads."""
 
 
 @asynccontextmanager
@@ -79,6 +85,15 @@ async def test_scans_and_frames_stand_in_the_frame_of_the_map(tmp_path: Path) ->
     assert frames["base_link"]["pose"][0] == pytest.approx(0.75, abs=0.1)
     assert [one["name"] for one in shown["scans"]] == ["/scan"] and len(shown["bulk"][0]) > 500
     assert (shown["cloud"], shown["model"], shown["missing"]) == (None, None, [])
+
+
+def test_what_a_panel_shows_from_before_is_told_to_the_model_with_its_age() -> None:
+    page, now_ns = page_of(NONE), 1000 * SECOND
+    content = {"topic": "/armed", "at_s": 988.0, "from_before": True}
+    assert panel_in_words(ValuesPanel(page), content, now_ns) == "values: /armed; 12 s old, from before"
+    assert panel_in_words(ValuesPanel(page), {**content, "from_before": False}, now_ns) == "values: /armed"
+    old = {"frame": "map", "old": ["goal /goal_pose 8.2 s old, from before"]}
+    assert panel_in_words(MapPanel(page), old, now_ns).endswith("; goal /goal_pose 8.2 s old, from before")
 
 
 def test_each_panel_is_found_by_its_module_and_is_drawn_by_a_file_of_its_name() -> None:

@@ -45,7 +45,7 @@ _MOST_LINE_BYTES = 8_000_000
 _LISTENED_S = 2.0
 """How long another server at that socket may take to accept a connection: it does so within milliseconds, or hangs."""
 NO_SOCKETS = BadInput(
-    "Python knows no Unix sockets on Windows, so that a server cannot be reached at one.",
+    "Python does not support Unix sockets on Windows.",
     "Serve over HTTP: --transport streamable-http.",
 )
 _logger = logging.getLogger(__name__)
@@ -174,7 +174,7 @@ def _clear(path: Path) -> None:
     if not os.path.lexists(path):
         return
     if not stat.S_ISSOCK(path.lstat().st_mode):
-        raise BadInput(f"{path} is there, and is no socket.", "Choose another path, or delete it.")
+        raise BadInput(f"{path} exists and is not a socket.", "Choose another path, or delete it.")
     assert sys.platform != "win32"
     with socket.socket(socket.AF_UNIX) as probe:
         probe.settimeout(_LISTENED_S)

@@ -18,7 +18,11 @@ REASONS: Mapping[EndedBy, str] = {
 
 
 def reason_of(robot: Robot, ended_by: EndedBy) -> str:
-    """Return a job's `stop_reason` for what the bridge reports; for a latch, with who set it and why."""
+    """Return a job's `stop_reason` for what the bridge reports; for a latch, with who set it and why, and for a
+    keep-out zone, with the place.
+    """
+    if ended_by == "keep_out":
+        return f"the policy, before a keep-out zone: {robot.graph.kept_out or 'the robot was about to enter it'}"
     return latch_set_by(robot.graph.latched_by) if ended_by == "latch" else REASONS.get(ended_by, "")
 
 

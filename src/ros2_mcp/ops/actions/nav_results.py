@@ -32,19 +32,20 @@ def told_by_result(action_type: str, result: Mapping[str, Any] | None) -> str:
 
 
 def _missed(result: Mapping[str, Any]) -> list[str]:
-    """Return the waypoints that were not reached, by index from 0, each with its error code if there is one."""
+    """Return the waypoints that were not reached, as elements of the goal's `poses`, each with its error code if there
+    is one."""
     found: list[str] = []
     for one in cast("Sequence[Any]", result.get("missed_waypoints") or ()):
         if isinstance(one, Mapping):
             entry = cast("Mapping[str, Any]", one)
             code = in_words(int(entry.get("error_code") or 0))
-            found.append(f"number {entry.get('index')}{f' ({code})' if code else ''}")
+            found.append(f"poses[{entry.get('index')}]{f' ({code})' if code else ''}")
         else:  # Humble: only the indices
-            found.append(f"number {one}")
+            found.append(f"poses[{one}]")
     for one in cast("Sequence[Any]", result.get("waypoint_statuses") or ()):
         entry: Mapping[str, Any] = cast("Mapping[str, Any]", one) if isinstance(one, Mapping) else {}
         how = _NOT_REACHED.get(int(entry.get("waypoint_status") or 0))
         if how:
             code = in_words(int(entry.get("error_code") or 0))
-            found.append(f"number {entry.get('waypoint_index')} {how}{f' ({code})' if code else ''}")
+            found.append(f"poses[{entry.get('waypoint_index')}] {how}{f' ({code})' if code else ''}")
     return found

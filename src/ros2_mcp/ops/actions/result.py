@@ -146,6 +146,8 @@ async def result_of(
         note = ended_by(LEASE)
     elif STATUS.get(code) == "CANCELED" and goal and robot.graph.latched_at > goal.started_at:
         note = ended_by(reason_of(robot, "latch"))
+    elif STATUS.get(code) == "CANCELED" and goal and robot.graph.kept_out_at > goal.started_at:
+        note = ended_by(reason_of(robot, "keep_out"))
     result = response["result"] if code in TERMINAL else None
     note = " ".join(filter(None, (told_by_result(action_type, result), note, note_on(robot, goal_id))))
     return GoalResult(service, goal_id, True, timeout_s, code, STATUS.get(code, str(code)), result, note)

@@ -11,7 +11,7 @@ from typing import Any
 
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
-from ros2_mcp.model.commands import SendGoal
+from ros2_mcp.model.commands import Route, SendGoal
 from ros2_mcp.model.errors import BridgeLost, LinkError, NotFound, RobotError, TimedOut, Unreachable
 from ros2_mcp.model.goals import STATUS, goal_id_hex, new_goal_id
 from ros2_mcp.ops.acting.defaults import left_at_default
@@ -89,12 +89,14 @@ async def send_goal(
     force: bool = False,
     timeout_s: float = 60.0,
     report: Report = silent,
+    route: Route | None = None,
 ) -> GoalOutcome:
     """Send a goal, and wait for its result if asked to, reporting its feedback as progress.
 
     If the wait times out, the goal continues; if the wait is cancelled, the goal is cancelled. With `cancel_when` the
     bridge cancels the goal as soon as that condition holds (see `asked_for`), even if no call waits for the result. If
-    several nodes serve the action, the goal is sent only with `force`.
+    several nodes serve the action, the goal is sent only with `force`. `route` is the list of goals to which it
+    belongs.
 
     Raises:
         BadInput: if several nodes serve the action.
@@ -117,6 +119,7 @@ async def send_goal(
         goal_id=new_goal_id(),
         timeout_s=ACCEPT_S,
         wait_s=SERVER_S,
+        route=route,
     )
     watch: ConditionalCancel | None = None
     if cancel_when.strip():

@@ -268,7 +268,7 @@ def _report(
         verdict="HEALTHY" if not findings else "CRITICAL" if findings[0].severity == "critical" else "DEGRADED",
         findings=findings[:MAX_FINDINGS],
         topics=in_full[:MAX_ROWS],
-        other_topics={row.topic_name: _in_short(row) for row in visible[len(in_full) : MAX_ROWS]},
+        other_topics={row.topic_name: _state_in_words(row) for row in visible[len(in_full) : MAX_ROWS]},
         services=_presence(expected.services, graph.services),
         nodes=_presence(expected.nodes, graph.nodes),
         diagnostics=[replace(row, values={}) if row.level == "OK" else row for row in diagnostics.rows[:MAX_STATUSES]],
@@ -340,7 +340,7 @@ def flow(capture: Capture[AgedArrivals]) -> Flow:
     )
 
 
-def _in_short(row: TopicRow) -> str:
+def _state_in_words(row: TopicRow) -> str:
     if row.from_before:
         return f"{row.state}, {row.from_before}"
     return row.state if row.rate_hz is None else f"{row.state}, {row.rate_hz:g} Hz"

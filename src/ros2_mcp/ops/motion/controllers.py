@@ -30,7 +30,7 @@ class Controller:
     joints: Sequence[str] = ()
 
     @property
-    def way(self) -> str:
+    def interface(self) -> str:
         """The interface by which it is commanded: its action, which reports progress, else its topic."""
         return self.action or self.topic
 

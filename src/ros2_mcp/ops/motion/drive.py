@@ -56,7 +56,7 @@ class DriveRequest:
     """The settings of a drive: `distance_m` (negative: backwards) or `angle_deg` (positive: to the left), which with
     `radius_m` is a forward arc. `speed` is in m/s, or in °/s for a turn in place. `guard_m` is kept free ahead of the
     outline: `DEFAULT_GUARD_M` if it is None and the robot has a scan or a cloud; 0 uses no sensor. Topics that are not
-    given are found.
+    given are found. `time_limit_s` is a shorter time limit than that of the course.
     """
 
     distance_m: float | None = None
@@ -67,6 +67,7 @@ class DriveRequest:
     topic_name: str = ""
     odometry: str = ""
     scan: str = ""
+    time_limit_s: float = math.inf
 
     @property
     def is_turn(self) -> bool:
@@ -245,7 +246,8 @@ def _fastest(request: DriveRequest, type_name: str, base: str) -> Mapping[str, A
 
 def _within_policy(robot: Robot, request: DriveRequest, move: Move) -> Move:
     """Return the command with a rate and a time limit that fit the course and the policy."""
-    limit_s, pauses_s, settles_s = _PATIENCE * request.length / request.rate + _ROOM_S, _PAUSES_S, _SETTLES_S
+    limit_s = min(_PATIENCE * request.length / request.rate + _ROOM_S, request.time_limit_s)
+    pauses_s, settles_s = _PAUSES_S, _SETTLES_S
     rate_hz = move.rate_hz
     if ruling := robot.policy.ruling(move):
         rate_hz = min(rate_hz, ruling.most("rate_hz") or rate_hz)

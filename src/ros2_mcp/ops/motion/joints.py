@@ -273,7 +273,7 @@ async def planned_move(
 def _check_limits(joint: Joint, target: float) -> None:
     if not joint.limits.known:
         problem = (
-            f"{named(joint.name)}: its limits are unknown, because they are no numbers in the robot's description."
+            f"{named(joint.name)}: its limits are unknown, because they are not numbers in the robot's description."
         )
         raise BadInput(
             problem, "Correct the limits in the URDF: without them nothing keeps the joint within its range."
@@ -303,7 +303,7 @@ class JointMotion(Job):
     """A robot has few controllers; each takes one motion at a time."""
 
     def __init__(self, robot: Robot, session: Session, plan: Plan, states: JointStates) -> None:
-        super().__init__(owner=session.principal, moves=[plan.controller.way])
+        super().__init__(owner=session.principal, moves=[plan.controller.interface])
         self._robot, self._session = robot, session
         self._plan = plan
         self._states = states
@@ -361,7 +361,7 @@ class JointMotion(Job):
             outcome=cast("JointsEnd", word),
             joints=rows,
             controller=plan.controller.name,
-            interface=plan.controller.way,
+            interface=plan.controller.interface,
             planned_s=round(plan.planned_s, 3),
             elapsed_s=round(self.elapsed_s, 3),
             note=" ".join(filter(None, (why, *self.notes))),

@@ -1,5 +1,5 @@
-"""Observes a robot that navigates: commanded but not moving, stopped by the collision monitor, recovering, or on a path
-that became longer.
+"""Observes a robot that navigates: commanded but not moving, stopped by the collision monitor, recovering, driven by a
+controller that misses its rate, or on a path that became longer.
 
 Pure: no clock and no ROS. Times are from a steady clock, in s.
 """
@@ -7,11 +7,13 @@ Pure: no clock and no ROS. Times are from a steady clock, in s.
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from ros2_mcp.model.text import named
+from ros2_mcp.ops.navigation.checks.collision_monitor import Near
+from ros2_mcp.ops.navigation.checks.tuning import MISSED
 
 STANDS_MPS, STANDS_RADPS = 0.02, 0.05
 """A base that is slower than this stands: flickering wheel encoders stay below, and no controller drives that slowly
@@ -29,6 +31,9 @@ _LONGER_M, _LONGER_SHARE, _LONGER_S = 0.8, 0.15, 15.0
 """A path that becomes this much longer at once leads around an obstacle; this is reported for `_LONGER_S`."""
 _PROGRESS_M, _NEARER_M = 0.5, 0.1
 """Nav2's own progress checker asks for 0.5 m; the remaining length of the path shows smaller progress."""
+_RATE_S, _RATE_KEPT_S = 3.0, 5.0
+"""Least time over which a rate is measured, and the time that is looked back: a controller may pause for some tenths of
+a second between two paths."""
 MONITOR_ACTIONS = {1: "stops", 2: "slows", 3: "slows (approach)", 4: "limits"}
 """Actions of nav2_msgs/msg/CollisionMonitorState, as verbs; 0 means no action."""
 
@@ -57,6 +62,10 @@ class DriveWatch:
     _anchor: tuple[float, float] | None = None
     _progress_at: float = -math.inf
     _monitor: tuple[int, str, float] = (0, "", 0.0)
+    _near: Near | None = None
+    _wanted_hz: float = 0.0
+    _controller: str = ""
+    _sent: deque[tuple[float, int]] = field(default_factory=deque[tuple[float, int]])
     _running: dict[str, float] = field(default_factory=dict[str, float])
     _remaining: float = math.inf
     _nearest: float = math.inf
@@ -74,6 +83,24 @@ class DriveWatch:
         for topic in topics:
             self._links.setdefault(topic, _Link())
 
+    def rate(self, topic: str, hz: float) -> None:
+        """Set the topic on which the controller publishes, and the rate that it is set to, in Hz."""
+        self._controller, self._wanted_hz = topic, hz
+
+    def counted(self, topic: str, received: int, at: float) -> None:
+        """Take the number of commands received on a topic so far, and the time of the last one, in s of any clock.
+
+        Call it after `commanded`: only the time in which the controller drives counts.
+        """
+        if topic != self._controller:
+            return
+        if self._running or self._links[topic].since == math.inf:
+            self._sent.clear()
+            return
+        self._sent.append((at, received))
+        while at - self._sent[0][0] > _RATE_KEPT_S:
+            self._sent.popleft()
+
     def moved(self, topic: str, linear: float, angular: float, at: tuple[float, float] | None, now: float) -> None:
         """Take an odometry message: speeds in m/s and rad/s, and the position in m."""
         self._odometry, self._speed = topic, (linear, angular)
@@ -87,7 +114,18 @@ class DriveWatch:
     def monitor(self, action: int, polygon: str, now: float) -> None:
         """Take the collision monitor's action and the polygon that caused it."""
         if (action, polygon) != self._monitor[:2]:
-            self._monitor = (action, polygon, now)
+            self._monitor, self._near = (action, polygon, now), None
+
+    @property
+    def held_by(self) -> str:
+        """The polygon by which the collision monitor acts now; "" if it does not."""
+        action, polygon, _ = self._monitor
+        return polygon if action in MONITOR_ACTIONS else ""
+
+    def near(self, polygon: str, near: Near | None) -> None:
+        """Take the point of the sensors that is nearest to the robot in a polygon; None if it is not known."""
+        if polygon == self.held_by:
+            self._near = near
 
     def behaviour(self, name: str, *, is_running: bool, now: float) -> None:
         """Take whether one of Nav2's recoveries is running."""
@@ -116,7 +154,7 @@ class DriveWatch:
         """Describe the most important problem in sentences; "" if there is none."""
         told = [self._held(now), self._recovering(now)]
         if not any(told):
-            told.append(self._unmoved(now))
+            told.append(self._unmoved(now) or self._late(now))
         longer_m, at = self._longer
         if now - at < _LONGER_S:
             told.append(f"The way became {longer_m:.1f} m longer {now - at:.0f} s ago: it was blocked, and replanned.")
@@ -133,10 +171,24 @@ class DriveWatch:
             return ""
         verb = "holds" if action == 1 else MONITOR_ACTIONS[action]
         by = f"polygon {named(polygon)}" if polygon else "no polygon named"
-        return f"The collision monitor {verb} the robot, for {now - since:.0f} s: {by}."
+        near = f", with something at {self._near}" if self._near else ""
+        return f"The collision monitor {verb} the robot, for {now - since:.0f} s: {by}{near}."
 
     def _recovering(self, now: float) -> str:
         return " ".join(f"Nav2 recovers: {name}, for {now - since:.0f} s." for name, since in self._running.items())
+
+    def _late(self, now: float) -> str:
+        """Describe a controller that sends more seldom than it is set to; "" if it does not, or is not driving."""
+        link = self._links.get(self._controller)
+        if not (link and self._wanted_hz and len(self._sent) > 1 and now - link.heard_at < _NEW_S):
+            return ""
+        (first, before), (last, received) = self._sent[0], self._sent[-1]
+        if last - first < _RATE_S:
+            return ""
+        rate_hz = (received - before) / (last - first)
+        if rate_hz >= MISSED * self._wanted_hz:
+            return ""
+        return f"The controller misses its rate: {rate_hz:.1f} of {self._wanted_hz:g} Hz on {named(self._controller)}."
 
     def _unmoved(self, now: float) -> str:
         """Describe a robot that stands although it is commanded, or that is not commanded; "" if it moves."""

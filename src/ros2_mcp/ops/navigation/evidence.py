@@ -147,6 +147,30 @@ class Grids:
     costs_topic: str = ""
 
 
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """A motion from one pose to another, in the frame of the first: m ahead, m to the left, rad to the left."""
+
+    ahead_m: float
+    left_m: float
+    turned_rad: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Probe:
+    """A small motion as each witness saw it, by topic: `commanded` m ahead, or, if it `is_turn`, rad to the left.
+
+    `odometry` and `laser` (scans before and after, in the base's frame) have whole motions, `gyro` what was turned, in
+    rad about the base's z axis.
+    """
+
+    is_turn: bool
+    commanded: float
+    odometry: Mapping[str, Motion]
+    laser: Mapping[str, Motion]
+    gyro: Mapping[str, float]
+
+
 class States(dict[str, str]):
     """Lifecycle states by node ("": no answer); `answered_s` is the shortest time that each node took to answer."""
 
@@ -172,6 +196,7 @@ class NavEvidence:
     log: Sequence[LogLine] | None = None
     diagnostics: Sequence[Diagnostic] | None = None
     goal: Goal | None = None
+    probes: Sequence[Probe] | None = None
     now_ns: int = 0
 
     # ── who is who ───────────────────────────────────────────────────────────────────────────────────────────────
@@ -306,5 +331,5 @@ def _parts(node: str) -> list[str]:
     return [f"/{part}" for part in node.split("/") if part]
 
 
-Need = Literal["parameters", "states", "heard", "frames", "grids", "log", "diagnostics", "goal"]
+Need = Literal["parameters", "states", "heard", "frames", "grids", "log", "diagnostics", "goal", "probes"]
 """The parts of the evidence that are read in addition to the graph."""

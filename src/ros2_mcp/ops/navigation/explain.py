@@ -161,7 +161,7 @@ def judged(
     if known and not found.helps:
         found.helps.append(known.helps)
     if not found.causes:
-        found.add("No cause was found.", "Read more of the log with ros2_log_read.")
+        found.add("No cause was found.", "Read the log with ros2_log_read, or try a small move: ros2_nav_probe.")
     first = found.causes[0]
     return Explanation(
         cause=f"{first[0].upper()}{first[1:]}",

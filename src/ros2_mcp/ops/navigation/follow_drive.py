@@ -17,6 +17,9 @@ from ros2_mcp.model.goals import STATUS_TYPE, TERMINAL
 from ros2_mcp.model.graph import TopicEndpoints
 from ros2_mcp.ops.navigation.base import chain_of
 from ros2_mcp.ops.navigation.drive_watch import DriveWatch
+from ros2_mcp.ops.navigation.evidence import is_of_role, nodes_of
+from ros2_mcp.ops.navigation.monitor_watch import follow_monitor
+from ros2_mcp.ops.navigation.readers import values_of
 from ros2_mcp.ops.stop.observe import velocity_of
 from ros2_mcp.robot import VELOCITY_TYPES, Robot
 
@@ -36,6 +39,7 @@ _EVERY_S = 0.2
 """Period of reading one topic: enough for a person, and cheap on a robot with 40 topics."""
 _AGAIN_S = 2.0
 """Wait before subscribing again after a failure, such as a lost bridge."""
+_FREQUENCY = "controller_frequency"
 _MOST_LINKS = 5
 """Topics from Nav2 to the wheels: controller, smoother, monitor, multiplexer, base."""
 
@@ -56,6 +60,7 @@ async def follow_drive(robot: Robot, action: str, watch: DriveWatch) -> None:
             await asyncio.sleep(_AGAIN_S)
     links = in_order(present)[:_MOST_LINKS]
     watch.chain(links)
+    monitors: list[str] = []
     heard: list[tuple[str, str, Take]] = [(topic, "", partial(_take_velocity, watch, topic)) for topic in links]
     for row in topics:
         is_own = row.name.startswith(f"{namespace}/") and row.publishers
@@ -63,6 +68,7 @@ async def follow_drive(robot: Robot, action: str, watch: DriveWatch) -> None:
             heard.append((row.name, ODOMETRY, partial(_take_odometry, watch, row.name)))
         elif is_own and MONITOR_STATE in row.types:
             heard.append((row.name, MONITOR_STATE, partial(_take_monitor, watch)))
+            monitors.append(row.name)
         elif is_own and TREE_LOG in row.types:
             heard.append((row.name, TREE_LOG, partial(_take_tree, watch)))
     for name, kinds in actions.items():
@@ -71,7 +77,30 @@ async def follow_drive(robot: Robot, action: str, watch: DriveWatch) -> None:
             heard.append((f"{name}/_action/status", STATUS_TYPE, partial(_take_status, watch, known[0])))
     async with anyio.create_task_group() as group:
         for topic, kind, take in heard:
-            group.start_soon(_hear, robot, topic, kind, take)
+            group.start_soon(_hear, robot, topic, kind, take, watch)
+        group.start_soon(_set_rate, robot, present, links, watch)
+        for topic in monitors:
+            group.start_soon(_follow_publishers, robot, topic, watch)
+
+
+async def _set_rate(robot: Robot, present: Sequence[TopicEndpoints], links: Sequence[str], watch: DriveWatch) -> None:
+    """Tell `watch` the controller's topic, and the rate that the controller is set to."""
+    for one in present:
+        for node in nodes_of(one.publishers):
+            if one.topic not in links or not is_of_role(node, "controller_server"):
+                continue
+            with suppress(RobotError):
+                hz = (await values_of(robot, node, [_FREQUENCY])).get(_FREQUENCY)
+                if isinstance(hz, (int, float)) and hz > 0:
+                    watch.rate(one.topic, float(hz))
+                    return
+
+
+async def _follow_publishers(robot: Robot, topic: str, watch: DriveWatch) -> None:
+    """Follow the collision monitor that publishes its state on a topic."""
+    with suppress(RobotError):
+        for node in nodes_of((await robot.graph.endpoints(topic)).publishers)[:1]:
+            await follow_monitor(robot, node, watch)
 
 
 def in_order(present: Sequence[TopicEndpoints]) -> list[str]:
@@ -94,7 +123,7 @@ def in_order(present: Sequence[TopicEndpoints]) -> list[str]:
     return found
 
 
-async def _hear(robot: Robot, topic: str, kind: str, take: Take) -> None:
+async def _hear(robot: Robot, topic: str, kind: str, take: Take, watch: DriveWatch) -> None:
     keep = "all" if kind in (MONITOR_STATE, TREE_LOG) else "latest"
     while True:
         try:
@@ -103,6 +132,8 @@ async def _hear(robot: Robot, topic: str, kind: str, take: Take) -> None:
                     for sample in await listening.take(_AGAIN_S):
                         with suppress(LookupError, TypeError, ValueError):  # another release may have other fields
                             take(await robot.values.in_full(listening.type, sample.data))
+                            if not kind:
+                                watch.counted(topic, listening.counts.received, sample.received_ns / 1e9)
                     await asyncio.sleep(_EVERY_S)
         except RobotError:
             await asyncio.sleep(_AGAIN_S)

@@ -6,32 +6,37 @@ import asyncio
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from time import monotonic
-from typing import Any, Literal
+from typing import Any
 
 import anyio
 
 from ros2_mcp.guard.policy import bounded
-from ros2_mcp.model import names
-from ros2_mcp.model.errors import BadInput, NotFound, RobotError, TypeConflict
+from ros2_mcp.model.commands import Route
+from ros2_mcp.model.errors import LEASE, ApprovalNeeded, BadInput, NotFound, RobotError
 from ros2_mcp.model.goals import STATUS, TERMINAL
 from ros2_mcp.model.nav2 import NAVIGATE, NO_PROGRESS
-from ros2_mcp.model.text import counted, listed, named, quoted
-from ros2_mcp.ops.acting.endings import ended_by
+from ros2_mcp.model.text import counted, named, quoted
+from ros2_mcp.ops.acting.endings import ended_by, reason_of
 from ros2_mcp.ops.actions.result import result_of
 from ros2_mcp.ops.actions.running import running_goals
 from ros2_mcp.ops.actions.send_goal import GoalOutcome, follow, send_goal
+from ros2_mcp.ops.navigation.action_names import action_of
 from ros2_mcp.ops.navigation.below import settle, why_lost
 from ros2_mcp.ops.navigation.drive_watch import DriveWatch
 from ros2_mcp.ops.navigation.explain import Explanation, Failure, explain
 from ros2_mcp.ops.navigation.follow_drive import follow_drive
 from ros2_mcp.ops.navigation.health import health_of
-from ros2_mcp.ops.navigation.known_places import places_of
+from ros2_mcp.ops.navigation.hold import MOST_PAUSED_S, Pausing
+from ros2_mcp.ops.navigation.home import FirstStood, targets_in
 from ros2_mcp.ops.navigation.last_pose import note_last_pose
-from ros2_mcp.ops.navigation.targets import MAP_FRAME, Target, targets_of
+from ros2_mcp.ops.navigation.navigated import Leg, LegState, Navigated, not_begun
+from ros2_mcp.ops.navigation.planned_path import check_places, judge_path
+from ros2_mcp.ops.navigation.route_plan import MOST_ROUTE_S, ONCE, RoutePlan, Visits, headed, key_of, pending_routes
+from ros2_mcp.ops.navigation.targets import MAP_FRAME, Target
 from ros2_mcp.ops.navigation.whereabouts import in_frame, whereabouts
-from ros2_mcp.ops.results.results import SAID, Report, silent
+from ros2_mcp.ops.results.results import Report, silent
 from ros2_mcp.ops.space.plans import hear_plans
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.goals import UNKNOWN_GOAL, Goal
@@ -51,109 +56,49 @@ server checks whether the navigator still runs."""
 _FAR_M = 0.5
 """Nav2's own tolerance is 0.25 m; a robot this far from the goal has not reached it, whatever Nav2 reports."""
 
-LegState = Literal["under way", "reached", "failed", "rejected", "canceled", "not begun"]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Leg:
-    """One of the goals, and what became of it.
-
-    `place` is its name, if it has one; the pose is in `frame` (m, degrees). `duration_s` is how long it took so far.
-    `away_m` and `heading_off_deg` say where the robot is by its transforms, from the goal (null: not known, or any
-    heading). `recoveries` is how often it had to free itself, `recovered_by` which recoveries were seen, `remaining_m`
-    the distance that Nav2 last said was left of a goal that is not reached.
-    """
-
-    place: str
-    frame: str
-    x_m: float
-    y_m: float
-    yaw_deg: float | None
-    outcome: LegState
-    duration_s: float | None = None
-    away_m: float | None = None
-    heading_off_deg: float | None = None
-    remaining_m: float | None = None
-    recoveries: int = 0
-    recovered_by: str = ""
-    goal_id: str = ""
-    note: str = ""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Navigated:
-    """How far it came. `job_id` is the job that goes on while it is `under way`; `explanation` says why one failed.
-
-    `health` are, while it is under way, sentences on localisation, costmaps, sensors, servers, and on what may hold the
-    base up.
-    """
-
-    outcome: LegState = field(metadata=SAID)
-    action_name: str
-    job_id: str
-    duration_s: float = field(metadata=SAID)
-    legs: Sequence[Leg]
-    explanation: Explanation | None = None
-    health: Sequence[str] = field(default=(), metadata=SAID)
-    note: str = ""
-
-    @property
-    def has_failed(self) -> bool:
-        """Whether the goal was not reached. A navigation that is still running or was cancelled has not failed."""
-        return self.outcome in ("failed", "rejected", "not begun")
-
-    def summary(self) -> list[str]:
-        """Return the outcome, one line per leg, and the cause of a failure."""
-        lines = [f"{self.outcome} after {self.duration_s:.1f} s. {self.note}".strip(), *map(_line, self.legs)]
-        lines += self.health
-        if self.explanation:
-            why = self.explanation
-            lines += [f"Cause: {why.cause}", *([f"Nav2 says: {why.error}"] if why.error else [])]
-            lines += [f"What would help: {' '.join(why.helps)}"]
-        return lines
-
-
-def _line(leg: Leg) -> str:
-    where = f"{quoted(leg.place)} " if leg.place else ""
-    facing = "" if leg.yaw_deg is None else f" facing {leg.yaw_deg:.0f}°"
-    told = f"{where}({leg.x_m:.2f}, {leg.y_m:.2f}){facing} in {named(leg.frame)}: {leg.outcome}"
-    if leg.duration_s is not None:
-        told += f" after {leg.duration_s:.1f} s"
-    if leg.away_m is not None:
-        turned = "" if leg.heading_off_deg is None else f" and {abs(leg.heading_off_deg):.0f}°"
-        told += f", {leg.away_m:.2f} m{turned} from the goal"
-    if leg.outcome == "under way" and leg.remaining_m is not None:
-        told += f", {leg.remaining_m:.1f} m to go"
-    if leg.recoveries:
-        by = f" ({leg.recovered_by})" if leg.recovered_by else ""
-        told += f", {counted(leg.recoveries, 'recovery', 'recoveries')}{by}"
-    return f"{told}. {leg.note}".rstrip()
-
 
 class Navigation(Job):
-    """Drives to goals of one action, one after the other; ends with the first goal that is not reached."""
+    """Drives to goals of one action, one after the other, as often as its plan says.
+
+    It ends with the first goal that is not reached, unless the plan goes on after a missed one. Nothing goes on after a
+    stop, a cancelled goal, a lost navigator, or a goal of somebody else.
+    """
 
     kind = "navigation"
+    tool = "ros2_navigate"
+    """The tool that waits for it."""
     most_running = 8
     """A robot has one Nav2, whose goals replace each other: more navigations than this make no sense."""
 
     def __init__(
-        self, robot: Robot, session: Session, action: str, targets: Sequence[Target], stuck_s: float | None = None
+        self,
+        robot: Robot,
+        session: Session,
+        action: str,
+        targets: Sequence[Target],
+        stuck_s: float | None = None,
+        plan: RoutePlan = ONCE,
     ) -> None:
         super().__init__(owner=session.principal, moves=[action])
         self.action = action
-        self.legs = [_not_begun(target) for target in targets]
+        self.plan = plan
+        self.legs = [not_begun(target) for target in targets]
+        self.visits = [Visits() for _ in targets]
         self.explanation: Explanation | None = None
-        self.now = 0
+        self.now, self.loop = 0, 1
         self._robot, self._session = robot, session
         self._targets = targets
         self._goal: Goal | None = None
+        self.sent = set[str]()
+        """Ids of the goals that it has sent."""
         self._leg_at = self._heard_at = monotonic()
         self.ending = ""
         """Text on the end of the goal if the navigator did not end it."""
-        self._lost = self._doing = ""
+        self.pausing = Pausing()
+        self._lost = self._doing = self._unchecked = ""
+        self._final: LegState | None = None
         self._stuck_s = math.inf if stuck_s is None else stuck_s
-        self._is_stuck = False
+        self._is_stuck = self._is_missed = False
         self.watch = DriveWatch(began_at=monotonic())
 
     async def run(self) -> None:
@@ -161,35 +106,131 @@ class Navigation(Job):
         robot = self._robot
         robot.log.start()  # the log from now on helps to explain a failure
         where, _ = await asyncio.gather(whereabouts(robot, MAP_FRAME), hear_plans(robot))
-        x_m, y_m = where.x_m, where.y_m
-        for number, target in enumerate(self._targets):
-            self.now, self._leg_at = number, monotonic()
-            self._goal, self._doing = None, ""
-            if target.frame == where.frame and x_m is not None and y_m is not None:
-                target = target.facing_from(x_m, y_m)  # noqa: PLW2901 - the same place, with the heading of arrival
-            try:
-                await self._drive_to(target)
-            except asyncio.CancelledError:
+        check_places(robot.policy, self._targets)
+        robot.kept.get(FirstStood, FirstStood).note(where)
+        start = (where.x_m, where.y_m) if where.x_m is not None and where.y_m is not None else None
+        asked = key_of(self._session.principal, self.action, self._targets, self.plan)
+        goals = pending_routes(robot).take(asked) or headed(self._targets, start, where.frame, self.plan.loops)
+        try:
+            await self._drive_all(goals)
+        except ApprovalNeeded:
+            pending_routes(robot).note(asked, goals)
+            raise
+        finally:
+            if robot.guard.approvals:
+                robot.guard.approvals.end_route(self.id)
+
+    async def _drive_all(self, goals: Sequence[Target]) -> None:
+        for loop in range(1, self.plan.loops + 1):
+            self.loop = loop
+            before = sum(visit.reached for visit in self.visits)
+            for self.now, target in enumerate(goals):
+                if not await self._visit(target, self._route(goals)):
+                    return
+            if sum(visit.reached for visit in self.visits) == before and self.loop < self.plan.loops:
+                self.ending, self._final = "No place was reached in a whole loop.", "failed"
+                return
+        if any(visit.missed for visit in self.visits):
+            self._final = "failed"
+
+    def _route(self, goals: Sequence[Target]) -> Route:
+        is_list = len(goals) > 1 or self.plan.loops > 1
+        return self.plan.route(self.id, () if self.has_begun or not is_list else goals)
+
+    async def _visit(self, target: Target, route: Route) -> bool:
+        """Drive to a place, and wait there; return whether to go on with the next one."""
+        if self.has_begun and (reason := await self._taken_over()):
+            self.ending, self._final = reason, "canceled"
+            return False
+        self.legs[self.now] = not_begun(self._targets[self.now])
+        try:
+            while await self._drive_to(target, route):  # again after a pause
+                route = self.plan.route(self.id)
+            leg = self.legs[self.now]
+            self._final = leg.outcome
+            is_over = not (leg.outcome == "reached" or (self._is_missed and self.plan.goes_on))
+            is_last = self.loop == self.plan.loops and self.now == len(self.legs) - 1
+            self._count(leg)
+            if is_over or is_last:
+                return not is_over
+            self._final = None
+            return await self._stay(self.plan.wait_s(self.now) if leg.outcome == "reached" else 0.0)
+        except asyncio.CancelledError:
+            if self.legs[self.now].outcome in ("under way", "paused", "not begun"):
                 with anyio.CancelScope(shield=True):
                     await self._give_up()
+                self._final = self.legs[self.now].outcome
+            raise
+        except RobotError as error:
+            if not self.has_begun:
                 raise
-            except RobotError as error:
-                if not number and not self.has_begun:
-                    raise
-                self._note(outcome="failed", note=str(error))
-            if self.legs[number].outcome != "reached":
-                return
-            x_m, y_m = (target.x_m, target.y_m) if target.frame == where.frame else (None, None)
+            self._note(outcome="failed", note=str(error))
+            self._final = "failed"
+            self._count(self.legs[self.now])
+            return False
 
-    async def _drive_to(self, target: Target) -> None:
+    def _count(self, leg: Leg) -> None:
+        """Count a visit, with the cause of a miss."""
+        visit, why = self.visits[self.now], self.explanation
+        if leg.outcome == "reached":
+            visit.reached += 1
+        elif leg.outcome != "canceled":
+            visit.missed += 1
+            visit.cause = why.cause if why else leg.note or self.ending
+            visit.helps = " ".join(why.helps) if why else ""
+
+    async def _taken_over(self) -> str:
+        """Say why nothing more is begun: the latch was set, the link lease has lapsed, another goal runs, or the time
+        is over. Return "" otherwise."""
+        graph = self._robot.graph
+        if graph.latched_at > self.started_at:
+            return ended_by(reason_of(self._robot, "latch"))
+        if graph.lapsed_at > self.started_at:
+            return ended_by(LEASE)
+        if self.elapsed_s > MOST_ROUTE_S:
+            return f"It was ended after {MOST_ROUTE_S / 3600:g} h."
+        return await self._replaced_by()
+
+    async def _stay(self, wait_s: float) -> bool:
+        """Wait at a place; a pause comes on top. Return whether to go on."""
+        until = monotonic() + wait_s
+        while self.pausing.requested.is_set() or monotonic() < until:
+            self._doing = f"Waiting here for {wait_s:g} s."
+            with suppress(asyncio.TimeoutError):
+                await asyncio.wait_for(self.pausing.requested.wait(), max(0.0, until - monotonic()))
+            if self.pausing.requested.is_set():
+                paused_at = monotonic()
+                if not await self._hold():
+                    return False
+                until += monotonic() - paused_at
+        return True
+
+    async def _hold(self) -> bool:
+        """Hold until the navigation is resumed; return whether it was."""
+        self._doing = "Pausing: waiting until the robot stands."
+        if await self.pausing.until_resumed(self._robot):
+            self._doing = ""
+            return True
+        self.ending, self._final = f"It was ended: paused for more than {MOST_PAUSED_S / 60:g} min.", "canceled"
+        return False
+
+    async def _drive_to(self, target: Target, route: Route) -> bool:
+        """Drive to a place; return True if the goal was paused, and is to be sent again."""
         robot = self._robot
-        sent = await send_goal(robot, self._session, self.action, NAVIGATE, {"pose": target.pose()})
+        self._leg_at = monotonic()
+        self._goal, self.explanation = None, None
+        self._doing = self._lost = self.ending = ""
+        self._is_stuck = self._is_missed = False
+        self._unchecked = await judge_path(robot, self._session, self.action, target)
+        sent = await send_goal(robot, self._session, self.action, NAVIGATE, {"pose": target.pose()}, route=route)
+        self.sent.add(sent.goal_id)
         self._note(outcome="under way", goal_id=sent.goal_id)
         if not sent.accepted:
             self.begun()
             self._note(outcome="rejected")
             self.explanation = await explain(robot, self.action, target, Failure(True), monotonic() - self._leg_at)
-            return
+            self._is_missed = True
+            return False
         self._goal = robot.jobs.get(Goal, sent.goal_id)
         self.begun()
         if self._goal is None:
@@ -204,8 +245,26 @@ class Navigation(Job):
             await self._end_stuck(target)
         elif ended and ended.status in _ENDINGS:
             await self._judge(target, ended)
+        elif self.pausing.requested.is_set() and not self._lost:
+            return await self._pause(target)
         else:
             await self._settle(target, self._lost or (ended.note if ended else ""))
+        return False
+
+    async def _pause(self, target: Target) -> bool:
+        """Cancel the goal and hold; return True once the goal is to be sent again."""
+        if problem := await self._ask_to_cancel():
+            await self._settle(target, f"It could not be paused: {problem}")
+            return False
+        self._note(outcome="paused", remaining_m=None)
+        if not await self._hold():
+            self._note(outcome="canceled", note=self.ending)
+            return False
+        self.ending = await self._taken_over()
+        if self.ending:
+            self._note(outcome="canceled", note=self.ending)
+            return False
+        return True
 
     async def _ended(self, goal: Goal) -> GoalOutcome | None:
         """Return how a goal ended; None if its navigator was lost or the robot is stuck."""
@@ -214,6 +273,7 @@ class Navigation(Job):
         self.watch = DriveWatch(began_at=self._heard_at)
         async with anyio.create_task_group() as group:
             group.start_soon(self._watch_navigator, group.cancel_scope)
+            group.start_soon(self._watch_pause, group.cancel_scope)
             group.start_soon(follow_drive, self._robot, self.action, self.watch)
             try:
                 while ended is None or ended.status == "TIMEOUT":
@@ -222,6 +282,11 @@ class Navigation(Job):
                 self._lost = error.message
             group.cancel_scope.cancel()
         return ended
+
+    async def _watch_pause(self, following: anyio.CancelScope) -> None:
+        """Stop following a goal that is to be paused."""
+        await self.pausing.requested.wait()
+        following.cancel()
 
     async def _watch_navigator(self, following: anyio.CancelScope) -> None:
         """Stop following a goal whose navigator sends no feedback and does not answer, or on which the robot is
@@ -283,6 +348,7 @@ class Navigation(Job):
         failure = Failure(False, NO_PROGRESS)
         explanation = await explain(self._robot, self.action, target, failure, took_s)
         self.explanation = replace(explanation, server="", error_code=0, error="")  # the code is ours, not Nav2's
+        self._is_missed = True
         await self._measure(target)
         self._note(outcome="failed", duration_s=round(took_s, 2))
         self.ending = told
@@ -326,12 +392,13 @@ class Navigation(Job):
         else:
             self._note(outcome="failed")
             result = ended.result or {}
-            if not result.get("error_code") and (other := await self._replaced_by(ended.goal_id)):
+            if not result.get("error_code") and (other := await self._replaced_by()):
                 self._note(note=f"Another goal, from this or another client, replaced it. {other}")
                 return
             self._doing = "it failed: looking for the cause"
             failure = Failure(False, int(result.get("error_code", 0)), str(result.get("error_msg", "")))
             self.explanation = await explain(self._robot, self.action, target, failure, took_s)
+            self._is_missed = True
 
     async def _measure(self, target: Target) -> None:
         """Record the robot's distance and heading error to the goal."""
@@ -344,11 +411,11 @@ class Navigation(Job):
             off = round(math.degrees(math.remainder(where.yaw_rad - (target.yaw_rad or 0.0), 2 * math.pi)), 1)
         self._note(away_m=round(math.hypot(goal[0] - where.x_m, goal[1] - where.y_m), 3), heading_off_deg=off)
 
-    async def _replaced_by(self, goal_id: str) -> str:
+    async def _replaced_by(self) -> str:
         """Say that another goal of the action is running, and how to end it; "" if there is none."""
         others = []
         with suppress(RobotError):
-            others = await running_goals(self._robot, {self.action: [NAVIGATE]}, beside={goal_id})
+            others = await running_goals(self._robot, {self.action: [NAVIGATE]}, beside=self.sent)
         return " ".join(f"The robot drives on: {other.sentence}" for other in others)
 
     async def _give_up(self) -> None:
@@ -358,7 +425,7 @@ class Navigation(Job):
             self._note(outcome="canceled")
             return
         if not (problem := await self._ask_to_cancel()):
-            self._note(outcome="canceled", note=await self._replaced_by(goal.id))
+            self._note(outcome="canceled", note=await self._replaced_by())
             return
         below = await settle(self._robot, self._session, self.action, lambda _: None, most_s=0.0)
         self._note(outcome="failed", remaining_m=None)
@@ -383,6 +450,9 @@ class Navigation(Job):
         leg = self.legs[self.now]
         to = quoted(leg.place) if leg.place else f"({leg.x_m:.2f}, {leg.y_m:.2f})"
         which = f" ({self.now + 1} of {len(self.legs)})" if len(self.legs) > 1 else ""
+        which += f" in loop {self.loop} of {self.plan.loops}" if self.plan.loops > 1 else ""
+        if self.pausing.hold:
+            return f"to {to}{which}: paused. {self.pausing.hold.sentence}"
         if self._doing:
             return f"to {to}{which}: {monotonic() - self._leg_at:.0f} s: {self._doing}"
         left = "" if leg.remaining_m is None else f", {leg.remaining_m:.1f} m to go"
@@ -394,16 +464,18 @@ class Navigation(Job):
     def so_far(self) -> Navigated:
         """Return the result as it is known now."""
         last = self.legs[self.now]
-        outcome: LegState = "under way" if self.is_running else last.outcome
-        if not self.is_running and outcome == "under way":
-            outcome = "canceled"
+        outcome: LegState = self._final or "canceled"
+        if self.is_running:
+            outcome = "paused" if self.pausing.hold else "under way"
         note = ""
-        if outcome == "under way":
-            note = f'The robot is still under way: wait with ros2_navigate(job_id="{self.id}"); ros2_stop ends it.'
+        if self.pausing.hold:
+            note = f"{self.pausing.hold.sentence} ros2_nav_pause(resume=true) goes on with the rest; ros2_stop ends it."
+        elif outcome == "under way":
+            note = f'The robot is still under way: wait with {self.tool}(job_id="{self.id}"); ros2_stop ends it.'
             note = f"{self._doing} {note}".lstrip()
         elif outcome == "canceled" and self.stop_reason:
             note = ended_by(self.stop_reason)
-        elif outcome == "failed":
+        else:
             note = self.ending
         legs = list(self.legs)
         if self.is_running and last.outcome == "under way":
@@ -416,13 +488,8 @@ class Navigation(Job):
             duration_s=round(self.elapsed_s, 2),
             legs=legs,
             explanation=self.explanation,
-            note=note,
+            note=f"{note} {self._unchecked}".strip(),
         )
-
-
-def _not_begun(target: Target) -> Leg:
-    yaw = None if target.yaw_rad is None else round(math.degrees(target.yaw_rad), 1)
-    return Leg(place=target.name, frame=target.frame, x_m=target.x_m, y_m=target.y_m, yaw_deg=yaw, outcome="not begun")
 
 
 async def navigate(
@@ -448,56 +515,52 @@ async def navigate(
         RobotError: what sending the first goal raises; nothing was sent then, unless the error says so.
     """
     bounded("timeout_s", timeout_s, 0.0, MAX_DURATION_S, "s")
-    if job_id:
-        if to is not None:
-            raise BadInput("job_id waits for a navigation under way: it takes no new place.", "Give one of both.")
-        job = robot.jobs.find(Navigation, job_id)
+    if job_id or to is None:
+        job = known_job(robot, to, job_id)
     else:
-        if to is None:
-            raise BadInput("to, the place to go to, is not given.", "Give a place, a pose, or a list of them.")
-        targets = targets_of(to, places_of(robot))
+        targets = targets_in(robot, to)
         job = Navigation(robot, session, await action_of(robot, NAVIGATE, action), targets, stuck_s)
         await robot.jobs.start(job)
+    health = await wait_for(robot, job, timeout_s, report)
+    return replace(job.so_far(), health=health)
+
+
+def known_job(robot: Robot, to: object, job_id: str) -> Navigation:
+    """Return the navigation with this id.
+
+    Raises:
+        BadInput: if places are given as well, or no id.
+        NotFound: for an unknown id.
+    """
+    if not job_id:
+        raise BadInput("to, the place to go to, is not given.", "Give a place, a pose, or a list of them.")
+    if to is not None:
+        raise BadInput("job_id waits for a navigation under way: it takes no new place.", "Give one of both.")
+    return robot.jobs.find(Navigation, job_id)
+
+
+async def wait_for(robot: Robot, job: Navigation, timeout_s: float, report: Report) -> Sequence[str]:
+    """Wait until a navigation has ended or is paused, at most `timeout_s`; return sentences on how it goes if it is
+    still under way. Cancelling this ends the navigation.
+
+    Raises:
+        RobotError: if the first goal could not be sent.
+    """
 
     async def progress() -> None:
         await report(min(job.elapsed_s, timeout_s), timeout_s, job.line())
 
-    await robot.jobs.wait(job, timeout_s, every_second=progress)
+    await robot.jobs.wait(job, timeout_s, every_second=progress, until=lambda: job.pausing.hold is not None)
     if job.failure and not job.has_begun:
         raise job.failure
     if not job.is_running:
-        return job.so_far()
+        return ()
     try:
         health = await health_of(robot, job.action)
     except asyncio.CancelledError:  # as while waiting: a caller who cancels wants the robot to stand
         await abandon(job)
         raise
     if not job.is_running:
-        return job.so_far()
-    seen = job.watch.sees(monotonic())
-    return replace(job.so_far(), health=[*([seen] if seen else []), *health])
-
-
-async def action_of(robot: Robot, kind: str, given: str = "") -> str:
-    """Return the name of an action of this type: the given one, or the only one.
-
-    Raises:
-        NotFound: if there is none; names the others, or says that there is no robot.
-        TypeConflict: if the given one has another type, or there are several and none is given.
-    """
-    actions = await robot.types.actions()
-    if given:
-        name = names.absolute(given, "action")
-        await robot.types.action(name, kind)
-        return name
-    found = sorted(name for name, types in actions.items() if kind in types)
-    if len(found) == 1:
-        return found[0]
-    if found:
-        raise TypeConflict(f"Several actions have the type {kind}: {listed(found, 5)}.", "Give action_name.")
-    others = f" Other actions: {listed(sorted(actions), 5)}; ros2_send_action_goal sends them goals." if actions else ""
-    raise await robot.graph.missing(
-        f"There is no action of type {kind}: no server of that type is seen. Nav2 is not running, or not configured."
-        f"{others}",
-        "ros2_lifecycle_state shows whether its servers are configured.",
-    )
+        return ()
+    seen = job.watch.sees(monotonic()) if not job.pausing.hold else ""
+    return [*([seen] if seen else []), *health]

@@ -8,37 +8,39 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from time import monotonic
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
+from ros2_mcp.model import parameters
 from ros2_mcp.model.aside import aside
 from ros2_mcp.model.costs import Narrowest, cost_in_words
-from ros2_mcp.model.errors import BadInput, RobotError
-from ros2_mcp.model.goals import STATUS, goal_id_bytes
+from ros2_mcp.model.errors import BadInput, NotFound, RobotError
+from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.model.nav2 import COMPUTE_PATH
-from ros2_mcp.model.text import counted, named
-from ros2_mcp.ops.actions.send_goal import send_goal
+from ros2_mcp.model.text import counted, listed, named, quoted
+from ros2_mcp.ops.navigation.action_names import action_of
 from ros2_mcp.ops.navigation.below import idle_server
 from ros2_mcp.ops.navigation.explain import Explanation, Failure, error_in_words, explain
-from ros2_mcp.ops.navigation.known_places import places_of
-from ros2_mcp.ops.navigation.navigate import action_of
+from ros2_mcp.ops.navigation.home import targets_in
+from ros2_mcp.ops.navigation.planner import PLAN_S, Rejected, planned
 from ros2_mcp.ops.navigation.situation import costmap_of
-from ros2_mcp.ops.navigation.targets import MAP_FRAME, Target, targets_of
+from ros2_mcp.ops.navigation.targets import MAP_FRAME, Target
+from ros2_mcp.ops.nodes.own_services import ask_node
 from ros2_mcp.ops.results.results import Report, WithPictures, reporting, silent
 from ros2_mcp.ops.sources.live import Live
 from ros2_mcp.ops.space.plans import hear_plans
 from ros2_mcp.ops.space.scene import scene
 from ros2_mcp.ops.space.scene_picture import ScenePicture, SceneRequest, Way
 from ros2_mcp.robot import Robot
-from ros2_mcp.robot.goals import Goal
 from ros2_mcp.robot.session import Session
 
 if TYPE_CHECKING:
     from ros2_mcp.world.costmap import CostGrid
 
-PLAN_S = 30.0
-"""Planners answer within tenths of a second; a lattice planner on a large map needs some seconds."""
 _MOST_POINTS = 24
 """Number of points of the path in an answer: enough to follow it in a picture."""
+_PLUGINS = "planner_plugins"
+"""The planner server's parameter with the names of its planners."""
+_ANSWER_S = 1.0
 _TURN_RAD = math.radians(30)
 
 
@@ -103,7 +105,7 @@ async def preview(
 
     Raises:
         BadInput: for a malformed place, or several places.
-        NotFound: for an unknown place, or without a planner.
+        NotFound: for an unknown place, without a planner, or if the server has no planner of that name.
         TimedOut: if it does not answer.
         RobotError: what sending a goal raises.
     """
@@ -113,15 +115,16 @@ async def preview(
     if begin:
         goal["start"] = begin.pose()
     robot.log.start()
-    if idle := await idle_server(robot, action):
+    idle, unverified = await asyncio.gather(idle_server(robot, action), check_planner(robot, action, planner_id))
+    if idle:
         return _not_asked(action, f"no planner was asked. {idle}")
     await hear_plans(robot)
     began_at = monotonic()
     async with reporting(report, PLAN_S, f"{action}: planning"):
-        sent = await send_goal(robot, session, action, COMPUTE_PATH, goal)
-        if not sent.accepted:
-            return _not_asked(action, f"{named(action)} rejected the goal. {sent.note}")
-        result: Mapping[str, Any] = await _result(robot, action, sent.goal_id)
+        try:
+            result = await planned(robot, session, action, goal)
+        except Rejected as error:
+            return _not_asked(action, str(error))
     path: Mapping[str, Any] = result.get("path") or {}
     points, unknown = _points(path)
     code, text = int(result.get("error_code", 0)), str(result.get("error_msg", ""))
@@ -153,10 +156,36 @@ async def preview(
         grid_topic=grid_topic,
         planning_s=_seconds(result.get("planning_time")),
         explanation=explanation,
-        note=" ".join(filter(None, (error_in_words(code, text), unknown))),
+        note=" ".join(filter(None, (error_in_words(code, text), unknown, unverified))),
         pictures=shown.pictures if shown else (),
         images=shown.images if shown else (),
     )
+
+
+async def check_planner(robot: Robot, action: str, planner_id: str) -> str:
+    """Check that the planner server has a planner of this name; return a sentence if its planners cannot be read, else
+    "".
+
+    Raises:
+        NotFound: if the server has other planners only; it names them.
+    """
+    if not planner_id:
+        return ""
+    kind, unread = "rcl_interfaces/srv/GetParameters", f"Whether {quoted(planner_id)} exists could not be read."
+    try:
+        (node,) = set(await robot.graph.servers(f"{action}/_action/send_goal"))
+        answer = await ask_node(robot, node, kind, {"names": [_PLUGINS]}, timeout_s=_ANSWER_S, wait_s=_ANSWER_S)
+        (value,) = (await robot.fields_of(answer))["values"]
+    except (RobotError, ValueError):  # no server, several, or an answer without the parameter
+        return unread
+    known = parameters.value_of(value)
+    if not isinstance(known, list) or not known:
+        return unread
+    planners = [str(one) for one in cast("list[object]", known)]
+    if planner_id in planners:
+        return ""
+    hint = did_you_mean(planner_id, planners, "Leave planner_id out for Nav2's own choice.")
+    raise NotFound(f"{named(node)} has no planner {quoted(planner_id)}. Its planners: {listed(planners, 8)}.", hint)
 
 
 def _not_asked(action: str, note: str) -> Preview:
@@ -188,34 +217,10 @@ async def _picture(
 
 
 def _one(to: object, robot: Robot) -> Target:
-    found = targets_of(to, places_of(robot))
+    found = targets_in(robot, to)
     if len(found) != 1:
         raise BadInput("A preview takes one place.", "Give one place; preview each leg by itself, with start.")
     return found[0]
-
-
-async def _result(robot: Robot, action: str, goal_id: str) -> Mapping[str, Any]:
-    """Return all fields of the planner's result."""
-    try:
-        answer = await robot.ask_service(
-            f"{action}/_action/get_result",
-            f"{COMPUTE_PATH}_GetResult",
-            {"goal_id": {"uuid": goal_id_bytes(goal_id)}},
-            timeout_s=PLAN_S,
-        )
-    except BaseException:  # cancelled or timed out: the result is no longer needed
-        await asyncio.shield(_give_up(robot, goal_id))
-        raise
-    fields = await robot.fields_of(answer)
-    robot.goal_ended(action, goal_id, STATUS.get(int(fields["status"]), ""))
-    return fields["result"]
-
-
-async def _give_up(robot: Robot, goal_id: str) -> None:
-    goal = robot.jobs.get(Goal, goal_id)
-    if goal and goal.is_running:
-        with suppress(RobotError):
-            await goal.request_cancel(1.0)
 
 
 async def _grid(robot: Robot, action: str, frame: str) -> tuple[CostGrid | None, str]:

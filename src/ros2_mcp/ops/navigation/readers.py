@@ -225,8 +225,8 @@ async def _parameters(robot: Robot, graph: GraphSnapshot) -> Mapping[str, Mappin
         async with limit:
             try:
                 with anyio.move_on_after(2 * _ANSWER_S):
-                    wanted = await _declared(robot, node) if node in whole else [_CLOCK_PARAMETER]
-                    found[node] = await _values(robot, node, wanted)
+                    wanted = await declared_by(robot, node) if node in whole else [_CLOCK_PARAMETER]
+                    found[node] = await values_of(robot, node, wanted)
             except RobotError:  # the node has left, hangs, or has no parameter services
                 pass
 
@@ -239,14 +239,16 @@ async def _parameters(robot: Robot, graph: GraphSnapshot) -> Mapping[str, Mappin
     return found
 
 
-async def _declared(robot: Robot, node: str) -> Sequence[str]:
+async def declared_by(robot: Robot, node: str) -> Sequence[str]:
+    """Return the names of a node's parameters. Raises `RobotError` if it does not answer in time."""
     request: Mapping[str, Any] = {"prefixes": [], "depth": 0}
     answer = await ask_node(robot, node, _LIST, request, timeout_s=_ANSWER_S, wait_s=0.0)
     declared: Sequence[str] = (await robot.fields_of(answer))["result"]["names"]
     return [name for name in declared if not name.startswith("qos_overrides.")]
 
 
-async def _values(robot: Robot, node: str, wanted: Sequence[str]) -> Mapping[str, Any]:
+async def values_of(robot: Robot, node: str, wanted: Sequence[str]) -> Mapping[str, Any]:
+    """Return parameters of a node by name. Raises `RobotError` if it does not answer in time."""
     answer = await ask_node(robot, node, _GET, {"names": list(wanted)}, timeout_s=_ANSWER_S, wait_s=0.0)
     values = [parameters.value_of(value) for value in (await robot.fields_of(answer))["values"]]
     return dict(zip(wanted, values, strict=False))

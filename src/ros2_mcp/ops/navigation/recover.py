@@ -15,7 +15,7 @@ from ros2_mcp.model.nav2 import MANAGE
 from ros2_mcp.model.pictures import OCCUPANCY_GRID
 from ros2_mcp.model.text import counted, listed, named
 from ros2_mcp.ops.actions.send_goal import send_goal
-from ros2_mcp.ops.navigation.navigate import action_of
+from ros2_mcp.ops.navigation.action_names import action_of
 from ros2_mcp.ops.navigation.whereabouts import Whereabouts, whereabouts
 from ros2_mcp.ops.nodes.lifecycle import states
 from ros2_mcp.ops.nodes.stacks import COMMANDS, Stack, stacks_of
@@ -27,7 +27,7 @@ from ros2_mcp.robot.session import Session
 CLEAR = "nav2_msgs/srv/ClearEntireCostmap"
 SPIN, BACK_UP, DRIVE = (f"nav2_msgs/action/{name}" for name in ("Spin", "BackUp", "DriveOnHeading"))
 Move = Literal["spin", "back_up", "drive_ahead"]
-What = Literal["clear_local", "clear_global", "clear_both", "spin", "back_up", "drive_ahead"]
+What = Literal["clear", "clear_local", "clear_global", "spin", "back_up", "drive_ahead"]
 StackCommand = Literal["up", "pause", "resume", "reset", "down"]
 MOVES: Mapping[str, str] = {"spin": SPIN, "back_up": BACK_UP, "drive_ahead": DRIVE}
 SPEED_MPS = 0.1
@@ -104,7 +104,7 @@ async def recover(
 
 
 async def _clear(robot: Robot, session: Session, what: str, report: Report) -> NavRecovered:
-    wanted = ("local", "global") if what == "clear_both" else (what.removeprefix("clear_"),)
+    wanted = ("local", "global") if what == "clear" else (what.removeprefix("clear_"),)
     services = {row.name for row in await robot.graph.services() if CLEAR in row.types}
     chosen = {which: sorted((name for name in services if which in name), key=len)[:1] for which in wanted}
     if missing := [which for which, found in chosen.items() if not found]:

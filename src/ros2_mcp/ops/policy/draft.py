@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.graph import TopicEndpoints
+from ros2_mcp.model.nav2 import NAVIGATE
 from ros2_mcp.model.text import is_name
 from ros2_mcp.ops.motion.controllers import FOLLOW, controllers
 from ros2_mcp.ops.nodes import parameters
@@ -21,6 +22,7 @@ from ros2_mcp.robot import Robot
 from ros2_mcp.robot.resolution import is_infrastructure
 from ros2_mcp.robot.seen import is_of_robot
 from ros2_mcp.world.urdf import Joint, Limits
+from ros2_mcp_common.policy.polygons import what_is_wrong
 from ros2_mcp_common.policy.velocity import VELOCITY_TYPES
 from ros2_mcp_common.policy.verbs import is_meta, only_reads
 
@@ -72,6 +74,15 @@ feedback: # what the robot says of its own speed: it is stopped when it moves al
 """
 
 
+_KEEP_OUT = """\
+# keep_out: # zones that the robot's outline may not enter: docs/how-to/policy.md
+#   zones: {{stairs: [[3, 1], [4, 1], [4, 2]]}} # corners in m, in the map
+#   {outline}
+# pose: {{topic: /tf, frame: map, base: {base}}}
+"""
+_NO_OUTLINE = "radius_m: 0.3 # or footprint: [[x, y], …]: the robot's outline, which Nav2 does not tell here"
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Arm:
     """A joint trajectory controller: its action and topic ("" if it has none), and the joints that it moves, each with
@@ -86,7 +97,8 @@ class Arm:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Found:
-    """The facts for a draft: `inputs` are the velocity topics, `actions` and `services` names with types, `arms` the
+    """The facts for a draft: `outline` is that of Nav2's local costmap, as a line of a policy, and `base` its frame
+    ("": there is none). `inputs` are the velocity topics, `actions` and `services` names with types, `arms` the
     joint trajectory controllers.
     """
 
@@ -98,6 +110,8 @@ class Found:
     watching: Sequence[str]
     own_limits: Sequence[str]
     arms: Sequence[Arm] = ()
+    outline: str = ""
+    base: str = ""
 
 
 async def draft(robot: Robot) -> str:
@@ -119,8 +133,13 @@ async def _look(robot: Robot) -> Found:
     drivers = {endpoint.node for topic in inputs for endpoint in topic.subscribers if is_of_robot(endpoint.node)}
     everybody = [*(row.name for row in nodes if is_of_robot(row.name)), *(row.name for row in (*topics, *services))]
     asked = [(row.name, row.types[0]) for row in services if row.types and is_name(row.name) and is_name(row.types[0])]
+    outline, base = await _outline(
+        robot, [row.name for row in nodes if row.name.endswith("/local_costmap") and is_name(row.name)]
+    )
     return Found(
         domain=robot.graph.domain_id or 0,
+        outline=outline,
+        base=base,
         inputs=[topic for topic in inputs if topic.subscribers or topic.publishers],
         odometry=[row.name for row in topics if _ODOMETRY in row.types and row.publishers and is_name(row.name)],
         actions=[
@@ -143,7 +162,7 @@ async def _look(robot: Robot) -> Found:
 
 async def _arms(robot: Robot) -> Sequence[Arm]:
     """Return the joint trajectory controllers whose joints are known."""
-    found = [one for one in (await controllers(robot)).values() if is_name(one.way) and one.joints]
+    found = [one for one in (await controllers(robot)).values() if is_name(one.interface) and one.joints]
     joints: Mapping[str, Joint] = {}
     with suppress(RobotError):  # no description, several, or an unreadable one: the draft says so
         joints = (await described(robot)).joints if found else joints
@@ -152,6 +171,26 @@ async def _arms(robot: Robot) -> Sequence[Arm]:
         for one in found
         if all(map(_JOINT.fullmatch, one.joints))
     ]
+
+
+async def _outline(robot: Robot, costmaps: Sequence[str]) -> tuple[str, str]:
+    """Return the robot's outline as Nav2's local costmap has it, as a line of a policy, and the frame of its base."""
+    try:
+        listing = await parameters.describe(robot, costmaps[:1]) if costmaps else None
+    except RobotError:
+        return "", ""
+    told = {one.name: one.value for node in listing.nodes for one in node.parameters} if listing else {}
+    base = str(told.get("robot_base_frame", ""))
+    base = base if is_name(base) else ""
+    beside = f" # as {costmaps[0]} has it, without its footprint_padding" if costmaps else ""
+    with suppress(ValueError, TypeError):
+        corners = [(float(x), float(y)) for x, y in json.loads(str(told.get("footprint", "")))]
+        if not what_is_wrong(corners):
+            return f"footprint: {json.dumps(corners)}{beside}", base
+    with suppress(ValueError, TypeError):
+        radius_m = float(str(told.get("robot_radius", "")))
+        return (f"radius_m: {radius_m:g}{beside}" if 0.01 <= radius_m <= 100 else ""), base
+    return "", base
 
 
 async def _own_limits(robot: Robot, nodes: Sequence[str]) -> list[str]:
@@ -259,6 +298,8 @@ def _watched(found: Found) -> Iterator[str]:
         yield _FEEDBACK.format(topic=found.odometry[0])
     else:
         yield "# No odometry was found: nothing here can see whether the robot stands still.\n"
+    if any(kind == NAVIGATE for _, kind in found.actions):
+        yield _KEEP_OUT.format(outline=found.outline or _NO_OUTLINE, base=found.base or "base_footprint")
     if found.watching:
         yield "# What seems to watch over this robot; no rule above lets the agent switch it off:\n"
         yield from (f"#   {name}\n" for name in found.watching)

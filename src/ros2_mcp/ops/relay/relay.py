@@ -173,7 +173,7 @@ class Relay(Job):
     def check_beside(self, running: Sequence[Job]) -> None:
         """Raise `BadInput` if this relay would feed itself through others, or if the same relay already runs."""
         others = [job for job in running if isinstance(job, Relay)]
-        topics = way(((other.source, other.destination) for other in others), self.destination, self.source)
+        topics = path_between(((other.source, other.destination) for other in others), self.destination, self.source)
         if topics:
             raise BadInput(
                 f"This relay would feed itself: relays already lead from {' to '.join(topics)}.",
@@ -432,20 +432,20 @@ async def stop(robot: Robot, relay_id: str = "") -> RelayState:
     return (await robot.jobs.stop(Relay, relay_id)).report()
 
 
-def way(relays: Iterable[tuple[str, str]], start: str, end: str) -> list[str]:
+def path_between(relays: Iterable[tuple[str, str]], start: str, end: str) -> list[str]:
     """Return the topics along relays (source, destination) from one topic to another; empty if
     no chain of relays leads there.
     """
     pairs = list(relays)
-    ways = deque([[start]])
+    paths = deque([[start]])
     seen = {start}
-    while ways:
-        topics = ways.popleft()
+    while paths:
+        topics = paths.popleft()
         if topics[-1] == end:
             return topics
         following = dict.fromkeys(to for source, to in pairs if source == topics[-1] and to not in seen)
         seen.update(following)
-        ways.extend([*topics, topic] for topic in following)
+        paths.extend([*topics, topic] for topic in following)
     return []
 
 

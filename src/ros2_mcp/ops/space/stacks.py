@@ -56,5 +56,7 @@ async def nav2_active(robot: Robot, source: Source, graph: GraphSnapshot) -> str
 
 
 def with_active(stacks: Sequence[str], active: str) -> list[str]:
-    """Return the names of the stacks, with the number of active servers after Nav2."""
-    return [f"Nav2: {active}" if stack == "Nav2" and active else stack for stack in stacks]
+    """Return the names of the stacks, with the number of active servers after Nav2, and who says why not all are."""
+    count, _, whole = active.removesuffix(" active").partition(" of ")
+    why = "" if count == whole else " (ros2_health_check or ros2_nav_check says why)"
+    return [f"Nav2: {active}{why}" if stack == "Nav2" and active else stack for stack in stacks]

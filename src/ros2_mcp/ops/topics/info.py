@@ -49,7 +49,7 @@ class TopicInfo:
     def summary(self) -> list[str]:
         """Return one line, and one for each mismatch."""
         publishers, subscribers = (
-            f"{counted(len(side), what)}{_of_these_ours(side)}"
+            f"{counted(len(side), what)}{_own_count(side)}"
             for side, what in ((self.publishers, "publisher"), (self.subscribers, "subscriber"))
         )
         types = ", ".join(map(named, self.topic_types))
@@ -115,7 +115,7 @@ def _seconds(duration_ns: int | None) -> float | None:
     return None if duration_ns is None else duration_ns / 1e9
 
 
-def _of_these_ours(side: Sequence[EndpointInfo]) -> str:
+def _own_count(side: Sequence[EndpointInfo]) -> str:
     """Return a phrase with the number of this server's own endpoints; empty if there are none."""
     count = sum(endpoint.from_this_server for endpoint in side)
     return f" ({count} of this server)" if count else ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ros2_mcp.ops.navigation.checks.collision_monitor import near_in
 from ros2_mcp.ops.navigation.drive_watch import DriveWatch
 
 
@@ -52,6 +53,43 @@ def test_a_collision_monitor_that_holds_is_named_with_its_polygon_and_before_all
     assert watch.sees(now) == "The collision monitor holds the robot, for 3 s: polygon PolygonStop."
     watch.monitor(0, "", now)
     assert "collision monitor" not in watch.sees(now)
+
+
+def test_the_nearest_point_in_the_polygon_is_told_with_its_bearing_and_forgotten_with_another_polygon() -> None:
+    watch = DriveWatch(began_at=0.0)
+    now = driving(4, watch)
+    watch.monitor(1, "PolygonStop", 1.0)
+    (near,) = near_in(
+        {"PolygonStop.points": "[[0.4, 0.3], [0.4, -0.3], [-0.3, 0.0]]"}, "PolygonStop", [(0.3, 0.1), (1, 1)]
+    )
+    watch.near("PolygonStop", near)
+    assert "polygon PolygonStop, with something at 0.32 m, bearing 18°" in watch.sees(now)
+    watch.monitor(2, "Slow", now)
+    watch.near("PolygonStop", near)
+    assert watch.sees(now).endswith("polygon Slow.")
+
+
+def at_rate(hz: float, watch: DriveWatch, command: float = 0.3, begin: float = 0.0) -> float:
+    """For six seconds commands at a rate, looked at five times a second, and odometry that moves."""
+    for step in range(31):
+        now = begin + step / 5
+        watch.commanded("/cmd_vel_nav", command, 0.0, now)
+        watch.counted("/cmd_vel_nav", int(hz * (now - begin)), now)
+        watch.moved("/odom", 0.3, 0.0, (0.3 * now, 0.0), now)
+    return begin + 6.0
+
+
+def test_a_rate_is_missed_where_it_was_measured_and_not_where_recoveries_or_zeros_come() -> None:
+    watch = DriveWatch(began_at=0.0)
+    watch.rate("/cmd_vel_nav", 20.0)
+    assert "misses its rate: 5.0 of 20 Hz on /cmd_vel_nav" in watch.sees(at_rate(5.0, watch))
+    assert watch.sees(at_rate(14.0, watch, begin=10.0)) == ""
+    watch.behaviour("spin", is_running=True, now=20.0)
+    assert "rate" not in watch.sees(at_rate(5.0, watch, begin=20.0))
+    watch.behaviour("spin", is_running=False, now=27.0)
+    assert "rate" not in watch.sees(at_rate(5.0, watch, command=0.0, begin=30.0))
+    unset = DriveWatch(began_at=0.0)
+    assert unset.sees(at_rate(2.0, unset)) == ""
 
 
 def test_recoveries_are_named_while_they_run_and_counted() -> None:

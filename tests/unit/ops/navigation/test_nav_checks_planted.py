@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -166,3 +167,50 @@ def test_a_static_transform_whose_publisher_has_gone_is_said_as_such_below_a_ser
     server, left = nav_findings_in(whole(frames=mount, states=states))
     assert (server.subject, left.subject) == ("/planner_server", "base_link → laser")
     assert left.rank == "makes it worse" and "by a node that has gone" in left.cause
+
+
+def test_a_scan_that_fits_the_map_only_if_it_is_turned_is_a_heading_or_a_lidar_that_is_turned() -> None:
+    cells = np.zeros((40, 80), np.int8)
+    cells[0], cells[-1], cells[:, 0], cells[:, -1] = 100, 100, 100, 100
+    angles = [-math.pi + number * 2 * math.pi / 120 for number in range(120)]
+    ranges = [min(3.9 / (abs(math.cos(one)) + 1e-9), 1.95 / (abs(math.sin(one)) + 1e-9)) for one in angles]
+
+    def cause(turned: int) -> list[str]:
+        rows = heard("/scan", SCAN, ["/lidar"], [scan(ranges[turned:] + ranges[:turned])] * 5, frame_id="laser")
+        grids = Grids(map=grid(cells, corner=(-4.0, -2.0)), map_topic="/map")
+        return [one.cause for one in found(*READ, THE_MAP, grids=grids, **parts_of(WELL, {**rows, **ODOMS}))]
+
+    assert cause(0) == []
+    (turned,) = cause(30)
+    assert "only if it is turned by 90°" in turned or "only if it is turned by -90°" in turned
+
+
+def test_a_costmap_that_takes_its_map_from_another_topic_is_told_where_the_map_is() -> None:
+    takes = {"/global_costmap/global_costmap": {"static_layer.map_topic": "/office/map_v2"}}
+    wanted = topic("/office/map_v2", GRID, [], ["/global_costmap/global_costmap"])
+    (finding,) = found(THE_MAP, wanted, parameters=takes)
+    assert "takes its map from /office/map_v2, where nobody publishes; the map is on /map" in finding.cause
+    assert (finding.rank, finding.remedy) == ("stops everything", "Set its map_topic to /map, or remap it.")
+    (alone,) = found(wanted, parameters=takes)
+    assert "There is no map: nobody publishes /office/map_v2" in alone.cause
+
+
+def test_odometry_that_comes_late_while_its_transform_with_the_same_stamp_is_in_time_is_no_clock() -> None:
+    tree = frames(("map", "odom", 0.1), ("odom", "base_link", 0.05), static=[("base_link", "laser")], ahead_s=1.0)
+    stamp_ns = tree.tree.edges["base_link"].moving[-1].stamp_ns
+
+    def odometry_of(at_ns: int) -> Any:
+        message = odometry()
+        message.header = SimpleNamespace(
+            stamp=SimpleNamespace(sec=at_ns // 1_000_000_000, nanosec=at_ns % 1_000_000_000), frame_id="odom"
+        )
+        return message
+
+    def causes(at_ns: int) -> list[str]:
+        ages = [1.4, 1.41, 1.42] * 4
+        late = heard("/odom", ODOMETRY, ["/base"], [odometry_of(at_ns)] * 20, frame_id="odom", ages_s=ages)
+        comes = heard("/scan", SCAN, ["/lidar"], [scan([2.0] * 60)] * 5, frame_id="laser", ages_s=[0.02] * 12)
+        return [one.cause for one in found(*READ, **parts_of(tree, {**late, **comes}))]
+
+    assert causes(stamp_ns) == []
+    assert "The stamps of /odom are 1.40 s behind" in causes(stamp_ns - 1_450_000_000)[0]

@@ -74,6 +74,17 @@ def test_what_else_was_found_stands_there_as_comments() -> None:
     assert document_of(text, "draft").feedback is not None
 
 
+@pytest.mark.parametrize("outline", ["", "footprint: [[0.3, 0.2], [0.3, -0.2], [-0.3, -0.2], [-0.3, 0.2]] # Nav2's"])
+def test_zones_of_a_robot_with_nav2_stand_there_as_comments_with_its_own_outline(outline: str) -> None:
+    text = draft(replace(FOUND, outline=outline, base="base_link"))
+    assert document_of(text, "draft").keep_out is None
+    begin = text.index("# keep_out:")
+    zones = "\n".join(line[2:] for line in text[begin:].splitlines()[:4])
+    keep_out = document_of(f"policy: 1\n{zones}", "draft").keep_out
+    assert keep_out and (len(keep_out.footprint), keep_out.radius_m) == ((4, 0.0) if outline else (0, 0.3))
+    assert "keep_out" not in draft(replace(FOUND, actions=[]))
+
+
 def test_of_a_robot_without_any_of_it_the_draft_says_so_and_is_in_order() -> None:
     text = draft(replace(FOUND, inputs=[], odometry=[], actions=[], services=[], watching=[], own_limits=[]))
     assert verdict(text) == "refused"

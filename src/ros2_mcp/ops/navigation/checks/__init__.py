@@ -8,7 +8,7 @@ it is a cause: conditions that also occur on robots that drive are not findings.
 from __future__ import annotations
 
 import pkgutil
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from importlib import import_module
 
@@ -24,6 +24,8 @@ CHECKS: dict[str, NavCheck] = {
     if hasattr(module := import_module(f"{__name__}.{found.name}"), "CHECK")
 }
 """All checks by module name."""
+_NOT_READ: Collection[Need] = ("goal", "probes")
+"""The parts of the evidence that there are only if they are asked for."""
 NEEDS: frozenset[Need] = frozenset(need for check in CHECKS.values() for need in check.needs)
 """The parts of the evidence that the checks need together."""
 
@@ -51,10 +53,10 @@ def nav_findings_in(evidence: NavEvidence) -> list[NavFinding]:
 
 
 def not_looked_at(evidence: NavEvidence) -> Sequence[str]:
-    """Return the names of the checks that could not be run because evidence was missing. A goal that was not given does
-    not count as missing."""
+    """Return the names of the checks that could not be run because evidence was missing. A goal that was not given, and
+    a small motion that was not made, do not count as missing."""
     return [
         name.replace("_", " ")
         for name, check in CHECKS.items()
-        if any(getattr(evidence, need) is None for need in check.needs if need != "goal")
+        if any(getattr(evidence, need) is None for need in check.needs if need not in _NOT_READ)
     ]

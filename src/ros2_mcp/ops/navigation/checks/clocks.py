@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from ros2_mcp.model.text import listed, named
 from ros2_mcp.ops.navigation.checks.check import CLOCKS, NavCheck
-from ros2_mcp.ops.navigation.evidence import SCAN, NavEvidence, NavFinding, is_tool
+from ros2_mcp.ops.navigation.evidence import ODOMETRY, SCAN, NavEvidence, NavFinding, is_tool
 
 if TYPE_CHECKING:
     from ros2_mcp.world.frame_edges import Edge
@@ -70,6 +70,8 @@ def _offsets(evidence: NavEvidence) -> Iterator[NavFinding]:
     plain = {what: s for what, s in offsets.items() if abs(s) < _OTHER_TIME_S}
     plain_of, follows = plain, _of_localiser(evidence, plain)
     plain = {what: s for what, s in plain.items() if what not in follows}
+    late = _come_late(evidence, plain)
+    plain = {what: s for what, s in plain.items() if what not in late}
     off = {what: s for what, s in plain.items() if s > _BEHIND_S or s < -_AHEAD_S}
     is_alike = len(off) == len(plain) > 1 and max(off.values()) - min(off.values()) < _STEADY_S
     if not off or is_alike:  # all alike: the clock of the bridge's own computer differs, which need not be the robot's
@@ -113,6 +115,25 @@ def _of_localiser(evidence: NavEvidence, offsets: Mapping[str, float]) -> dict[s
         for topic, seconds in scans.items():
             if name in offsets and -_STEADY_S < seconds - offsets[name] < _MOST_TOLERANCE_S + _STEADY_S:
                 found[name] = topic
+    return found
+
+
+def _come_late(evidence: NavEvidence, offsets: Mapping[str, float]) -> set[str]:
+    """The odometry topics that come late while a transform with the same stamps comes in time: no clock is off."""
+    found = set[str]()
+    edges = evidence.frames.tree.edges.values() if evidence.frames else ()
+    for one in evidence.of(ODOMETRY):
+        if offsets.get(one.topic, 0.0) <= _BEHIND_S:
+            continue
+        stamps = {
+            header.stamp.sec * 1_000_000_000 + header.stamp.nanosec
+            for _, message, _ in one.messages
+            if (header := getattr(message, "header", None))
+        }
+        for edge in edges:
+            is_same = any(told.stamp_ns in stamps for told in edge.moving)
+            if is_same and abs(offsets.get(_named(edge), _BEHIND_S)) < _AHEAD_S:
+                found.add(one.topic)
     return found
 
 

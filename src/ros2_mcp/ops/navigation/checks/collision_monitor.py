@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, cast
 
 from ros2_mcp.model.text import named
@@ -18,13 +19,29 @@ _SOURCE_TIMEOUT_S = 2.0
 _LEAST_POINTS = 4
 
 
+@dataclass(frozen=True, slots=True, order=True)
+class Near:
+    """A point that a sensor sees: its distance from the base in m, and its bearing in degrees, positive to the left."""
+
+    away_m: float
+    bearing_deg: float
+
+    def __str__(self) -> str:
+        return f"{self.away_m:.2f} m, bearing {self.bearing_deg:.0f}° (left is positive)"
+
+
 def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
     for node in evidence.of_role("collision_monitor"):
         values = (evidence.parameters or {}).get(node, {})
-        sources = _texts(values.get("observation_sources"))
-        topics = {source: resolved(node, str(values.get(f"{source}.topic", "") or f"/{source}")) for source in sources}
+        topics = sources_of(node, values)
         yield from _sources(evidence, node, values, topics)
         yield from _held(evidence, node, values, list(topics.values()))
+
+
+def sources_of(node: str, values: Mapping[str, Any]) -> dict[str, str]:
+    """Return the sources of a collision monitor with their topics, by its parameters."""
+    sources = _texts(values.get("observation_sources"))
+    return {source: resolved(node, str(values.get(f"{source}.topic", "") or f"/{source}")) for source in sources}
 
 
 def _sources(
@@ -74,14 +91,14 @@ def _held(evidence: NavEvidence, node: str, values: Mapping[str, Any], topics: S
             yield _holding(evidence, node, name, action, points)
 
 
-def _holding(evidence: NavEvidence, node: str, name: str, action: str, distances: Sequence[float]) -> NavFinding:
-    proof = [f"collision_monitor_state: {action}, {named(name)}." if not distances else ""]
-    if distances:
-        proof = [f"{len(distances)} points of the scan are in {named(name)}, the nearest {min(distances):.2f} m away."]
+def _holding(evidence: NavEvidence, node: str, name: str, action: str, points: Sequence[Near]) -> NavFinding:
+    proof = [f"collision_monitor_state: {action}, {named(name)}." if not points else ""]
+    if points:
+        proof = [f"{len(points)} points of the scan are in {named(name)}, the nearest at {points[0]}."]
     for costmap in evidence.of_role("local_costmap"):
         for parameter, value in (evidence.parameters or {}).get(costmap, {}).items():
             is_blind = parameter.endswith("obstacle_min_range") and isinstance(value, (int, float)) and value > 0
-            if is_blind and (not distances or min(distances) < float(value)):
+            if is_blind and (not points or points[0].away_m < float(value)):
                 proof.append(f"The costmap ignores all below {float(value):g} m ({parameter}), and plans through it.")
     return NavFinding(
         rank="stops everything",
@@ -92,26 +109,35 @@ def _holding(evidence: NavEvidence, node: str, name: str, action: str, distances
     )
 
 
-def _in_polygon(evidence: NavEvidence, values: Mapping[str, Any], name: str, topics: Sequence[str]) -> list[float]:
-    """Return the distances from the base, in m and sorted, of the scan points inside a polygon or circle."""
+def _in_polygon(evidence: NavEvidence, values: Mapping[str, Any], name: str, topics: Sequence[str]) -> list[Near]:
+    """Return the scan points inside a polygon or circle, the nearest first."""
     frames = evidence.frames
-    base = str(values.get("base_frame_id") or (frames.tree.base if frames else ""))
+    base = base_of_monitor(values) or (frames.tree.base if frames else "")
     if not frames or not base:
         return []
-    corners, radius = _corners(values.get(f"{name}.points")), values.get(f"{name}.radius")
-    found: list[float] = []
+    hits: list[tuple[float, float]] = []
     for topic in topics:
         heard = (evidence.heard or {}).get(topic)
-        if heard is None or heard.type != SCAN or not heard.messages:
-            continue
-        for x, y in hits_in(frames, base, heard.messages[-1][1]):
-            away = math.hypot(x, y)
-            is_in = (
-                away < float(radius) if isinstance(radius, (int, float)) and not corners else is_within(corners, x, y)
-            )
-            if is_in:
-                found.append(away)
-    return sorted(found)
+        if heard is not None and heard.type == SCAN and heard.messages:
+            hits += hits_in(frames, base, heard.messages[-1][1])
+    return near_in(values, name, hits)
+
+
+def base_of_monitor(values: Mapping[str, Any]) -> str:
+    """Return the frame in which a collision monitor's polygons are, by its parameters; "" if it is not known."""
+    return str(values.get("base_frame_id") or "")
+
+
+def near_in(values: Mapping[str, Any], name: str, hits: Iterable[tuple[float, float]]) -> list[Near]:
+    """Return those of some points (x and y in m in the base's frame) that are inside a polygon or circle of a collision
+    monitor's parameters, the nearest first."""
+    corners, radius = _corners(values.get(f"{name}.points")), values.get(f"{name}.radius")
+    limit_m = float(radius) if isinstance(radius, (int, float)) and not corners else 0.0
+    return sorted(
+        Near(math.hypot(x, y), math.degrees(math.atan2(y, x)))
+        for x, y in hits
+        if (math.hypot(x, y) < limit_m if limit_m else is_within(corners, x, y))
+    )
 
 
 def hits_in(frames: Frames, base: str, scan: Any) -> list[tuple[float, float]]:

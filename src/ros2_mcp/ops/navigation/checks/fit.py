@@ -12,6 +12,9 @@ from ros2_mcp.ops.navigation.evidence import POSE, SCAN, NavEvidence, NavFinding
 _LEAST_HITS = 40
 _LOST = 0.4
 """Share of the beams that fit. A well localised robot has 0.7 or more, even with people and boxes around it."""
+_FITS = 0.6
+"""Share that fits if only the heading was wrong: a wrong place fits so well by no turn."""
+_TURNS = [math.radians(degrees) for degrees in range(-175, 181, 5) if abs(degrees) > 10]
 _WIDE_M = 1.5
 """More than the standard deviation of any settled localisation; a new initial pose has 0.5 m."""
 
@@ -21,7 +24,7 @@ def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
     grid = grids.map if grids else None
     if frames is None:
         return
-    from ros2_mcp.world.map_fit import NEAR_M, share_that_fits  # with numpy: not before it is needed
+    from ros2_mcp.world.map_fit import NEAR_M, MapFit  # with numpy: not before it is needed
 
     deviation = deviation_m(evidence)
     scans = [one for one in evidence.of(SCAN) if one.messages]
@@ -32,7 +35,13 @@ def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
         hits = hits_in(frames, base, scans[0].messages[-1][1])
         if located is not None and len(hits) >= _LEAST_HITS:
             x, y, _ = located.pose.translation
-            share, count = share_that_fits(grid, hits, x, y, located.pose.yaw_rad)
+            fit, yaw = MapFit(grid), located.pose.yaw_rad
+            share, count = fit.share(hits, x, y, yaw)
+            if share < _LOST:
+                turned_share, turn = max((fit.share(hits, x, y, yaw + turn)[0], turn) for turn in _TURNS)
+                if turned_share >= _FITS:
+                    yield _turned(math.degrees(turn), share, turned_share, count)
+                    return
     if share is not None and count >= _LEAST_HITS and share < _LOST:
         told = f" AMCL's own deviation is {deviation:.2f} m." if deviation else ""
         yield NavFinding(
@@ -50,6 +59,18 @@ def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
             proof=f"Its standard deviation is {deviation:.2f} m; the scan could not be compared with the map.",
             remedy="Give it an initial pose, or let the robot turn where it sees walls.",
         )
+
+
+def _turned(degrees: float, share: float, turned_share: float, count: int) -> NavFinding:
+    return NavFinding(
+        rank="stops everything",
+        subject="localisation",
+        cause=f"The scan fits the map only if it is turned by {degrees:.0f}°: the heading of its pose is wrong, "
+        "or its lidar is turned against its transform.",
+        proof=f"{share:.0%} of {count} beams end near what the map has there; turned, {turned_share:.0%} do.",
+        remedy="ros2_nav_probe moves a little and tells which. If the heading is wrong: give an initial pose "
+        "(ros2_nav_localize); if the lidar is turned: correct the yaw of its joint.",
+    )
 
 
 def deviation_m(evidence: NavEvidence) -> float | None:

@@ -16,7 +16,8 @@ _SHORT_MS = 20.0
 _LEAST_SERVERS, _TIMES_SLOWER, _SLOW_S = 4, 5.0, 0.05
 """On a loaded computer all servers are slow; a server five times as slow as the median has a problem of its own."""
 _RECENT_S = 300.0
-_MISSED = 0.6
+MISSED = 0.6
+"""A controller whose measured rate is below this share of the one that is set misses it."""
 _LEAST = 8
 _FASTEST = ("max_vel_x", "max_speed_xy", "desired_linear_vel", "vx_max", "max_linear_speed")
 _TURNS = ("max_vel_theta", "wz_max", "rotate_to_heading_angular_vel")
@@ -73,7 +74,7 @@ def _rate(evidence: NavEvidence) -> Iterator[NavFinding]:
             if len(times) < _LEAST:
                 continue
             rate_hz = (len(times) - 1) / max((times[-1] - times[0]) / 1e9, 1e-3)
-            if rate_hz < _MISSED * float(wanted_hz):
+            if rate_hz < MISSED * float(wanted_hz):
                 yield NavFinding(
                     rank="makes it worse",
                     subject=node,
