@@ -18,8 +18,11 @@ ZEROS = {
     (PUBLISHERS, "publish_zero", "publish_raw"),
     ("src/ros2_mcp_bridge/stopper/stopper.py", "publish_zero", "publish_raw"),
     ("src/ros2_mcp_bridge/stopper/stopper.py", "make", "call_async"),
+    ("src/ros2_mcp_bridge/exit/speed_limit.py", "tell", "publish_raw"),
 }
-"""What sends zeros alone, or what cancels a goal or makes a vehicle stand, and asks nobody."""
+"""What sends zeros alone, what cancels a goal or makes a vehicle stand, or a speed limit that only makes Nav2 slower:
+it asks nobody.
+"""
 SENDING = {"publish_raw", "publish", "call_async", "call", "send_goal", "send_goal_async"}
 """What rclpy's publishers and clients send with."""
 OWN = {"publisher.publish", "self.publisher.publish", "self.publish", "relay.publish"}
