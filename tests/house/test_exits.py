@@ -20,9 +20,7 @@ ZEROS = {
     ("src/ros2_mcp_bridge/stopper/stopper.py", "make", "call_async"),
     ("src/ros2_mcp_bridge/exit/speed_limit.py", "tell", "publish_raw"),
 }
-"""What sends zeros alone, what cancels a goal or makes a vehicle stand, or a speed limit that only makes Nav2 slower:
-it asks nobody.
-"""
+"""What can only make a robot stand or slower, and asks nobody: zeros, cancelled goals, Nav2's speed limit."""
 SENDING = {"publish_raw", "publish", "call_async", "call", "send_goal", "send_goal_async"}
 """What rclpy's publishers and clients send with."""
 OWN = {"publisher.publish", "self.publisher.publish", "self.publish", "relay.publish"}

@@ -82,6 +82,6 @@ def test_what_was_not_done_is_an_error_and_what_was_stopped_is_none() -> None:
         "ros2_program_run": {"failed", "limit", "crashed"},
         "ros2_drive": {"guard", "silent", "stuck", "jumped", "missed", "timeout", "refused", "no_subscriber"},
         "ros2_move_until": {"silent", "no_subscriber", "refused"},
-        "ros2_joint_move": {"silent", "timeout", "failed", "rejected", "no_subscriber"},
+        "ros2_joint_move": {"silent", "timeout", "aborted", "rejected", "no_subscriber"},
         "ros2_navigate": {"failed", "rejected", "not begun"},
     }

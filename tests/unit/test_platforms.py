@@ -56,7 +56,7 @@ def test_mcp_is_served_over_stdio_without_what_windows_lacks(server: RawServer) 
 def test_a_unix_socket_is_refused_with_the_way_out_where_python_knows_none() -> None:
     code, text = said("connect", "/tmp/robot.sock")
     assert code == 1
-    assert "Python knows no Unix sockets on Windows" in text
+    assert "Python does not support Unix sockets on Windows" in text
     assert "streamable-http" in text
 
 

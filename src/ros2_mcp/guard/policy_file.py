@@ -411,7 +411,7 @@ def _checks_by_path(fields: Section, zones: dict[str, Zone]) -> Checks:
         if curve := section.section("curve"):
             found["curve"][path] = _curve(curve)
         section.done()
-    return Checks(**found, zero=tuple(zero))
+    return Checks(zero=tuple(zero), keep_out=None, **found)
 
 
 def _whole(section: Section, key: str) -> tuple[int, int]:

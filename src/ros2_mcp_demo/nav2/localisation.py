@@ -65,7 +65,7 @@ class MapServer(Managed, LifecyclePart):
         stamp = self.get_clock().now().to_msg()
         message = self.headed(OccupancyGrid(), stamp, "map")
         message.info.map_load_time, message.info.resolution = stamp, resolution
-        message.info.height, message.info.width = cells.shape
+        message.info.height, message.info.width = len(cells), len(cells[0])
         message.info.origin.position.x, message.info.origin.position.y = origin
         message.data = array.array("b", cells.tobytes())
         return message

@@ -55,7 +55,7 @@ def test_without_a_topic_the_rates_of_all_are_measured(agent: PromptAgent) -> No
     assert {"/odom", "/scan"} <= {topic["topic_name"] for topic in stats["topics"]}
 
 
-@pytest.mark.promise("README", "of two, a relay")
+@pytest.mark.promise("README", "a relay;")
 @pytest.mark.promise("ros2_relay_stop", "Stop a relay")
 def test_a_relay_works_as_the_prompt_says(agent: PromptAgent) -> None:
     rate_hz, relay = relayed(agent)

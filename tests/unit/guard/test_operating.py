@@ -184,7 +184,7 @@ def test_another_user_is_no_operator(tmp_path: Path, monkeypatch: pytest.MonkeyP
             request_id = waiting(operated.approvals, drive())
             code, text = await asked(folder, "approve", request_id)
             assert code == 1
-            assert "no operator" in text
+            assert "not an operator" in text
             waiting(operated.approvals, drive())
         assert "operator refused" in [entry["kind"] for entry in entries(folder.path)]
 
@@ -257,7 +257,7 @@ def test_where_the_kernel_tells_nothing_of_users_a_secret_that_only_its_user_can
             stranger = await asyncio.to_thread(connected, path)
             await asyncio.to_thread(stranger.sendall, b'{"do": "stop"}\n')
             answer = await asyncio.to_thread(stranger.makefile("rb").readline)
-            assert b"no operator" in answer
+            assert b"not an operator" in answer
             stranger.close()
             assert not folder.latch().look().is_set
         assert not path.exists()
