@@ -248,9 +248,14 @@ async def declared_by(robot: Robot, node: str) -> Sequence[str]:
 
 
 async def values_of(robot: Robot, node: str, wanted: Sequence[str]) -> Mapping[str, Any]:
-    """Return parameters of a node by name. Raises `RobotError` if it does not answer in time."""
+    """Return parameters of a node by name, without those that have no value. Raises `RobotError` if it does not answer
+    in time."""
     answer = await ask_node(robot, node, _GET, {"names": list(wanted)}, timeout_s=_ANSWER_S, wait_s=0.0)
     values = [parameters.value_of(value) for value in (await robot.fields_of(answer))["values"]]
+    if not values and len(wanted) > 1:  # rclcpp answers nothing at all if one of them was declared without a value
+        middle = len(wanted) // 2
+        halves = await asyncio.gather(*(values_of(robot, node, part) for part in (wanted[:middle], wanted[middle:])))
+        return {**halves[0], **halves[1]}
     return dict(zip(wanted, values, strict=False))
 
 

@@ -49,6 +49,8 @@ from support.made_navigation import (
     twist,
 )
 
+MONITOR = "nav2_msgs/msg/CollisionMonitorState"
+
 
 def test_there_are_checks_and_a_robot_without_nav2_has_no_findings() -> None:
     assert len(CHECKS) >= 14
@@ -327,6 +329,24 @@ def test_a_source_of_the_monitor_that_nobody_publishes_is_told() -> None:
         *READ, nodes=["/collision_monitor"], **parts_of(WELL, {**SCANS, **ODOMS}, collision_monitor=monitor)
     )
     assert "its source cloud has no publisher" in finding.cause and "source_timeout is 1 s" in finding.proof
+
+
+def monitor_says(action: int, polygon: str, **odoms: Heard) -> list[str]:
+    says = heard("/state", MONITOR, ["/collision_monitor"], [SimpleNamespace(action_type=action, polygon_name=polygon)])
+    monitor = {"observation_sources": ["scan"], "scan.topic": "/scan", "polygons": ["FootprintApproach"]}
+    rows = parts_of(WELL, {**SCANS, **says, **(odoms or ODOMS)}, collision_monitor=monitor)
+    return [finding.cause for finding in found(*READ, nodes=["/collision_monitor"], **rows)]
+
+
+def test_the_monitors_word_for_missing_data_is_no_polygon() -> None:
+    (cause,) = monitor_says(1, "invalid source")
+    assert "gives no valid data" in cause and "polygon" not in cause
+
+
+def test_an_approach_slows_a_robot_that_moves_and_holds_one_that_stands() -> None:
+    assert "its polygon FootprintApproach (approach) is not free" in monitor_says(3, "FootprintApproach")[0]
+    moving = heard("/odom", ODOMETRY, ["/base"], [odometry(0.2)] * 10)
+    assert monitor_says(3, "FootprintApproach", **moving) == []
 
 
 # ── goal and settings ────────────────────────────────────────────────────────────────────────────────────────────

@@ -8,15 +8,19 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
-from ros2_mcp.model.text import named
+from ros2_mcp.model.text import listed, named
 from ros2_mcp.ops.navigation.checks.check import CHAIN, NavCheck
-from ros2_mcp.ops.navigation.evidence import SCAN, Frames, NavEvidence, NavFinding, resolved
+from ros2_mcp.ops.navigation.checks.motion import moves
+from ros2_mcp.ops.navigation.evidence import ODOMETRY, SCAN, Frames, NavEvidence, NavFinding, resolved
 
 _STATE = "nav2_msgs/msg/CollisionMonitorState"
+INVALID_SOURCE = "invalid source"
+"""The polygon that a collision monitor names when it stops the robot because a source has no valid data."""
 _ACTIONS = ("nothing", "stop", "slowdown", "approach", "limit")
 _SOURCE_TIMEOUT_S = 2.0
 """Nav2's default."""
 _LEAST_POINTS = 4
+_LEAST_ODOMETRY, _MOST_NAMES = 5, 4
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -34,8 +38,8 @@ def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
     for node in evidence.of_role("collision_monitor"):
         values = (evidence.parameters or {}).get(node, {})
         topics = sources_of(node, values)
-        yield from _sources(evidence, node, values, topics)
-        yield from _held(evidence, node, values, list(topics.values()))
+        missing = list(_sources(evidence, node, values, topics))
+        yield from missing or _held(evidence, node, values, list(topics.values()))
 
 
 def sources_of(node: str, values: Mapping[str, Any]) -> dict[str, str]:
@@ -74,8 +78,11 @@ def _sources(
 
 def _held(evidence: NavEvidence, node: str, values: Mapping[str, Any], topics: Sequence[str]) -> Iterator[NavFinding]:
     state = next((one.newest for one in evidence.of(_STATE) if node in one.nodes and one.newest is not None), None)
-    if state is not None and int(state.action_type) in (1, 3):
+    if state is not None and (int(state.action_type) == 1 or (int(state.action_type) == 3 and not _drives(evidence))):
         name = str(state.polygon_name)
+        if name == INVALID_SOURCE:
+            yield _without_data(node, topics)
+            return
         near = _in_polygon(evidence, values, name, topics)
         yield _holding(evidence, node, name, _ACTIONS[int(state.action_type)], near)
         return
@@ -89,6 +96,22 @@ def _held(evidence: NavEvidence, node: str, values: Mapping[str, Any], topics: S
         points = _in_polygon(evidence, values, name, topics)
         if len(points) >= (int(least) if isinstance(least, (int, float)) else _LEAST_POINTS):
             yield _holding(evidence, node, name, action, points)
+
+
+def _drives(evidence: NavEvidence) -> bool:
+    """Whether odometry reports motion: a monitor whose action is "approach" slows a robot near an obstacle, and holds
+    it only at last."""
+    return any(moves(message) for one in evidence.of(ODOMETRY) for _, message, _ in one.messages[-_LEAST_ODOMETRY:])
+
+
+def _without_data(node: str, topics: Sequence[str]) -> NavFinding:
+    return NavFinding(
+        rank="stops everything",
+        subject=node,
+        cause=f"{named(node)} holds the robot: a source of it gives no valid data.",
+        proof=f"collision_monitor_state: stop, {INVALID_SOURCE}; its sources are {listed(topics, _MOST_NAMES)}.",
+        remedy="Find the source that is silent, older than source_timeout, or without a transform to the base.",
+    )
 
 
 def _holding(evidence: NavEvidence, node: str, name: str, action: str, points: Sequence[Near]) -> NavFinding:
