@@ -141,7 +141,7 @@ def _stands(evidence: NavEvidence, chain: Chain) -> Iterator[NavFinding]:
     """Find a robot that does not move although it is commanded: the last topic of the chain with commands asks for
     motion, and odometry reports none."""
     moving = [one for one in evidence.of(ODOMETRY) if one.count >= _LEAST]
-    if not moving or any(moves(message) for one in moving for _, message, _ in one.messages[-_LEAST:]):
+    if not moving or any(_moves(message) for one in moving for _, message, _ in one.messages[-_LEAST:]):
         return
     commanded: list[Heard] = []
     for one in evidence.of(*VELOCITIES):
@@ -176,7 +176,7 @@ def _stands(evidence: NavEvidence, chain: Chain) -> Iterator[NavFinding]:
     )
 
 
-def moves(odometry: Any) -> bool:
+def _moves(odometry: Any) -> bool:
     """Whether an odometry message reports motion."""
     speed = odometry.twist.twist
     return (
