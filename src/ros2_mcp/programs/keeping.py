@@ -84,7 +84,7 @@ class ProgramSaved:
     def summary(self) -> str:
         """Return one line."""
         before = f" The former version is in {named(self.previous_file)}." if self.previous_file else ""
-        how = "" if self.done == "removed" else " Run it with its name as program of ros2_program_run."
+        how = "" if self.done == "removed" else f' To run it: ros2_program_run(program="{self.program.name}").'
         return f"{self.done}: {self.program.summary()}.{how}{before}"
 
 

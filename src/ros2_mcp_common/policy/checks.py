@@ -165,7 +165,9 @@ def _is_same(found: Any, allowed: Any) -> bool:
 
 
 def _shown(value: Any) -> str:
-    """Return a value for a sentence: ASCII, strings in quotes, at most 60 characters."""
+    """Return a value as text to put into a sentence: strings in quotes and escaped to ASCII, cut with … above 60
+    characters.
+    """
     return ascii(value) if len(ascii(value)) <= 60 else f"{ascii(value)[:57]}…"
 
 

@@ -345,7 +345,9 @@ class PublishReply(Guarded):
 
 
 class RepeatReply(Ended, Guarded):
-    """The result of a repeat; `limited` counts the messages whose values were reduced to the policy's limits."""
+    """The result of publishing a message repeatedly; `limited` counts the messages whose values were reduced to the
+    policy's limits.
+    """
 
     sent: int
     matched: int

@@ -20,7 +20,7 @@ from ros2_mcp.ops.motion.find import Found, base_frame_of, command_input, first_
 from ros2_mcp.ops.motion.held import others_on, why_it_stands
 from ros2_mcp.ops.motion.job import run_motion
 from ros2_mcp.ops.results.results import SAID, Report, silent, told_values
-from ros2_mcp.ops.sources.from_before import FromBefore, told_as_met
+from ros2_mcp.ops.sources.from_before import FromBefore, outcome_in_words
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.session import Session
 from ros2_mcp_common.language.scans import LASER_SCAN
@@ -98,10 +98,14 @@ class MovedUntil:
         way = (
             ""
             if self.distance_m is None
-            else f" The robot moved {self.distance_m:.2f} m by {named(self.odometry_topic)}."
+            else f" According to {named(self.odometry_topic)} the robot moved {self.distance_m:.2f} m."
         )
-        outcome = f"{'is met' if self.met else 'was not met'} after {self.elapsed:.2f} s"
-        outcome += f"{told_as_met(self.from_before, self.met)} ({told_values(self.values)})"
+        outcome = outcome_in_words(
+            met=self.met,
+            values=told_values(self.values),
+            waited=f"after {self.elapsed:.2f} s",
+            from_before=self.from_before,
+        )
         return f"{named(self.topic_name)}: {self.condition} {outcome}.{way} {self.note}".rstrip()
 
 

@@ -533,7 +533,7 @@ def known_job(robot: Robot, to: object, job_id: str) -> Navigation:
         NotFound: for an unknown id.
     """
     if not job_id:
-        raise BadInput("to, the place to go to, is not given.", "Give a place, a pose, or a list of them.")
+        raise BadInput("`to` is missing: it says where to go.", "Give a place, a pose, or a list of them.")
     if to is not None:
         raise BadInput("job_id waits for a navigation under way: it takes no new place.", "Give one of both.")
     return robot.jobs.find(Navigation, job_id)

@@ -370,7 +370,9 @@ async def start(robot: Robot, session: Session, request: RelayRequest) -> RelayS
     Raises:
         Refused: if this server is read-only, or too many relays run.
         BadInput: if it would feed itself, runs already, or its options do not fit the types.
-        NotFound, TypeConflict: if there is no source topic and no type is given, or the types differ.
+        NotFound: if the source has no type and none is given, or with a mapping the destination has none.
+        TypeConflict: if the source has several types and none is given, or not the given type; or if the destination
+            has another type and no mapping is given, or with a mapping another than `destination_type`.
     """
     source, destination = names.absolute(request.source_topic), names.absolute(request.destination_topic)
     if request.transform not in TRANSFORMS:

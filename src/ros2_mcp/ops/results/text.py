@@ -31,7 +31,8 @@ _OURS = frozenset(
         *("note", "notes", "error", "problem", "problems", "recommendation", "reasons", "mismatches", "limitations"),
         *("footprint", "place", "command_inputs", "sensors", "joints", "controllers", "stacks", "frames", "unhealthy"),
         *("other_actions", "topics_without_publisher", "command_services", "state_topics"),
-        *("not_read", "allowed", "limits", "forbidden", "held", "cause", "helps", "hint", "health", "log"),
+        *("not_read", "not_checked", "allowed", "limits", "forbidden", "held", "cause", "helps", "hint", "health"),
+        "log",
     }
 )
 """Fields whose texts this server has written, with the robot's texts quoted already: shown unchanged."""

@@ -16,7 +16,7 @@ from ros2_mcp.model.nav2 import COSTMAP, PATH
 from ros2_mcp.model.pictures import BOUNDS, LASER_SCAN, OCCUPANCY_GRID, Picture, Place, RobotPlace
 from ros2_mcp.model.poses import Pose, planar
 from ros2_mcp.model.text import listed, named
-from ros2_mcp.model.times import recorded_time, seconds_in
+from ros2_mcp.model.times import recorded_time, seconds_from_start
 from ros2_mcp.ops.navigation.costmaps import Costmap, chosen_costmaps, costmap_of
 from ros2_mcp.ops.navigation.known_places import NamedPlace, places_of
 from ros2_mcp.ops.navigation.navigate import Navigation
@@ -497,7 +497,7 @@ async def _picture(gathered: Gathered, request: SceneRequest) -> ScenePicture:
         meaning=meaning,
         missing=gathered.missing,
         at=iso_time(now_ns) if source.is_live else recorded_time(now_ns, source.began_ns),
-        seconds_in=seconds_in(now_ns, source.began_ns),
+        seconds_from_start=seconds_from_start(now_ns, source.began_ns),
         source=source.title,
         pictures=facts([picture]),
         images=[picture],

@@ -86,7 +86,7 @@ class ScenePicture(WithPictures):
     meaning: Meaning | None = field(metadata=SAID)
     missing: Sequence[str] = field(metadata=SAID)
     at: str
-    seconds_in: float | None
+    seconds_from_start: float | None
     source: str
 
     def summary(self) -> list[str]:

@@ -183,7 +183,7 @@ async def tf_lookup(source: Source, request: LookupRequest, report: Report = sil
         at_ns = found.stamp_ns if not request.time and found.stamp_ns else None
         notes += [found.note] if found.note else []
     if not frame:
-        raise BadInput("source, the frame to look up, is not given.", "Give source, such as base_link.")
+        raise BadInput("`source` is missing: it is the frame to look up.", "Give source, such as base_link.")
     target = request.target.strip().lstrip("/")
     slashed = [name for name in (request.target.strip(), request.frame.strip()) if name.startswith("/")]
     if slashed:

@@ -19,7 +19,7 @@ from ros2_mcp.model.meanings import Meaning
 from ros2_mcp.model.pictures import COMPRESSED_IMAGE, IMAGE, Picture
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import counted, named
-from ros2_mcp.model.times import seconds_in
+from ros2_mcp.model.times import seconds_from_start
 from ros2_mcp.model.values import summarised
 from ros2_mcp.ops.results.results import (
     ALWAYS,
@@ -126,8 +126,8 @@ class Echo(WithPictures):
     """The next message of a topic; `received` is false if there was none, and `note` says why. `waited` is the waiting
     time in seconds.
 
-    `seconds_in` is the receive time as an offset from the start of the recording; null for live messages and the black
-    box. `from_before` is set if the message had been published before this call, and gives its age.
+    `seconds_from_start` is the receive time as an offset from the start of the recording; null for live messages and
+    the black box. `from_before` is set if the message had been published before this call, and gives its age.
     """
 
     topic_name: str = field(metadata=SAID)
@@ -135,7 +135,7 @@ class Echo(WithPictures):
     received: bool = field(metadata=SAID)
     message: dict[str, Any] | None
     received_at: str
-    seconds_in: float | None
+    seconds_from_start: float | None
     waited: float = field(metadata=SAID)
     publishers: Sequence[str]
     truncated: Sequence[str] = field(metadata={**IF_ANY, **SAID})
@@ -336,7 +336,7 @@ async def echo(source: Source, topic: str, topic_type: str, selection: Selection
         received=bool(reading.messages),
         message=reading.messages[0] if reading.messages else None,
         received_at=iso_time(reading.received_ns[0]) if reading.received_ns else "",
-        seconds_in=seconds_in(reading.received_ns[0], source.began_ns) if reading.received_ns else None,
+        seconds_from_start=seconds_from_start(reading.received_ns[0], source.began_ns) if reading.received_ns else None,
         waited=round(monotonic() - started, 6),
         publishers=reading.publishers,
         truncated=reading.truncated,
