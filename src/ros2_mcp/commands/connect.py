@@ -15,7 +15,7 @@ _READ_BYTES = 1 << 16
 
 
 def connect(path: Path) -> int:
-    """Connect stdin and stdout with the server at that socket until one of them ends. Return 1 if the server ended
+    """Connect stdin and stdout with the server at that socket until either side ends. Return 1 if the server ended
     first.
 
     Raises:

@@ -26,7 +26,7 @@ DENIED_S = 60.0
 """The time during which a denied command is refused without asking again, in s: repeated questions must not wear a
 person down."""
 MOST_GRANT_S = 600.0
-"""The longest duration of a grant, in s, unless the policy sets another one."""
+"""The longest duration of a grant, in s, unless the policy sets another maximum."""
 MOST_PENDING = 8
 """The most waiting requests of one client: more than a person would read. A further request is refused; no waiting
 request is dropped in its favour."""

@@ -33,7 +33,7 @@ def recorded_time(unix_ns: int, began_ns: int | None = None) -> str:
 
 
 def both_times(unix_ns: int, zero_ns: int) -> str:
-    """Format a time in milliseconds for people: seconds since another one, and absolute."""
+    """Format a time in milliseconds for people: seconds since another time, and absolute."""
     return f"{(unix_ns - zero_ns) / 1e9:.3f} s ({iso_time(unix_ns)[:-4]}Z)"
 
 

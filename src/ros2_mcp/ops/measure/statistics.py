@@ -104,7 +104,7 @@ class TopicStatistics:
     error: str = ""
 
     def summary(self) -> list[str]:
-        """Return one line for the topic, and one for each gap, anomaly, and range of the first fields."""
+        """Return one line for the topic, and one line for each gap, anomaly, and range of the first fields."""
         if self.error:
             return [f"{named(self.topic_name)}: {self.error}"]
         rate = "rate unknown" if self.rate_hz is None else f"{self.rate_hz:.2f} Hz"
@@ -174,7 +174,7 @@ async def measure(
 
 
 def measured_fields(stream: Stream, chosen: Sequence[str]) -> list[FieldPath]:
-    """Return the chosen fields, or all numeric ones; chosen fields that this type lacks are skipped."""
+    """Return the chosen fields, or all numeric fields; chosen fields that this type lacks are skipped."""
     from ros2_mcp.values.select import measurable
 
     if not chosen:

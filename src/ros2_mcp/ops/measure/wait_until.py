@@ -120,7 +120,8 @@ def _excerpts(stream: Stream, asked: Condition) -> ExcerptReader | None:
 
 @dataclass(slots=True)
 class _Search:
-    """The search in one stream, and its state: `last` is the latest message, or the one that met the condition (`met`).
+    """The search in one stream, and its state: `last` is the latest message, or the message that met the condition
+    (`met`).
 
     Decoding and evaluating run in threads: 200 messages may block the event loop for too long. With `excerpts`, only
     the message shown in the result is decoded.

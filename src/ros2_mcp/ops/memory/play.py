@@ -37,8 +37,9 @@ _SHORTEST_LOOP_S = 0.1
 _MATCH_S = 1.0
 """How long the bridge waits for subscribers that discovery may still be matching with our new publishers."""
 _READY_S = 5.0
-"""Time for the bridge to create a publisher: it creates a hundred within a second; one that is
-not there by then will not come."""
+"""Time for the bridge to create a publisher: it creates a hundred within a second; a publisher that is not there by
+then will not come.
+"""
 _DEPTH = 100
 """Messages queued for a slow subscriber: a second of a topic at 100 Hz."""
 _ANSWERED_S = 0.5
@@ -108,7 +109,7 @@ class PlaybackState:
 
 @dataclass(frozen=True, slots=True)
 class PlaybackStates:
-    """All running playbacks, and those that ended last."""
+    """All running playbacks, and the playbacks that ended last."""
 
     playbacks: Sequence[PlaybackState]
 
@@ -391,7 +392,7 @@ async def play(
 
 
 async def status(robot: Robot, playback_id: str = "") -> PlaybackStates:
-    """Return the state of playbacks: the one with that id, or all that run and the last that ended."""
+    """Return the state of playbacks: the playback with that id, or all running playbacks and the last that ended."""
     return PlaybackStates([playback.report() for playback in robot.jobs.chosen(Playback, playback_id)])
 
 

@@ -29,7 +29,7 @@ from ros2_mcp_common.wire.limits import MAX_DURATION_S
 _RATE_HZ = 20.0
 """The rate of commands that velocity controllers expect. The zero at the end is sent at once."""
 _TURNED_DEG = 5.0
-"""A smaller rotation is inaccurate mounting; a larger one is intended."""
+"""A smaller rotation is inaccurate mounting; a larger rotation is intended."""
 _STOOD_M = 0.01
 """A motion over a shorter distance did not move the robot: odometry is that noisy."""
 _ANGLES = re.compile(r"\b(nearest|range_at)\s*\(")

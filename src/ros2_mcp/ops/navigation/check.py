@@ -26,7 +26,7 @@ _VERDICTS: dict[str, Verdict] = {
     "makes it worse": "IMPAIRED",
 }
 _MOST = 8
-"""Number of findings that are reported in full; a user with more begins with the first ones."""
+"""Number of findings that are reported in full; a user with more begins with the first of them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -293,7 +293,7 @@ _Known = tuple[MapSeen, MapMark, int]
 
 
 async def _map(robot: Robot, topic: str) -> _Known | None:
-    """Return the map that a topic has now; None if there is no message, or no valid one."""
+    """Return the map that a topic has now; None if there is no message, or no valid map."""
     with suppress(RobotError):
         async with robot.listen(topic, OCCUPANCY_GRID, keep="latest") as listening:
             if samples := await listening.take(_MAP_S):

@@ -85,8 +85,9 @@ async def scan_fit(robot: Robot) -> ScanFit | str:
 
 
 async def scan_on_map(robot: Robot) -> ScanOnMap | str:
-    """Return the map and a scan from now, for poses other than the estimated one, or a sentence on what is missing.
-    Raises no `RobotError`."""
+    """Return the map and a scan from now, for poses other than the estimated pose, or a sentence on what is missing.
+    Raises no `RobotError`.
+    """
     await load("ros2_mcp.world.scans", "ros2_mcp.world.map_fit")  # with numpy: not before it is needed
     from ros2_mcp.ops.space.frames import frames_of
     from ros2_mcp.world.no_transform import why_none

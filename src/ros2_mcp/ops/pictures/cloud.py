@@ -62,7 +62,7 @@ class CloudPicture(WithPictures):
 
 
 async def cloud_picture(source: Source, topic: str, options: BirdEyeOptions, report: Report = silent) -> CloudPicture:
-    """Draw the next point cloud of a topic from above; without a topic, of the only one with clouds.
+    """Draw the next point cloud of a topic from above; without a topic, of the only topic with clouds.
 
     Raises:
         NotFound: if the topic is not there, or there is no cloud.

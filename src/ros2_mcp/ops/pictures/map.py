@@ -61,8 +61,8 @@ class MapPicture(WithPictures):
 
 
 async def map_picture(robot: Robot, source: Source, topic: str, report: Report = silent) -> MapPicture:
-    """Draw the map of a topic; without a topic, of the only one with maps. Its later updates are included live, and for
-    a recording without a start time, as of its end.
+    """Draw the map of a topic; without a topic, of the only topic with maps. Its later updates are included live, and
+    for a recording without a start time, as of its end.
 
     Raises:
         NotFound: if the topic is not there, or there is no map.

@@ -78,7 +78,7 @@ class Plot(WithPictures):
     note: str = field(metadata=IF_ANY)
 
     def summary(self) -> list[str]:
-        """Return a line for the plot and one for each series."""
+        """Return a line for the plot and a line for each series."""
         lines = [
             f"{one.name}: {counted(one.count, 'value')}, {_number(one.min)} to {_number(one.max)}, "
             f"mean {_number(one.mean)}, last {_number(one.last)} {one.unit}".rstrip()

@@ -49,7 +49,7 @@ _APPEARS_S = 1.0
 _LOOK_EVERY_S = 0.02
 """Seconds between two checks of whether a relay has begun, which takes a few milliseconds."""
 _SILENT_S = 1.0
-"""After this long without a message, the publishers are looked up again: a new one may need another QoS."""
+"""After this long without a message, the publishers are looked up again: a new publisher may need another QoS."""
 _LATCHED_DEPTH = 10
 """The depth assumed for a publisher whose depth is unknown; `/tf_static` with ten broadcasters fits."""
 _DEPTH = 100
@@ -119,7 +119,7 @@ class RelayState:
 
 @dataclass(frozen=True, slots=True)
 class RelayList:
-    """All running relays, and those that ended last."""
+    """All running relays, and the relays that ended last."""
 
     relays: Sequence[RelayState]
     running: int
@@ -163,7 +163,7 @@ class Relay(Job):
         self._pass = self._make_transform()
         self._choose_qos(source, destination)
         self.counts = RelayCounts()
-        """The bridge's last counts; those of the server's own part follow below."""
+        """The bridge's last counts; the counts of the server's own part follow below."""
         self._held_back = 0
         self._failed = 0
         self._last_error = ""
@@ -206,7 +206,7 @@ class Relay(Job):
         self.stop_reason = self.stop_reason or reason_of(self._robot, self.counts.ended_by)
 
     async def wind_down(self) -> None:
-        """Make the bridge send the zero, if there is one, and answer with its last counts."""
+        """Make the bridge send the zero, if the relay has a zero, and answer with its last counts."""
         await self._robot.end_relay(self.id)
 
     def report(self) -> RelayState:
