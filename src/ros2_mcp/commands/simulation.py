@@ -138,7 +138,9 @@ def build_later(settings: Settings, robot: str) -> None:
 
 
 def _later(settings: Settings, installation: RosInstallation, robot: str) -> list[Path]:
-    """Return the prefixes of packages that are built later, except packages that the user has built in another version."""
+    """Return the prefixes of packages that are built later, except packages of which the user has built another
+    version.
+    """
     if installation.kind != "wheels" or installation.python != sys.executable:
         return []
     cache = InterfaceCache(settings.interface_folder)

@@ -1,4 +1,4 @@
-"""Completions of arguments: names of the live graph and fixed choices, first the names that start with the typed text."""
+"""Completions of arguments: names of the live graph and fixed choices; names that start with the typed text first."""
 
 from __future__ import annotations
 

@@ -111,7 +111,7 @@ async def list_programs(robot: Robot, pattern: str = "", *, with_code: bool = Fa
 
 
 async def save_program(robot: Robot, session: Session, programs: Programs, request: ProgramRequest) -> ProgramSaved:
-    """Keep a program that passes the checks, or remove one, and note it in the audit. Nothing runs.
+    """Keep a program that passes the checks, or remove a program, and note it in the audit. Nothing runs.
 
     Raises:
         BadInput: for an error in the program, too.

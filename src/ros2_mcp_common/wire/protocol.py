@@ -326,7 +326,7 @@ class Guarded(TypedDict):
 
 
 class PublishReply(Guarded):
-    """The number of matched subscribers, the number of those that belong to this server (`ours`), and whether all
+    """The number of matched subscribers, the number of subscribers that belong to this server (`ours`), and whether all
     acknowledged (`acked`).
 
     `acked` is None if a subscriber does not acknowledge. `limited` is 1 if the values were reduced to the policy's

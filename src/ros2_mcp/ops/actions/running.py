@@ -52,8 +52,8 @@ class RunningGoal:
 async def running_goals(
     robot: Robot, actions: Mapping[str, Sequence[str]] | None = None, *, beside: Collection[str] = ()
 ) -> list[RunningGoal]:
-    """Return the running goals of these actions, or of all actions, that can move a robot, except
-    those whose ids are in `beside`.
+    """Return the running goals of these actions, or of all actions, that can move a robot, except goals whose ids are
+    in `beside`.
 
     Takes half a second if a server has had no goal yet. A dead server reports nothing. Raises the same errors as
     `Resolution.actions`.
@@ -84,8 +84,8 @@ def _is_ours(robot: Robot, action: str, goal_id: str) -> bool:
 
 
 def from_above(goals: Sequence[RunningGoal]) -> list[RunningGoal]:
-    """Return the goals without those that Nav2's servers carry out for another goal in the list. That goal names them
-    in `delegated_to`; ending it ends them, too.
+    """Return the goals without the goals that Nav2's servers carry out for another goal in the list. That goal names
+    them in `delegated_to`; ending it ends them, too.
     """
     carried: dict[str, list[str]] = {}
     for goal in goals:

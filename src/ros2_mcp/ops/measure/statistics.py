@@ -138,7 +138,7 @@ async def measure(
     selection: Selection,
     report: Report = silent,
 ) -> Statistics:
-    """Measure the chosen fields of these topics, or all numeric ones.
+    """Measure the chosen fields of these topics, or all numeric fields.
 
     Raises:
         BadInput: if there are no topics, too many, or one twice.

@@ -1,4 +1,4 @@
-"""Lifecycle nodes: read their states and the transitions possible now, and make a transition, as `ros2 lifecycle` does."""
+"""Lifecycle nodes: read their states and possible transitions, and make a transition, as `ros2 lifecycle` does."""
 
 from __future__ import annotations
 

@@ -32,7 +32,9 @@ class FromBefore:
 
     @classmethod
     def one(cls, age_s: float | None) -> FromBefore:
-        """Return a value for one message of that age; for None, which is not from before, for none."""
+        """Return the count and age of one message that is from before; for an age of None (the message is live), a
+        count of 0.
+        """
         return cls() if age_s is None else cls(1, 1, age_s)
 
     @property

@@ -29,7 +29,7 @@ _CALLED = {
     "odometry": re.compile(r"odom|diff|drive|base|ekf|ukf|state_estimat|wheel|kobuki|vio"),
     "description": re.compile(r"state_publisher|description|joint"),
 }
-"""Usual names of nodes by role: those of Nav2, slam_toolbox, robot_localization, ros2_control and others."""
+"""Usual names of nodes by role: the names of Nav2, slam_toolbox, robot_localization, ros2_control and others."""
 _LOCALISATION = "localisation"
 GONE = ", which is gone"
 _AS = {"placing": "localisation"}

@@ -57,7 +57,7 @@ if TYPE_CHECKING:
 MAX_PICTURES = 4
 """The most pictures of one topic: clients count a picture as some 1500 tokens, and two usually show what moved."""
 _TRIED = 32
-"""How many messages of a recording are tried to find one that can be decoded; undecodable ones are rare."""
+"""How many messages of a recording are tried to find a message that can be decoded; undecodable messages are rare."""
 _LEAST_BYTES = 1000
 """The least bytes of the result for one of several topics: two messages at the 500 bytes
 below which a message says nothing."""
@@ -292,8 +292,8 @@ async def read(source: Source, topic: str, type_name: str, selection: Selection,
 async def read_several(
     source: Source, topics: Sequence[tuple[str, str, Selection]], report: Report = silent
 ) -> Readings:
-    """Return messages of several topics (name, type or "", selection), read at the same time; the `error`
-    of one does not stop the others.
+    """Return messages of several topics (name, type or "", selection), read at the same time; the `error` of one topic
+    does not stop the others.
 
     Raises:
         BadInput: if there are no topics.
@@ -351,7 +351,7 @@ async def echo(source: Source, topic: str, topic_type: str, selection: Selection
 
 
 def _told(reading: Reading, *, as_asked: bool) -> Reading:
-    """Return the reading, with a note if another topic was read than the requested one."""
+    """Return the reading, with a note if another topic was read than the requested topic."""
     if as_asked:
         return reading
     why = f"The robot is reached over a network, so the compressed pictures on {named(reading.topic_name)} were read."
@@ -360,8 +360,8 @@ def _told(reading: Reading, *, as_asked: bool) -> Reading:
 
 
 def _first_readable(collected: Collected) -> tuple[Sample | None, str]:
-    """Return the first sample that can be decoded (the last, if the last ones were requested),
-    and a note on the skipped ones.
+    """Return the first sample that can be decoded (the last, if the last messages were requested), and a note on the
+    skipped samples.
     """
     stream, trouble = collected.stream, ""
     ordered = collected.samples[::-1] if stream.from_end else collected.samples
@@ -434,8 +434,8 @@ async def _shown(source: Source, collected: Collected, selection: Selection) -> 
 
 
 def pictures_of(type_name: str, fitted: Fitted) -> tuple[list[Picture], str]:
-    """Return pictures of the shown messages, from the decoded ones, and a note on which messages
-    they show, or why there are none.
+    """Return pictures of the shown messages, from the decoded messages, and a note on which messages they show, or why
+    there are no pictures.
     """
     from ros2_mcp.pictures.messages import picture_of  # numpy: not at the start of the server
 
