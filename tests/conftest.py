@@ -73,7 +73,7 @@ def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.Tes
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
-    """Where a whole run is ended at its bound, what had failed until then is known, though pytest's summary never came."""
+    """A whole run that is ended at its bound has told what failed until then, though its summary never comes."""
     if report.failed and os.environ.get("CI") == "true" and "PYTEST_XDIST_WORKER" not in os.environ:
         told = report.longreprtext.splitlines()[-TOLD_LINES:]
         sys.stderr.write("\n".join(["", f"{report.when} of {report.nodeid} failed:", *told, ""]))
