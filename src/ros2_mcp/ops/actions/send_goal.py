@@ -109,7 +109,7 @@ async def send_goal(
     action_type = await robot.types.action(action, action_type)
     servers = await servers_of_action(robot, action)
     if servers and not force:
-        await check_one_server(robot, action, "End all but one, or set force to true.")
+        await check_one_server(robot, action, "End all but one, or set force=true.")
     several = f"{in_words_of(action, servers)}: each may carry it out." if servers else ""
     command = SendGoal(
         principal=session.principal,

@@ -502,7 +502,7 @@ async def _check(robot: Robot, request: PlayRequest, topics: Mapping[str, Stored
         subscribers = [subscriber.node for subscriber in present.subscribers if subscriber.node not in own]
         if subscribers and topic.type in MOTION_TYPES:
             driven.append(f"{subscribers[0]} listens to {destination}")
-    hint = "Give remaps, choose other topics, or set force."
+    hint = "Give `remaps`, choose other topics, or set force=true."
     if busy and not request.force:
         raise Refused(f"These topics have a live publisher: {', '.join(busy)}.", hint)
     if driven and not request.force:

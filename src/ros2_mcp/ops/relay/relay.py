@@ -379,13 +379,14 @@ async def start(robot: Robot, session: Session, request: RelayRequest) -> RelayS
         raise BadInput(f"There is no transform {request.transform!r}.", f"Choose from {', '.join(TRANSFORMS)}.")
     if TRANSFORMS[request.transform] != "on_change" and request.tolerances:
         raise BadInput(
-            f"tolerances have no meaning with {request.transform}.", "Leave tolerances out, or use transform on_change."
+            f"`tolerances` have no meaning with {request.transform}.",
+            'Leave `tolerances` out, or use transform="on_change".',
         )
     if request.target_rate_hz is not None:
         if TRANSFORMS[request.transform] != "rate_limit":
             raise BadInput(
                 f"target_rate_hz has no meaning with {request.transform}.",
-                "Leave target_rate_hz out, or use transform rate_limit.",
+                'Leave target_rate_hz out, or use transform="rate_limit".',
             )
         bounded("target_rate_hz", request.target_rate_hz, MIN_RATE_HZ, MAX_RATE_HZ, "Hz")
     bounded("duration_sec", request.duration_s, 0.0, MAX_RELAY_S, "s")
