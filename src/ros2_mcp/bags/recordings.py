@@ -15,7 +15,7 @@ ROS_1_START = b"#ROSBAG V"
 """The first bytes of a ROS 1 bag."""
 _STEM = re.compile(r"(?P<stem>.*?)(?:_\d+)?(?:\.mcap|\.db3)(?:\.zstd)?", re.DOTALL)
 _OF_RING = re.compile(r"(?P<stem>box)_\d{8}T\d{6}_\d{9}_0\.mcap")
-"""The files of a black box, whose names have their start times (`ring.py`)."""
+"""The files of a black box; each file's name has its start time (`ring.py`)."""
 _MOST_NAMED = 10
 """Most recordings that an error names."""
 

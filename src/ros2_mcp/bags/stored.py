@@ -125,7 +125,7 @@ class OddTimes:
 
 
 LEAST_BACK_NS = 1_000_000
-"""The threads of a recorder may swap messages by microseconds, which is not an irregularity."""
+"""The threads of a recorder may swap messages by microseconds: this is no irregularity."""
 
 
 def odd_times_in_words(odd: Mapping[str, OddTimes]) -> list[str]:

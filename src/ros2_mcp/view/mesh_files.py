@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 MOST_MESHES = 200
 """Meshes of one description; a humanoid has 60."""
 _MOST_TRIANGLES = 120_000
-"""Triangles of all meshes together, which a computer without a graphics card rotates smoothly."""
+"""Triangles of all meshes together: as many as a computer without a graphics card rotates smoothly."""
 _MOST_OF_ONE = 20_000
 _MOST_NAME = 500
 _MOST_PACKAGES = 2000

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 _REACH_M = 6.0
 """Points farther away than this are not used: their distance to each other is large, and they fit by chance."""
 _LEAST_M = 0.3
-"""Nearer points may be parts of the robot, which move with it."""
+"""Nearer points may be parts of the robot and move with it."""
 _MOST_POINTS = 180
 _LEAST_POINTS = 40
 _COARSE_CELL_M, _COARSE_WIDTH_M = 0.05, 0.1

@@ -142,7 +142,7 @@ async def _by_its_state(robot: Robot, node: str) -> str:
 
 
 async def _sign_of_life(robot: Robot, node: str, services: set[str]) -> str:
-    """Return a sentence if a node does not answer get_parameters, which every node serves; else nothing."""
+    """Return a sentence if a node does not answer get_parameters (every node serves it); else nothing."""
     service = f"{node}{_PARAMETERS}"
     if service not in services:
         return ""

@@ -43,11 +43,11 @@ DEFAULT_RATE_HZ = 10.0
 _STARTED_S = 5.0
 """A relay that has not begun by then (the bridge is busy) is reported as `starting`, and goes on."""
 _MATCH_S = 1.0
-"""How long the bridge waits for the destination's subscribers, which discovery may still be matching."""
+"""How long the bridge waits for the destination's subscribers: discovery may still be matching them."""
 _APPEARS_S = 1.0
 """How long to wait for a publisher of the source if no type is given: it may just be starting."""
 _LOOK_EVERY_S = 0.02
-"""Seconds between two checks of whether a relay has begun, which takes a few milliseconds."""
+"""Seconds between two checks of whether a relay has begun; a relay takes a few milliseconds."""
 _SILENT_S = 1.0
 """After this long without a message, the publishers are looked up again: a new publisher may need another QoS."""
 _LATCHED_DEPTH = 10
