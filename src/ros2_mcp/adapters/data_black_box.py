@@ -268,7 +268,7 @@ class DataBlackBoxes(SourceKind):
         store: BagStore,  # noqa: ARG002
         request: SourceRequest,
     ) -> Sequence[Callable[[], Awaitable[Source]]]:
-        """Return a function that opens the box in the graph, if there is one."""
+        """Return a function that opens the box in the graph, if there is a box."""
         found = await self._found(robot, request)
 
         async def opened() -> Source:

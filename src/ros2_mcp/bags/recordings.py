@@ -102,7 +102,7 @@ def foreign_in(folder: Path) -> list[str]:
 
 
 def _in_folder(folder: Path) -> list[Path]:
-    """Return the files of the one recording of a folder; raises `BadInput` if there are several."""
+    """Return the files of a folder's only recording; raises `BadInput` if there are several recordings."""
     files = _in_order(folder)
     if len({stem_of(path) for path in files}) <= 1:
         return files

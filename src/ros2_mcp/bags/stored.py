@@ -15,7 +15,7 @@ MOST_PROBLEMS = 50
 """Problems that are reported of one file. A failing disk damages thousands of chunks, and a reader needs no more than
 these."""
 _MOST_NAMED = 5
-"""Topics that are named of one hole; a chunk has those of the whole robot."""
+"""Topics that are named for one hole: a chunk may have all topics of the robot."""
 
 
 Form: TypeAlias = Literal["ros2", "json", "other"]

@@ -122,7 +122,7 @@ def prefixes_of(settings: Settings) -> Sequence[Path]:
 
 
 def _prefixes(given: Sequence[Path]) -> list[Path]:
-    """Return the prefixes in which to look for packages: at or directly below the given folders and those of
+    """Return the prefixes in which to look for packages: at or directly below the given folders and the folders of
     AMENT_PREFIX_PATH and COLCON_PREFIX_PATH, then Python's own.
     """
     listed = [os.environ.get(name, "") for name in ("AMENT_PREFIX_PATH", "COLCON_PREFIX_PATH")]

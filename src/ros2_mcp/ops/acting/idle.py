@@ -126,7 +126,9 @@ def _below(controllers: Mapping[str, Mapping[str, Any]], meant: Sequence[str]) -
 
 
 def _interfaces(controller: Mapping[str, Any]) -> Sequence[str]:
-    """Return the interfaces that a controller commands: those claimed while it is active, and those always required."""
+    """Return the interfaces that a controller commands: interfaces claimed while it is active, and interfaces always
+    required.
+    """
     return [*controller["claimed_interfaces"], *controller["required_command_interfaces"]]
 
 

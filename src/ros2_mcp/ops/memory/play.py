@@ -465,8 +465,8 @@ _REMAP = 'Give it a name of ROS with remaps, such as {"vehicle.speed": "/vehicle
 async def _installed(
     robot: Robot, request: PlayRequest, topics: Mapping[str, StoredTopic]
 ) -> tuple[Mapping[str, StoredTopic], Mapping[str, str]]:
-    """The topics whose types the robot knows, and why not the others; raises `UnknownInterface` where one of those was
-    asked for by name, or none is left.
+    """The topics whose types the robot knows, and why the others are left out; raises `UnknownInterface` if an unknown
+    topic was asked for by name, or no topic is left.
     """
     errors: dict[str, UnknownInterface] = {}
     for name in {topic.type for topic in topics.values()}:
