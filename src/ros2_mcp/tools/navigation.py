@@ -426,6 +426,6 @@ async def ros2_place_set(
     frame: Annotated[str, Field(description="Coordinate frame.")] = "map",
     remove: Annotated[Flag, Field(description="Delete the place instead.")] = False,
 ) -> PlaceKept:
-    """Save a pose under a name, or delete one. Places outlive this server."""
+    """Save a place (a pose with a name), or delete a place. Places outlive this server."""
     request = PlaceRequest(name=name, x_m=x, y_m=y, yaw_deg=yaw_deg, frame=frame, remove=remove)
     return await set_place(robot, session, request)
