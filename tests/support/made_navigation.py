@@ -71,8 +71,8 @@ def made(*rows: tuple[str, str, Sequence[str], Sequence[str]]) -> list[TopicEndp
     return [topic(*row) for row in rows]
 
 
-def twist(ahead: float = 0.0) -> Any:
-    return SimpleNamespace(linear=SimpleNamespace(x=ahead, y=0.0, z=0.0), angular=SimpleNamespace(x=0.0, y=0.0, z=0.0))
+def twist(ahead: float = 0.0, turn: float = 0.0) -> Any:
+    return SimpleNamespace(linear=SimpleNamespace(x=ahead, y=0.0, z=0.0), angular=SimpleNamespace(x=0.0, y=0.0, z=turn))
 
 
 def odometry(ahead: float = 0.0, child: str = "base_link") -> Any:

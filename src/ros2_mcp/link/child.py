@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -24,6 +25,8 @@ from ros2_mcp_common.wire.limits import BATCH_BYTES
 # Enough for a traceback. Error messages show its last few lines, `doctor` and the log all.
 _KEPT_LINES = 50
 # The longest kept line: output without newlines must not fill the memory.
+_COLOURS = re.compile(rb"\x1b\[[0-9;]*[A-Za-z]")
+"""Colour codes, which DDS libraries print even where nobody sees colours."""
 _MAX_LINE_BYTES = 2000
 # Above this size of the write queue, sending the next body waits: a bridge that does not read must not fill the memory.
 _WRITE_BUFFER_BYTES = 1024 * 1024
@@ -246,7 +249,7 @@ def thread_states(pid: int) -> set[str]:
 
 
 def _plain(line: bytes) -> str:
-    return line[-_MAX_LINE_BYTES:].decode(errors="replace").rstrip()
+    return _COLOURS.sub(b"", line)[-_MAX_LINE_BYTES:].decode(errors="replace").rstrip()
 
 
 def _enlarge(pipe: int) -> None:

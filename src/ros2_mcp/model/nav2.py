@@ -69,6 +69,11 @@ NAVIGATION_NODES = (
 """Names of Nav2's nodes."""
 
 
+COSTMAPS = ("global_costmap", "local_costmap")
+"""Nodes with a lifecycle of their own that live within the planner's and the controller's server, which change it: no
+servers."""
+
+
 def is_drawn_by_nav2(topic: TopicEndpoints) -> bool:
     """Return whether only Nav2's own nodes publish the topic.
 

@@ -25,6 +25,9 @@ MOVES_NOTHING = frozenset(
         "nav_msgs/srv/SetMap",
         "rcl_interfaces/srv/SetLoggerLevels",
         "robot_localization/srv/SetPose",
+        "slam_toolbox/srv/DeserializePoseGraph",
+        "slam_toolbox/srv/SaveMap",
+        "slam_toolbox/srv/SerializePoseGraph",
     }
 )
 """Types that set the robot's pose estimate, clear or load maps, or start and pause nodes without a task. They are

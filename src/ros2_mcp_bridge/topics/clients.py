@@ -115,11 +115,11 @@ class Clients:
 
     def cancel_all(self, action: str) -> Steps[None]:
         """Steps that ask the server of an action to cancel all of its goals."""
-        head = {"op": "call", "service": f"{action}/_action/cancel_goal", "type": CANCEL_GOAL, "timeout_s": CANCELLED_S}
+        head = {"op": "call", "service": f"{action}/_action/cancel_goal", "type": CANCEL_GOAL}
         interface = interfaces.load(CANCEL_GOAL)
         request = Request(head, rcl.serialize(interface.Request()))  # no goal and no time stand for all goals
         request.interface = interface
-        yield from self.call(request)
+        yield from self.answered(request, CANCELLED_S)
 
     def look(self) -> None:
         """Wake the requests whose answers have come.

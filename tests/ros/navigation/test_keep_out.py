@@ -148,6 +148,18 @@ def test_velocities_towards_a_zone_end_before_it_and_lead_away_again(rover: Rove
     rover.check()
 
 
+def test_a_drive_by_feedback_ends_before_a_zone(rover: Rover) -> None:
+    try:
+        told = str(rover.agent.call("ros2_drive", distance_m=2.0, speed=0.25, guard_m=0))
+    except Refusal as refusal:
+        told = str(refusal)
+    assert "keep-out zone stairs" in told, told
+    assert rover.check()[-1][0] < 0.6
+    assert not rover.latch.look().is_set
+    rover.agent.call("ros2_drive", distance_m=-0.4, speed=0.25, guard_m=0)
+    rover.check()
+
+
 def test_a_goal_whose_path_leads_into_a_zone_is_cancelled_while_it_is_driven(rover: Rover) -> None:
     raw = {
         "pose": {"header": {"frame_id": "map"}, "pose": {"position": {"x": 2.0, "y": 0.0}, "orientation": {"w": 1.0}}}

@@ -35,6 +35,8 @@ LATEST_S = 3.0
 STANDS_S = 1.0
 """After the server was killed; after the bridge alone it is half of that."""
 COMES_S = 15.0
+PATIENCE_S = 60.0
+"""This only ends a hang."""
 DEAF = 0.02
 """Of the deaths: a subscriber that shares a locked port of shared memory with the dead hears nobody for 1 s (decision
 33)."""
@@ -51,14 +53,11 @@ def robot(demo_environment: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
 
 def zero_s(observer: Observer, since_ns: int) -> float:
     """From that time to the arrival of the first zero after the last command that moves; 0 where none had come."""
-    with suppress(AssertionError):
-        until(lambda: not observer.moving(topic=CMD_VEL), COMES_S)
+    assert observer.comes_to_rest(CMD_VEL, PATIENCE_S) == []
     heard = observer.messages(topic=CMD_VEL)
     last_move = max((one["at"] for one in heard if any(one["values"])), default=0)
     zero = min((one["at"] for one in heard if one["at"] > last_move), default=0)
-    if not last_move:
-        return 0.0
-    return max(0.0, (zero - since_ns) / 1e9) if zero else COMES_S
+    return max(0.0, (zero - since_ns) / 1e9) if last_move else 0.0
 
 
 def in_shared_memory(since: float) -> tuple[int, int]:
@@ -123,17 +122,21 @@ def test_cycles_of_start_and_kill_leave_nothing_and_each_next_start_works(
         print(told, flush=True)
     print("zero after", sorted(round(each, 3) for each, _ in took_s), flush=True)
     until(lambda: all(map(has_ended, left)))
-    assert max(took for took, _ in took_s) < COMES_S
     last = start_server()
     bridges = [node for node in last.do("ros2_node_list")["nodes"] if "ros2_mcp" in node]
     print("of the dead are in the graph:", bridges, "and in the state folder:", in_state(state), flush=True)
     assert last.do("ros2_stop")["confirmed"]
-    if not FULL:
-        return
+    if FULL:
+        judge(took_s, sizes)
+
+
+def judge(took_s: list[tuple[float, Victims]], sizes: list[tuple[int, int, int]]) -> None:
+    """Nothing grows with the number of cycles, and the base stands in time."""
     tenth = max(1, CYCLES // 10)
     early, late = sizes[tenth : 2 * tenth], sizes[-tenth:]
     for place in range(3):
         assert max(one[place] for one in late) <= 1.5 * max(one[place] for one in early) + 2, (early, late)
     bar_s = {victims: STANDS_S if "server" in victims else STANDS_S / 2 for victims in VICTIMS}
+    assert max(took for took, _ in took_s) < COMES_S
     late_ones = [took for took, victims in took_s if took > bar_s[victims]]
     assert len(late_ones) <= max(1, DEAF * CYCLES), late_ones

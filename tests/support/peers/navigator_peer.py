@@ -5,7 +5,6 @@ value out. It has the controller follow a path to each goal of /navigate_to_pose
 from __future__ import annotations
 
 import json
-import os
 import sys
 import threading
 import time
@@ -121,7 +120,6 @@ def main() -> None:
         command, arguments = json.loads(line)
         print(json.dumps(getattr(navigator, command)(**arguments)), flush=True)
     navigator.leave()
-    os._exit(0)  # an ending interpreter aborts where a thread of the pool is still in a function of C++
 
 
 if __name__ == "__main__":

@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import pytest
 
+from ros2_mcp.ops.actions.running import RunningGoal
 from ros2_mcp.ops.stop.judge import Observation
-from ros2_mcp.ops.stop.stop import Stopped, StoppedGoal, StoppedTopic, _doubts, _facts, _unknown
+from ros2_mcp.ops.stop.stop import Stopped, StoppedGoal, StoppedTopic, _doubts, _facts, _unknown, looked_again
 
 ENDED = {"repeats": 0, "relays": 0, "dropped": [], "topics": []}
 UNSEEN = Observation(verdict="not observed", sentence="Not observed.")
@@ -91,3 +92,28 @@ def test_a_goal_that_goes_on_has_not_ended_already() -> None:
     stopped = replace(nothing, is_doubted=True)
     assert stopped.summary().startswith("NOT confirmed") and "had ended already" not in stopped.summary()
     assert _doubts([], goals, UNSEEN) == ["Goal a has not ended yet."]
+
+
+class Looks:
+    """Looks up running goals on a busy computer: only with patience."""
+
+    def __init__(self, found: list[RunningGoal] | None) -> None:
+        self._found, self.patience_s = found, list[float]()
+
+    async def __call__(self, *_: object, **patience: float) -> list[RunningGoal] | None:
+        self.patience_s += patience.values()
+        return self._found if patience else None
+
+
+GOAL = RunningGoal("/navigate_to_pose", "nav2_msgs/action/NavigateToPose", "a1", "EXECUTING")
+
+
+async def test_a_goal_of_another_client_is_looked_for_again_where_the_robot_moves_or_the_first_look_was_too_short() -> (
+    None
+):
+    assert await looked_again(Looks([GOAL]), [], is_moving=True) == [GOAL]
+    assert await looked_again(Looks([GOAL]), None, is_moving=False) == [GOAL]
+    assert await looked_again(Looks(None), None, is_moving=False) is None
+    quick = Looks([GOAL])
+    assert await looked_again(quick, [], is_moving=False) == [] and quick.patience_s == []
+    assert await looked_again(quick, [GOAL], is_moving=True) == [GOAL]  # still unknown: what was found counts

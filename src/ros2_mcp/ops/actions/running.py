@@ -10,7 +10,7 @@ from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.goals import TERMINAL
 from ros2_mcp.model.nav2 import BELOW, CANNOT_MOVE, DOCK, FOLLOW_WAYPOINTS, NAVIGATORS
 from ros2_mcp.model.text import listed, named
-from ros2_mcp.ops.actions.status import states_now
+from ros2_mcp.ops.actions.status import LATCHED_S, states_now
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.goals import Goal
 
@@ -50,23 +50,27 @@ class RunningGoal:
 
 
 async def running_goals(
-    robot: Robot, actions: Mapping[str, Sequence[str]] | None = None, *, beside: Collection[str] = ()
+    robot: Robot,
+    actions: Mapping[str, Sequence[str]] | None = None,
+    *,
+    beside: Collection[str] = (),
+    within_s: float = LATCHED_S,
 ) -> list[RunningGoal]:
     """Return the running goals of these actions, or of all actions, that can move a robot, except goals whose ids are
     in `beside`.
 
-    Takes half a second if a server has had no goal yet. A dead server reports nothing. Raises the same errors as
-    `Resolution.actions`.
+    Takes `within_s` if a server has had no goal yet; on a busy computer a status may come later than that. A dead
+    server reports nothing. Raises the same errors as `Resolution.actions`.
     """
     known = await robot.types.actions() if actions is None else actions
     asked = [(name, kinds) for name, kinds in sorted(known.items()) if not CANNOT_MOVE.issuperset(kinds)]
-    found = await asyncio.gather(*(_running(robot, name, kinds) for name, kinds in asked[:_MOST_ACTIONS]))
+    found = await asyncio.gather(*(_running(robot, name, kinds, within_s) for name, kinds in asked[:_MOST_ACTIONS]))
     return [goal for goals in found for goal in goals if goal.goal_id not in beside]
 
 
-async def _running(robot: Robot, action: str, kinds: Sequence[str]) -> list[RunningGoal]:
+async def _running(robot: Robot, action: str, kinds: Sequence[str], within_s: float) -> list[RunningGoal]:
     try:
-        states = await states_now(robot, action)
+        states = await states_now(robot, action, within_s)
     except RobotError:
         return []
     running = [state for state in states if state.status_code not in TERMINAL]

@@ -25,7 +25,7 @@ other, within 3 s of each other."""
 MAX_MESSAGES = 1000
 """The most messages of one call that follows states or feedback: more than a model reads,
 and a bound on what is collected."""
-_LATCHED_S = 0.5
+LATCHED_S = 0.5
 """Time for the latched message: it comes with the matching, within milliseconds. A server that has had no goal has
 none.
 """
@@ -92,7 +92,7 @@ class KnownGoals:
         return f"{counted(len(self.goals), 'goal')}; {counted(len(self.actions), 'action')} known. {self.note}".rstrip()
 
 
-async def states_now(robot: Robot, action: str, within_s: float = _LATCHED_S) -> list[GoalState]:
+async def states_now(robot: Robot, action: str, within_s: float = LATCHED_S) -> list[GoalState]:
     """Return the newest states of an action's goals; none if the server has not published any."""
     try:
         async with robot.listen(f"{action}/_action/status", STATUS_TYPE, keep="latest") as listening:

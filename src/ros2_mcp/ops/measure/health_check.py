@@ -6,6 +6,7 @@ Judging is done by pure functions on the data of a source, and does not depend o
 from __future__ import annotations
 
 import asyncio
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal
@@ -14,6 +15,7 @@ from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadData, UnknownInterface
 from ros2_mcp.model.graph import OF_EVERY_NODE
+from ros2_mcp.model.nav2 import is_drawn_by_nav2
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import listed, named
 from ros2_mcp.model.times import both_times
@@ -59,6 +61,8 @@ MAX_ROWS = 60
 MAX_FINDINGS = 40
 MAX_STATUSES = 30
 MAX_NAMES = 30
+_LEAST_GROUPED = 10
+"""Topics without a fault that only Nav2's own nodes publish: a whole stack has sixty, and is one line."""
 # The most names in the note: of topics not measured, and of topics that failed.
 _MAX_SKIPPED = 8
 _MAX_FAILED = 5
@@ -109,7 +113,7 @@ class Health:
 
     A `rate_hz` of null means too few messages. `services` and `nodes` are the expected ones. `counts` has the full
     length of each shortened list; the worst entries come first. `other_topics` maps the remaining topics to their
-    state, such as `OK, 10 Hz`.
+    state, such as `OK, 10 Hz`; many of Nav2's own are counted in one row.
     """
 
     verdict: Verdict = field(metadata=SAID)
@@ -261,14 +265,25 @@ def _report(
     visible = [row for row in rows if not names.is_hidden(row.topic_name) and row.topic_name not in OF_EVERY_NODE]
     visible.sort(key=lambda row: (row.state in _NO_FAULT, not row.expected))
     in_full = [row for row in visible if row.expected or row.state not in _NO_FAULT]
+    without_fault = visible[len(in_full) :]
+    of_nav2 = [
+        row
+        for row in without_fault
+        if row.topic_name in graph.topics and is_drawn_by_nav2(graph.topics[row.topic_name])
+    ]
+    grouped = {row.topic_name for row in of_nav2} if len(of_nav2) >= _LEAST_GROUPED else frozenset[str]()
+    alone = [row for row in visible if row.topic_name not in grouped]
     # A recording knows the publishers, but neither nodes nor subscribers.
-    without_subscribers = [row.topic_name for row in visible if graph.nodes and row.publishers and not row.subscribers]
-    without_publishers = [row.topic_name for row in visible if row.subscribers and not row.publishers]
+    without_subscribers = [row.topic_name for row in alone if graph.nodes and row.publishers and not row.subscribers]
+    without_publishers = [row.topic_name for row in alone if row.subscribers and not row.publishers]
     return Health(
         verdict="HEALTHY" if not findings else "CRITICAL" if findings[0].severity == "critical" else "DEGRADED",
         findings=findings[:MAX_FINDINGS],
         topics=in_full[:MAX_ROWS],
-        other_topics={row.topic_name: _state_in_words(row) for row in visible[len(in_full) : MAX_ROWS]},
+        other_topics={
+            **{row.topic_name: _state_in_words(row) for row in alone[len(in_full) : MAX_ROWS]},
+            **({f"{len(of_nav2)} topics that only Nav2 publishes": _states_in_words(of_nav2)} if grouped else {}),
+        },
         services=_presence(expected.services, graph.services),
         nodes=_presence(expected.nodes, graph.nodes),
         diagnostics=[replace(row, values={}) if row.level == "OK" else row for row in diagnostics.rows[:MAX_STATUSES]],
@@ -344,6 +359,11 @@ def _state_in_words(row: TopicRow) -> str:
     if row.from_before:
         return f"{row.state}, {row.from_before}"
     return row.state if row.rate_hz is None else f"{row.state}, {row.rate_hz:g} Hz"
+
+
+def _states_in_words(rows: Sequence[TopicRow]) -> str:
+    counts = Counter(row.state for row in rows)
+    return ", ".join(f"{count} {state}" for state, count in counts.most_common())
 
 
 def _row(graph: GraphSnapshot, name: str, flows: Mapping[str, Flow], expected: Expectations) -> TopicRow:

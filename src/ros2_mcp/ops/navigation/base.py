@@ -10,16 +10,15 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, cast
 
-from ros2_mcp.model import parameters
 from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.graph import TopicEndpoints
 from ros2_mcp.model.nav2 import NAVIGATION_NODES
 from ros2_mcp.model.text import listed, named
-from ros2_mcp.ops.nodes.own_services import ask_node
+from ros2_mcp.ops.nodes.own_services import ask_node, parameter_values
 from ros2_mcp.robot import Robot
 
 _VELOCITIES = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
-_LIST, _GET = "rcl_interfaces/srv/ListParameters", "rcl_interfaces/srv/GetParameters"
+_LIST = "rcl_interfaces/srv/ListParameters"
 _ANSWER_S = 1.0
 """A node that spins answers within milliseconds; a node that hangs must not delay an explanation."""
 _MOST_NODES, _MOST_TOPICS, _MOST_NAMES = 6, 12, 40
@@ -145,9 +144,7 @@ async def _asked_limits(robot: Robot, node: str) -> list[str]:
     if not asked:
         return []
     unlimited = [name for name in known if name.endswith(".has_velocity_limits")]
-    answer = await ask_node(robot, node, _GET, {"names": [*asked, *unlimited]}, timeout_s=_ANSWER_S, wait_s=0.0)
-    values = [parameters.value_of(value) for value in (await robot.fields_of(answer))["values"]]
-    told = dict(zip([*asked, *unlimited], values, strict=False))
+    told = await parameter_values(robot, node, [*asked, *unlimited], timeout_s=_ANSWER_S, wait_s=0.0)
     without = tuple(name.rpartition(".")[0] + "." for name in unlimited if told.get(name) is False)
     return [
         f"{named(node)} has the limit {named(name)} = {told[name]}."

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from ros2_mcp.model.errors import BadInput
+from ros2_mcp.model.nav2 import COSTMAPS
 from ros2_mcp.model.text import counted, named
 from ros2_mcp.ops.navigation.checks import NEEDS, nav_findings_in, not_checked
 from ros2_mcp.ops.navigation.checks.command_chain import chain_of
@@ -103,7 +104,9 @@ def servers_in_words(evidence: NavEvidence) -> str:
     """Say how many of Nav2's servers are active."""
     managed = [node for supervisor in evidence.supervisors for node in evidence.managed(supervisor)]
     servers = list(dict.fromkeys(managed)) or [
-        node for node in evidence.robots_nodes if node in (evidence.states or {})
+        node
+        for node in evidence.robots_nodes
+        if node in (evidence.states or {}) and node.rpartition("/")[2] not in COSTMAPS
     ]
     if evidence.states is None or not servers:
         return "Nav2: the states of its servers are not known"

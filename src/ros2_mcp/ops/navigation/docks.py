@@ -8,14 +8,12 @@ from dataclasses import dataclass
 from time import monotonic
 from typing import Any, cast
 
-from ros2_mcp.model import parameters
 from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.navigation.targets import MAP_FRAME
-from ros2_mcp.ops.nodes.own_services import ask_node
+from ros2_mcp.ops.nodes.own_services import parameter_values
 from ros2_mcp.robot import Robot
 
-_GET = "rcl_interfaces/srv/GetParameters"
 _ANSWER_S = 1.0
 _MOST_DOCKS = 50
 _BATTERY = "sensor_msgs/msg/BatteryState"
@@ -56,9 +54,8 @@ async def docks_of(robot: Robot, action: str) -> Sequence[Dock] | None:
 
 
 async def _values(robot: Robot, node: str, names: Sequence[str]) -> Sequence[Any]:
-    answer = await ask_node(robot, node, _GET, {"names": list(names)}, timeout_s=_ANSWER_S)
-    values = [parameters.value_of(value) for value in (await robot.fields_of(answer))["values"]]
-    return [*values, *(None for _ in range(len(names) - len(values)))]
+    found = await parameter_values(robot, node, names, timeout_s=_ANSWER_S)
+    return [found.get(name) for name in names]
 
 
 def _dock(name: str, values: Sequence[Any]) -> Dock:

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from ros2_mcp.model.text import named
-from ros2_mcp.ops.navigation.checks.collision_monitor import Near
+from ros2_mcp.ops.navigation.checks.collision_monitor import INVALID_SOURCE, Near
 from ros2_mcp.ops.navigation.checks.tuning import MISSED
 
 STANDS_MPS, STANDS_RADPS = 0.02, 0.05
@@ -170,6 +170,11 @@ class DriveWatch:
         if action not in MONITOR_ACTIONS:
             return ""
         verb = "holds" if action == 1 else MONITOR_ACTIONS[action]
+        if polygon == INVALID_SOURCE:
+            return (
+                f"The collision monitor {verb} the robot, for {now - since:.0f} s: a source of it is silent, late or "
+                "without a transform."
+            )
         by = f"polygon {named(polygon)}" if polygon else "no polygon named"
         near = f", with something at {self._near}" if self._near else ""
         return f"The collision monitor {verb} the robot, for {now - since:.0f} s: {by}{near}."

@@ -127,7 +127,8 @@ def _has_moved(before: Whereabouts, after: Whereabouts) -> bool:
 
 def _fit(x_m: float, y_m: float, yaw_rad: float, share: float | None, through: float) -> PoseFit:
     known = None if share is None else round(share, 3)
-    return PoseFit(round(x_m, 3), round(y_m, 3), round(math.degrees(yaw_rad), 1), known, round(through, 3))
+    # Rounded as the text shows it, so that the pose from the text is the same one: an approval is for exact values.
+    return PoseFit(round(x_m, 2), round(y_m, 2), float(round(math.degrees(yaw_rad))), known, round(through, 3))
 
 
 def _age(age_s: float) -> str:

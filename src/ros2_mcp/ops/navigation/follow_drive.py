@@ -70,7 +70,7 @@ async def follow_drive(robot: Robot, action: str, watch: DriveWatch) -> None:
             heard.append((row.name, MONITOR_STATE, partial(_take_monitor, watch)))
             monitors.append(row.name)
         elif is_own and TREE_LOG in row.types:
-            heard.append((row.name, TREE_LOG, partial(_take_tree, watch)))
+            heard.append((row.name, TREE_LOG, partial(take_tree, watch)))
     for name, kinds in actions.items():
         known = [BEHAVIOURS[kind] for kind in kinds if kind in BEHAVIOURS]
         if known and name.startswith(f"{namespace}/"):
@@ -156,12 +156,14 @@ def _take_monitor(watch: DriveWatch, message: Mapping[str, Any]) -> None:
     watch.monitor(int(message["action_type"]), str(message["polygon_name"]), monotonic())
 
 
-def _take_tree(watch: DriveWatch, message: Mapping[str, Any]) -> None:
+def take_tree(watch: DriveWatch, message: Mapping[str, Any]) -> None:
     """Take costmap clearings from the log of the behaviour tree. They are services, which appear nowhere else; other
     recoveries are actions."""
     for change in message["event_log"]:
         name = str(change["node_name"])
-        if _CLEARS in name.lower() and change["current_status"] == "RUNNING":
+        before, after = change["previous_status"], change["current_status"]
+        # A clearing that is answered at once succeeds without ever running.
+        if _CLEARS in name.lower() and (after == "RUNNING" or (before, after) == ("IDLE", "SUCCESS")):
             which = "local" if "local" in name.lower() else "global" if "global" in name.lower() else ""
             cleared = f"clear {which} costmap".replace("  ", " ")
             watch.behaviour(cleared, is_running=True, now=monotonic())

@@ -12,6 +12,7 @@ import time
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass
+from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.guard.state import StateFolder
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 FILE = "last_pose.json"
 _FITS = 0.5
 """Least share of beams that fit. A localised robot has 0.7 or more, even among people; a lost one 0.4 or less."""
+_MAP_KEPT_S = 300.0
 _MOST_S = 3.0
 """Longest time for a note: it must not delay a navigation's answer if the scanner is silent."""
 
@@ -88,6 +90,21 @@ class LastPose(Kept):
     def __init__(self, folder: StateFolder | None = None) -> None:
         self._folder = folder
         self._in_memory: KeptPose | None = None
+        self._seen: ScanOnMap | None = None
+        self._seen_at = 0.0
+
+    async def seen(self, robot: Robot) -> ScanOnMap | str:
+        """Return a scan from now on the map, which is read again only after some minutes: a large one takes seconds
+        over a slow network."""
+        known = self._seen if monotonic() - self._seen_at < _MAP_KEPT_S else None
+        seen = await scan_on_map(robot, known)
+        if isinstance(seen, ScanOnMap) and known is None:
+            self._seen, self._seen_at = seen, monotonic()
+        return seen
+
+    def forget_map(self) -> None:
+        """Read the map again for the next pose."""
+        self._seen = None
 
     def read(self) -> KeptPose:
         """Return the stored pose.
@@ -137,7 +154,7 @@ async def note_last_pose(robot: Robot) -> bool:
 
 
 async def _note(robot: Robot) -> bool:
-    where, seen = await asyncio.gather(whereabouts(robot, MAP_FRAME), scan_on_map(robot))
+    where, seen = await asyncio.gather(whereabouts(robot, MAP_FRAME), last_pose_of(robot).seen(robot))
     if where.x_m is None or where.y_m is None or where.yaw_rad is None or where.trouble:
         return False
     if not isinstance(seen, ScanOnMap) or seen.base != where.base:

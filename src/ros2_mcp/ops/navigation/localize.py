@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from time import monotonic
 
-from ros2_mcp.model.errors import BadInput
+from ros2_mcp.model.errors import ApprovalNeeded, BadInput, Refused
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.navigation.find_pose import Found, PoseFit, find_pose, last_pose
 from ros2_mcp.ops.navigation.known_places import places_of
@@ -127,7 +127,14 @@ async def localize(robot: Robot, session: Session, request: LocalizeRequest, rep
         if before.yaw_rad is None:
             raise BadInput("The pose has no heading, and the robot's is not known.", "Give yaw_deg, or search=true.")
         target = replace(target, yaw_rad=before.yaw_rad)
-    published = await publish(robot, session, _request(target, request.topic or TOPIC))
+    try:
+        published = await publish(robot, session, _request(target, request.topic or TOPIC))
+    except ApprovalNeeded as error:
+        again = f" Once it is approved, call with at={found.poses[0]}." if found else ""  # another search differs a bit
+        raise ApprovalNeeded(f"{error.message}{again}", error.hint, request_id=error.request_id) from error
+    except Refused as error:
+        best = f" {found.how} The best pose: {found.poses[0]}." if found else ""
+        raise Refused(f"{error.message}{best}", error.hint) from error
     after, is_taken = await _taken(robot, target)
     fit_after = await scan_fit(robot)
     notes = [published.note, *session.notes]

@@ -22,7 +22,7 @@ from ros2_mcp.model.times import iso_time
 from ros2_mcp.ops.log.complaints import complaints_from_now
 from ros2_mcp.ops.navigation.known_places import places_of
 from ros2_mcp.ops.navigation.last_costmaps import sent_ns
-from ros2_mcp.ops.navigation.last_pose import MapMark
+from ros2_mcp.ops.navigation.last_pose import MapMark, last_pose_of
 from ros2_mcp.ops.navigation.scan_fit import ScanFit, scan_fit
 from ros2_mcp.ops.navigation.targets import targets_of
 from ros2_mcp.ops.nodes.own_services import ask_node
@@ -182,6 +182,7 @@ async def nav_map(robot: Robot, session: Session, request: MapRequest, report: R
     if request.what == "save":
         verified, now, fit = written(robot, request.path, kind, called_at), before, ""
     else:
+        last_pose_of(robot).forget_map()
         verified, now = await _published(robot, topic, before)
         fit = _fit(await scan_fit(robot))
     return NavMap(

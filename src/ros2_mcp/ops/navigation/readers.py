@@ -14,7 +14,7 @@ from typing import Any
 
 import anyio
 
-from ros2_mcp.model import names, parameters
+from ros2_mcp.model import names
 from ros2_mcp.model.aside import aside, load
 from ros2_mcp.model.errors import BadData, NotFound, RobotError
 from ros2_mcp.model.samples import Sample, header_stamp_ns
@@ -40,7 +40,7 @@ from ros2_mcp.ops.navigation.evidence import (
 from ros2_mcp.ops.navigation.situation import costmap_of
 from ros2_mcp.ops.navigation.targets import Target
 from ros2_mcp.ops.navigation.whereabouts import in_frame, why_not_in_frame
-from ros2_mcp.ops.nodes.own_services import ask_node
+from ros2_mcp.ops.nodes.own_services import ask_node, parameter_values
 from ros2_mcp.ops.sources.live import Live
 from ros2_mcp.ops.sources.source import Capture, GraphSnapshot, Stream
 from ros2_mcp.robot import Robot
@@ -71,7 +71,7 @@ decoded.
 _FRAMES_S = 1.8
 _LOG_S, _LOG_LINES, _LOG_BYTES = 900.0, 300, 60_000
 """The log of the bring-up may explain a failure, as far back as it is kept."""
-_LIST, _GET = "rcl_interfaces/srv/ListParameters", "rcl_interfaces/srv/GetParameters"
+_LIST = "rcl_interfaces/srv/ListParameters"
 _GET_STATE = "lifecycle_msgs/srv/GetState"
 _CLOCK_PARAMETER = "use_sim_time"
 _TELLS_MORE = ("diff_drive", "base", "ekf", "ukf", "odom", "localization", "slam", "mux", "controller")
@@ -250,10 +250,9 @@ async def declared_by(robot: Robot, node: str) -> Sequence[str]:
 
 
 async def values_of(robot: Robot, node: str, wanted: Sequence[str]) -> Mapping[str, Any]:
-    """Return parameters of a node by name. Raises `RobotError` if it does not answer in time."""
-    answer = await ask_node(robot, node, _GET, {"names": list(wanted)}, timeout_s=_ANSWER_S, wait_s=0.0)
-    values = [parameters.value_of(value) for value in (await robot.fields_of(answer))["values"]]
-    return dict(zip(wanted, values, strict=False))
+    """Return parameters of a node by name, without those that have no value. Raises `RobotError` if it does not answer
+    in time."""
+    return await parameter_values(robot, node, wanted, timeout_s=_ANSWER_S, wait_s=0.0)
 
 
 async def _states(robot: Robot, graph: GraphSnapshot) -> States:

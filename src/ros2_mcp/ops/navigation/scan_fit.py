@@ -84,17 +84,16 @@ async def scan_fit(robot: Robot) -> ScanFit | str:
     return await ScanOnMap(read.grid, hits, "", read.scan_topic, read.map_topic).fit_at(0.0, 0.0, 0.0)
 
 
-async def scan_on_map(robot: Robot) -> ScanOnMap | str:
-    """Return the map and a scan from now, for poses other than the estimated pose, or a sentence on what is missing.
-    Raises no `RobotError`.
-    """
+async def scan_on_map(robot: Robot, known: ScanOnMap | None = None) -> ScanOnMap | str:
+    """Return the map and a scan from now, for poses other than the estimated one, or a sentence on what is missing. The
+    map of `known` is not read again. Raises no `RobotError`."""
     await load("ros2_mcp.world.scans", "ros2_mcp.world.map_fit")  # with numpy: not before it is needed
     from ros2_mcp.ops.space.frames import frames_of
     from ros2_mcp.world.no_transform import why_none
     from ros2_mcp.world.scans import moved
 
     try:
-        read = await _read(robot)
+        read = await _read(robot, known)
         if isinstance(read, str):
             return read
         frame = read.frame.lstrip("/")
@@ -122,7 +121,7 @@ class _Read:
     map_topic: str
 
 
-async def _read(robot: Robot) -> _Read | str:
+async def _read(robot: Robot, known: ScanOnMap | None = None) -> _Read | str:
     from ros2_mcp.world.occupancy import OccupancyGrid
     from ros2_mcp.world.scans import scan_points
 
@@ -132,7 +131,11 @@ async def _read(robot: Robot) -> _Read | str:
     if not maps or not scans:
         return "no map is published" if not maps else "no laser scan is published"
     maps.sort(key=lambda name: (not name.endswith("/map"), len(name)))
-    grid = OccupancyGrid((await next_message(Live(robot).lasting(_MAP_S), maps[0], OCCUPANCY_GRID, silent)).message)
+    if known and known.map_topic == maps[0]:
+        grid = known.grid
+    else:
+        message: Any = (await next_message(Live(robot).lasting(_MAP_S), maps[0], OCCUPANCY_GRID, silent)).message
+        grid = OccupancyGrid(message)
     scan: Any = (await next_message(Live(robot).lasting(_SCAN_S), scans[0], _SCAN, silent)).message
     hits = scan_points(scan).hits
     if len(hits) < _LEAST_HITS:

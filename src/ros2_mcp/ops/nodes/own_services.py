@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from typing import Any
 
+from ros2_mcp.model import parameters
 from ros2_mcp.model.commands import Answer
 from ros2_mcp.model.errors import NotFound, TimedOut
 from ros2_mcp.robot import Robot
 
+Ask = Callable[[Sequence[str]], Awaitable[Sequence[Any]]]
+"""Requests something about parameters with these names; the answer has one entry for each, or fewer."""
 TIMEOUT_S = 5.0
 """Time-out of a call: a node that spins answers within milliseconds, and a node that is starting within seconds."""
 APPEAR_S = 1.0
@@ -28,6 +31,58 @@ async def ask_node(
 ) -> Answer:
     """Call a service of a node. Raises the same errors as `Robot.ask_service`."""
     return await robot.ask_service(service_of(node, kind), kind, request, timeout_s=timeout_s, wait_s=wait_s)
+
+
+async def parameter_values(
+    robot: Robot, node: str, asked: Sequence[str], *, timeout_s: float, wait_s: float | None = None
+) -> dict[str, Any]:
+    """Return the values of a node's parameters by name, without those that it does not have or that are not set. Raises
+    the same errors as `Robot.ask_service`; the time-out is that of each request.
+    """
+
+    def asking(kind: str, key: str) -> Ask:
+        async def ask(wanted: Sequence[str]) -> Sequence[Any]:
+            request = {"names": list(wanted)}
+            answer = await ask_node(
+                robot, node, f"rcl_interfaces/srv/{kind}", request, timeout_s=timeout_s, wait_s=wait_s
+            )
+            return (await robot.fields_of(answer))[key]
+
+        return ask
+
+    return await set_values(asking("GetParameters", "values"), asking("GetParameterTypes", "types"), asked)
+
+
+async def set_values(get: Ask, types: Ask, asked: Sequence[str]) -> dict[str, Any]:
+    """Return the values that `get` answers, as `parameter_values` does. `types` tells which parameters are not set,
+    where the answer is too short."""
+    answers = await get(asked) if asked else ()
+    if len(answers) != len(asked):  # one request more for the types, in place of a dozen in halves
+        kinds = await types(asked)
+        is_known = len(kinds) == len(asked)
+        asked = [name for name, kind in zip(asked, kinds, strict=True) if int(kind)] if is_known else asked
+        found = await by_name(get, asked)
+    else:
+        found = dict(zip(asked, answers, strict=True))
+    return {name: parameters.value_of(value) for name, value in found.items() if int(value["type"])}
+
+
+async def by_name(ask: Ask, asked: Sequence[str]) -> dict[str, Any]:
+    """Return what a node answers for each name, without the names for which it has no answer.
+
+    One parameter that is declared but not set makes rclcpp and rclpy answer for none (or leave out those after it). So
+    if the answer is shorter than the request, it is requested again in halves.
+    """
+    if not asked:
+        return {}
+    answers = await ask(asked)
+    if len(answers) == len(asked):
+        return dict(zip(asked, answers, strict=True))
+    if len(asked) == 1:
+        return {}
+    middle = len(asked) // 2
+    first = await by_name(ask, asked[:middle])  # in turn: a node gets one request at a time
+    return first | await by_name(ask, asked[middle:])
 
 
 async def fields_of_answer(

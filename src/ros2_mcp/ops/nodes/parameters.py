@@ -16,7 +16,7 @@ from ros2_mcp.model.commands import SetParameters
 from ros2_mcp.model.errors import BadInput, BadValue, NotFound
 from ros2_mcp.model.text import counted, in_quotes, listed, named, quoted
 from ros2_mcp.ops.nodes.list import list_nodes
-from ros2_mcp.ops.nodes.own_services import APPEAR_S, TIMEOUT_S, ask_node, fields_of_answer, service_of
+from ros2_mcp.ops.nodes.own_services import APPEAR_S, TIMEOUT_S, ask_node, by_name, fields_of_answer, service_of
 from ros2_mcp.ops.results.results import EXACT, HIDDEN, IF_ANY, ON_REQUEST, SAID, answer_bytes, list_note, or_error
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.session import Session
@@ -463,21 +463,12 @@ async def _read(robot: Robot, node: str, asked: Sequence[str], declared: Collect
 
 
 async def _of_each(robot: Robot, node: str, kind: str, key: str, asked: Sequence[str]) -> dict[str, Any]:
-    """Return what a node answers for each name, without the names for which it has no answer.
+    """Return what a node answers for each name, without the names for which it has no answer."""
 
-    One parameter that is declared but not set makes rclcpp and rclpy answer for none (or leave out those after it). So
-    if the answer is shorter than the request, it is requested again in halves.
-    """
-    if not asked:
-        return {}
-    answers = (await _response(robot, node, kind, {"names": list(asked)}))[key]
-    if len(answers) == len(asked):
-        return dict(zip(asked, answers, strict=True))
-    if len(asked) == 1:
-        return {}
-    middle = len(asked) // 2
-    first = await _of_each(robot, node, kind, key, asked[:middle])  # in turn: a node gets one request at a time
-    return first | await _of_each(robot, node, kind, key, asked[middle:])
+    async def ask(wanted: Sequence[str]) -> Sequence[Any]:
+        return (await _response(robot, node, kind, {"names": list(wanted)}))[key]
+
+    return await by_name(ask, asked)
 
 
 def _parameter(

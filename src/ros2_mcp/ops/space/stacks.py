@@ -6,8 +6,9 @@ import asyncio
 from collections.abc import Sequence
 
 from ros2_mcp.model.errors import RobotError
-from ros2_mcp.model.nav2 import NAVIGATION_NODES
+from ros2_mcp.model.nav2 import COSTMAPS, NAVIGATION_NODES
 from ros2_mcp.ops.nodes.own_services import ask_node
+from ros2_mcp.ops.nodes.stacks import stacks_of as managed_stacks
 from ros2_mcp.ops.sources.source import GraphSnapshot, Source
 from ros2_mcp.robot import Robot
 
@@ -36,13 +37,16 @@ def stacks_of(graph: GraphSnapshot) -> list[str]:
 
 
 async def nav2_active(robot: Robot, source: Source, graph: GraphSnapshot) -> str:
-    """Return the number of active Nav2 servers, such as `7 of 7 active`; empty for a recording, or without lifecycle
-    nodes.
+    """Return the number of active Nav2 servers, such as `7 of 7 active`: those that its lifecycle managers start, as
+    for `ros2_nav_check`, else those that have a state. Empty for a recording, or without lifecycle nodes.
     """
     offered = [name.rpartition("/")[0] for name, types in (graph.services or {}).items() if _GET_STATE in types]
-    nodes = [node for node in offered if node.rpartition("/")[2] in (*NAVIGATION_NODES, "docking_server")]
+    servers = {*NAVIGATION_NODES, "docking_server"} - {*COSTMAPS}
+    nodes = [node for node in offered if node.rpartition("/")[2] in servers]
     if not source.is_live or not nodes:
         return ""
+    managed = [node for stack in await managed_stacks(robot) for node in stack.nodes]
+    nodes = list(dict.fromkeys(managed)) or nodes
 
     async def is_active(node: str) -> bool:
         try:
@@ -56,7 +60,9 @@ async def nav2_active(robot: Robot, source: Source, graph: GraphSnapshot) -> str
 
 
 def with_active(stacks: Sequence[str], active: str) -> list[str]:
-    """Return the names of the stacks, with the number of active servers after Nav2, and who says why not all are."""
+    """Return the names of the stacks, with the number of active servers after Nav2, and who says why not all are. AMCL
+    is one of those servers."""
     count, _, whole = active.removesuffix(" active").partition(" of ")
     why = "" if count == whole else " (ros2_health_check or ros2_nav_check says why)"
-    return [f"Nav2: {active}{why}" if stack == "Nav2" and active else stack for stack in stacks]
+    told = [stack for stack in stacks if stack != "amcl"] if "Nav2" in stacks and active else stacks
+    return [f"Nav2: {active}{why}" if stack == "Nav2" and active else stack for stack in told]

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from time import monotonic
 
 import anyio
@@ -20,6 +21,7 @@ from ros2_mcp.model.text import counted, listed
 from ros2_mcp.ops.acting.flights import StoppedFlight, brake_flights
 from ros2_mcp.ops.actions.result import result_of
 from ros2_mcp.ops.actions.running import RunningGoal, from_above, running_goals
+from ros2_mcp.ops.actions.status import LATCHED_S as LATCHED_STATUS_S
 from ros2_mcp.ops.results.results import HIDDEN, IF_ANY, SAID
 from ros2_mcp.ops.stop.judge import Observation, Observed, is_confirmed
 from ros2_mcp.ops.stop.observe import observe_still
@@ -41,6 +43,9 @@ _OTHERS_S = 1.0
 """Time to look up other publishers and running goals: the bridge has them at once,
 unless discovery is still under way.
 """
+_PATIENT_S, _LATE_S = 3.0, 2.0
+"""Time for a second look at running goals, where the first one took too long or found none although the robot moves;
+and of that for one status: on a busy computer it comes seconds after the matching."""
 _OUT_OF_REACH_S = 2.3
 """After a silence of this length, the link lease of a remote robot (2 s) has lapsed there, and what this server drove
 has stopped (required: within 0.3 s of that). More waiting would change nothing for the robot."""
@@ -54,9 +59,12 @@ _LATCH_S = 0.2
 a tenth of that.
 """
 _UNANSWERED_S = 0.5
-"""Time-out for an action server that did not answer the last stop, so that a dead server does not cost each stop the
-full time.
-"""
+"""Time-out for an action server that did not answer the last stop, so that a dead one does
+not cost each stop the full time."""
+_UNREAD = (
+    f"Which goals of other clients run could not be read within {_PATIENT_S:g} s: ros2_action_status lists them, and "
+    "ros2_cancel_action_goal ends them."
+)
 _MOST_RUNNING = 4
 """Goals of other clients that the note names with the call that ends each; the result has all."""
 _MOST_NAMED = 20
@@ -67,6 +75,8 @@ base, its multiplexer, a logger.
 """
 _going_on: set[asyncio.Task[Stopped]] = set()
 """Stops that continue after their answer. The set keeps a reference to each task, which asyncio does not."""
+Look = Callable[..., Awaitable["Sequence[RunningGoal] | None"]]
+"""Looks up running goals of others, as `_others_running` does."""
 _NOTHING: StopReply = {"repeats": 0, "relays": 0, "dropped": [], "topics": []}
 
 
@@ -293,7 +303,9 @@ async def _stop(robot: Robot) -> Stopped:
     notes = [f"{problem}."] if problem else []
     notes += [f"The latch could not be saved ({unwritten}): it is lost when this server ends."] if unwritten else []
     notes += [f"{job.kind} {job.id} did not end cleanly: {error}" for job, error in jobs.items() if error]
-    running = from_above(await _others_running(robot, running) if running else running)  # some end meanwhile
+    running = await looked_again(partial(_others_running, robot), running, is_moving=observation.is_moving)
+    notes += [_UNREAD] if running is None else []
+    running = from_above(running or ())
     doubts = [*notes, *_doubts(topics, goals, observation), *(job.doubt for job in jobs if job.doubt)]
     doubts += [goal.sentence for goal in running[:_MOST_RUNNING]]
     unknown = _unknown(unsettled)
@@ -409,17 +421,34 @@ async def cancel_goals(robot: Robot) -> list[StoppedGoal]:
     return [goal for goal in found if goal]
 
 
-async def _others_running(robot: Robot, of: Sequence[RunningGoal] = ()) -> Sequence[RunningGoal]:
-    """Return the running goals that this server did not send; with `of`, only the goals of the same actions. If they
-    cannot be determined in time, return `of`.
+async def looked_again(
+    look: Look, running: Sequence[RunningGoal] | None, *, is_moving: bool
+) -> Sequence[RunningGoal] | None:
+    """Return the goals of others that still run after a first look found `running`; None if they cannot be determined.
+
+    Where the first look took too long, or found none although the robot moves, the second one takes more time.
+    """
+    if running:
+        still = await look(running)  # some end meanwhile
+        return running if still is None else still
+    if running is None or is_moving:
+        return await look(within_s=_PATIENT_S, status_s=_LATE_S)
+    return running
+
+
+async def _others_running(
+    robot: Robot, of: Sequence[RunningGoal] = (), *, within_s: float = _OTHERS_S, status_s: float = LATCHED_STATUS_S
+) -> Sequence[RunningGoal] | None:
+    """Return the running goals that this server did not send; with `of`, only those of the same actions. Return None if
+    they cannot be determined in time.
     """
     actions = {goal.action_name: [goal.action_type] for goal in of} or None
+    sent = {goal.id for goal in robot.jobs.running(Goal)}
     try:
-        with anyio.fail_after(_OTHERS_S):
-            found = await running_goals(robot, actions, beside={goal.id for goal in robot.jobs.running(Goal)})
+        with anyio.fail_after(within_s):
+            return await running_goals(robot, actions, beside=sent, within_s=status_s)
     except (RobotError, TimeoutError):
-        return of
-    return found
+        return None
 
 
 async def _cancel(robot: Robot, goal: Goal) -> StoppedGoal | None:

@@ -106,6 +106,17 @@ async def test_topics_that_are_as_they_should_be_are_told_in_short(window: Make)
     assert short < 700
 
 
+async def test_the_topics_that_nav2_has_for_itself_are_one_line_and_a_fault_of_one_is_told(window: Make) -> None:
+    own = [f"/{node}/{name}" for node in ("planner_server", "amcl", "bt_navigator") for name in "abcdefghijklmnopqrst"]
+    present = [topic(name, [endpoint(name.rpartition("/")[0], "lifecycle_msgs/msg/TransitionEvent")]) for name in own]
+    plan = topic("/plan", [endpoint("/planner_server", SCAN)])
+    windows = [window("/scan", SCAN, at(10), 3.0), window("/plan", SCAN, [], 3.0)]
+    found = await check([LIDAR, plan, *present], windows, topics=["/plan"])
+    assert found.other_topics == {"/scan": "OK, 10 Hz", "60 topics that only Nav2 publishes": "60 NOT MEASURED"}
+    assert [row.topic_name for row in found.topics] == ["/plan"]
+    assert found.publishers_without_subscribers == ["/plan", "/scan"]
+
+
 async def test_a_sensor_that_comes_in_pairs_has_not_stopped(window: Make) -> None:
     pairs = [(at + shift, {}) for at in range(1, 6) for shift in (0.0, 0.015)]
     found = await check([LIDAR], [window("/scan", SCAN, pairs, 6.9)])

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import pytest
+
 from ros2_mcp.ops.navigation.checks.collision_monitor import near_in
 from ros2_mcp.ops.navigation.drive_watch import DriveWatch
+from ros2_mcp.ops.navigation.follow_drive import take_tree
 
 
 def driving(
@@ -51,8 +54,19 @@ def test_a_collision_monitor_that_holds_is_named_with_its_polygon_and_before_all
     now = driving(4, watch)
     watch.monitor(1, "PolygonStop", 1.0)
     assert watch.sees(now) == "The collision monitor holds the robot, for 3 s: polygon PolygonStop."
+    watch.monitor(1, "invalid source", 2.0)
+    assert "a source of it is silent" in watch.sees(now) and "polygon" not in watch.sees(now)
     watch.monitor(0, "", now)
     assert "collision monitor" not in watch.sees(now)
+
+
+@pytest.mark.parametrize("changes", [[("IDLE", "SUCCESS")], [("IDLE", "RUNNING"), ("RUNNING", "SUCCESS")]])
+def test_a_clearing_counts_once_whether_it_was_answered_at_once_or_later(changes: list[tuple[str, str]]) -> None:
+    watch = DriveWatch(began_at=0.0)
+    for before, after in [*changes, ("SUCCESS", "IDLE")]:
+        change = {"node_name": "ClearLocalCostmap-Context", "previous_status": before, "current_status": after}
+        take_tree(watch, {"event_log": [change]})
+    assert watch.recoveries == "clear local costmap"
 
 
 def test_the_nearest_point_in_the_polygon_is_told_with_its_bearing_and_forgotten_with_another_polygon() -> None:

@@ -12,7 +12,7 @@ import pytest
 
 from ros2_mcp.ops.measure.diagnostics import Diagnostic
 from ros2_mcp.ops.navigation.checks import CHECKS, nav_findings_in
-from ros2_mcp.ops.navigation.evidence import Goal, Grids, Heard, NavEvidence, States
+from ros2_mcp.ops.navigation.evidence import Goal, Grids, Heard, NavEvidence, NavFinding, States
 from ros2_mcp.ops.sources.source import GraphSnapshot
 from ros2_mcp.world.map_fit import share_that_fits
 from support.made_navigation import (
@@ -48,6 +48,8 @@ from support.made_navigation import (
     topic,
     twist,
 )
+
+MONITOR = "nav2_msgs/msg/CollisionMonitorState"
 
 
 def test_there_are_checks_and_a_robot_without_nav2_has_no_findings() -> None:
@@ -329,6 +331,53 @@ def test_a_source_of_the_monitor_that_nobody_publishes_is_told() -> None:
     assert "its source cloud has no publisher" in finding.cause and "source_timeout is 1 s" in finding.proof
 
 
+IN_AND_OUT = (
+    topic("/cmd_vel_smoothed", TWIST, ["/velocity_smoother"], ["/collision_monitor"]),
+    topic("/cmd_vel", TWIST, ["/collision_monitor"], ["/base"]),
+)
+NO_SOURCE = (
+    "Robot to stop due to invalid source. Either due to data not published yet, or to lack of new data received within "
+    "the sensor timeout, or if impossible to transform data to base frame"
+)
+
+
+def monitor_says(action: int, polygon: str, passed: float = 0.0, **more: Any) -> list[NavFinding]:
+    """The findings with a state of the collision monitor (-1: none was heard), which gets 0.2 m/s and passes on so
+    much."""
+    state = [SimpleNamespace(action_type=action, polygon_name=polygon)] if action >= 0 else []
+    flows = {
+        **heard("/state", MONITOR, ["/collision_monitor"], state),
+        **heard("/cmd_vel_smoothed", TWIST, ["/velocity_smoother"], [twist(0.2)] * 20),
+        **heard("/cmd_vel", TWIST, ["/collision_monitor"], [twist(passed)] * 20),
+    }
+    moving = heard("/odom", ODOMETRY, ["/base"], [odometry(0.2)] * 20, frame_id="odom")
+    monitor = {"observation_sources": ["scan"], "scan.topic": "scan", "polygons": ["FootprintApproach"]}
+    flows = {**more.pop("scans", SCANS), **moving, **flows}
+    rows = parts_of(more.pop("tree", WELL), flows, collision_monitor=monitor)
+    return found(*READ, *IN_AND_OUT, nodes=["/collision_monitor"], **rows, **more)
+
+
+def test_the_monitors_word_for_missing_data_is_no_polygon() -> None:
+    (finding,) = monitor_says(1, "invalid source", log=[line("/collision_monitor", NO_SOURCE, "WARN")])
+    assert "gives no valid data" in finding.cause and "polygon" not in finding.cause
+    assert "Robot to stop due to invalid source" in finding.proof and "/scan" in finding.proof
+
+
+def test_a_source_without_data_is_found_by_the_monitors_log_where_its_state_came_before_anybody_listened() -> None:
+    said = line("/collision_monitor", NO_SOURCE, "WARN", age_s=100.0)
+    unseen = frames(("map", "odom", 0.1), ("odom", "base_link", 0.05), ahead_s=1.0)
+    causes = told(monitor_says(-1, "", log=[said], tree=unseen))
+    assert any("its source /scan has no transform from laser to base_link" in cause for cause in causes)
+    assert monitor_says(-1, "", 0.2, log=[said]) == []  # it has data again
+
+
+@pytest.mark.parametrize("action", [2, 3, 4])
+def test_what_slows_the_robot_holds_it_only_where_nothing_is_passed_on(action: int) -> None:
+    (finding,) = monitor_says(action, "FootprintApproach")
+    assert "its polygon FootprintApproach" in finding.cause and "is not free" in finding.cause
+    assert monitor_says(action, "FootprintApproach", 0.08) == []
+
+
 # ── goal and settings ────────────────────────────────────────────────────────────────────────────────────────────
 
 
@@ -381,6 +430,18 @@ def test_a_missed_rate_is_measured_and_the_warning_alone_is_nothing() -> None:
     slow = heard("/cmd_vel_nav", TWIST, ["/controller_server"], [twist(0.2)] * 20)
     (finding,) = found(parameters=wants, log=[], heard=slow)
     assert finding.rank == "makes it worse" and "10.0 of 20 Hz" in finding.proof
+
+
+def test_the_rate_is_that_of_the_controller_and_not_of_the_behaviours_on_its_topic() -> None:
+    wants = {"/controller_server": {"controller_frequency": 20.0}}
+    both_publish = ["/behavior_server", "/controller_server"]
+    steering = heard("/cmd_vel_nav", TWIST, both_publish, [twist(0.2, 0.01), *[twist(0.2)] * 19])
+    (finding,) = found(parameters=wants, log=[], heard=steering)
+    assert finding.subject == "/controller_server" and "10.0 of 20 Hz" in finding.proof
+    backing = heard("/cmd_vel_nav", TWIST, both_publish, [twist(-0.1)] * 20)
+    assert found(parameters=wants, log=[], heard=backing) == []
+    teleop = heard("/cmd_vel_nav", TWIST, ["/controller_server", "/joy"], [twist(0.2, 0.1)] * 20)
+    assert found(parameters=wants, log=[], heard=teleop) == []
 
 
 def test_a_costmap_all_of_whose_values_are_defaults_never_got_its_file() -> None:

@@ -10,13 +10,29 @@ from typing import Any, cast
 
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.navigation.checks.check import CHAIN, NavCheck
-from ros2_mcp.ops.navigation.evidence import SCAN, Frames, NavEvidence, NavFinding, resolved
+from ros2_mcp.ops.navigation.evidence import (
+    SCAN,
+    Frames,
+    NavEvidence,
+    NavFinding,
+    is_zero,
+    resolved,
+    said,
+    speed_of,
+)
 
 _STATE = "nav2_msgs/msg/CollisionMonitorState"
+INVALID_SOURCE = "invalid source"
+"""The polygon that a collision monitor names when it stops the robot because a source has no valid data."""
+_NO_DATA = r"stop due to invalid source|timestamps differ on|source .*detected"
+"""What a collision monitor logs of a source without valid data."""
 _ACTIONS = ("nothing", "stop", "slowdown", "approach", "limit")
 _SOURCE_TIMEOUT_S = 2.0
 """Nav2's default."""
 _LEAST_POINTS = 4
+_LEAST_COMMANDS, _HELD_NS, _PASSES_NOTHING = 5, 1_000_000_000, 0.01
+"""Commands that come, the time over which they do, and the speed in m/s or rad/s below which nothing is passed on."""
+_MOST_NAMES = 4
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -34,8 +50,8 @@ def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
     for node in evidence.of_role("collision_monitor"):
         values = (evidence.parameters or {}).get(node, {})
         topics = sources_of(node, values)
-        yield from _sources(evidence, node, values, topics)
-        yield from _held(evidence, node, values, list(topics.values()))
+        missing = list(_sources(evidence, node, values, topics))
+        yield from missing or _held(evidence, node, values, list(topics.values()))
 
 
 def sources_of(node: str, values: Mapping[str, Any]) -> dict[str, str]:
@@ -74,21 +90,90 @@ def _sources(
 
 def _held(evidence: NavEvidence, node: str, values: Mapping[str, Any], topics: Sequence[str]) -> Iterator[NavFinding]:
     state = next((one.newest for one in evidence.of(_STATE) if node in one.nodes and one.newest is not None), None)
-    if state is not None and int(state.action_type) in (1, 3):
+    without_data = [line for line in evidence.lines(_NO_DATA, "collision_monitor") if line.node == node]
+    faults = _without_data(evidence, values, topics)
+    # The state is published when it changes, and so mostly before anybody listens; the log is kept.
+    says_so = str(state.polygon_name) == INVALID_SOURCE if state is not None else bool(without_data and faults)
+    if says_so:
+        yield NavFinding(
+            rank="stops everything",
+            subject=node,
+            cause=f"{named(node)} holds the robot: {_either(faults) or 'a source of it gives no valid data'}.",
+            proof=" ".join(
+                [
+                    *([f"collision_monitor_state: stop, {INVALID_SOURCE}."] if state is not None else []),
+                    *([f"{said(without_data[-1])}."] if without_data else []),
+                    *_ages(evidence, topics),
+                ]
+            ),
+            remedy="Start what publishes that source, or its transform to the base; or set source_timeout to what it "
+            "needs.",
+        )
+        return
+    action = int(state.action_type) if state is not None else 0
+    if state is not None and (action == 1 or (action and _holds_back(evidence, node, values))):
         name = str(state.polygon_name)
         near = _in_polygon(evidence, values, name, topics)
-        yield _holding(evidence, node, name, _ACTIONS[int(state.action_type)], near)
+        yield _holding(evidence, node, name, _ACTIONS[action], near)
         return
     if state is not None:
         return
     for name in _texts(values.get("polygons")):
-        action = str(values.get(f"{name}.action_type", "")).lower()
-        if action != "stop" or values.get(f"{name}.enabled") is False:
+        kind = str(values.get(f"{name}.action_type", "")).lower()
+        if kind != "stop" or values.get(f"{name}.enabled") is False:
             continue
         least = values.get(f"{name}.min_points", values.get(f"{name}.max_points", _LEAST_POINTS))
         points = _in_polygon(evidence, values, name, topics)
         if len(points) >= (int(least) if isinstance(least, (int, float)) else _LEAST_POINTS):
-            yield _holding(evidence, node, name, action, points)
+            yield _holding(evidence, node, name, kind, points)
+
+
+def _holds_back(evidence: NavEvidence, node: str, values: Mapping[str, Any]) -> bool:
+    """Whether a collision monitor passes nothing on of commands that come: all its actions but "stop" only slow the
+    robot, and near an obstacle hold it at last."""
+    ends = (("cmd_vel_in_topic", "cmd_vel_smoothed"), ("cmd_vel_out_topic", "cmd_vel"))
+    came, went = (
+        (evidence.heard or {}).get(resolved(node, str(values.get(name) or default))) for name, default in ends
+    )
+    if came is None or went is None:
+        return False
+    asked = [received_ns for received_ns, message, _ in came.messages if not is_zero(message)]
+    if len(asked) < _LEAST_COMMANDS or asked[-1] - asked[0] < _HELD_NS:
+        return False
+    passed = [message for received_ns, message, _ in went.messages if received_ns >= asked[0]]
+    return bool(passed) and all(max(map(abs, speed_of(message))) < _PASSES_NOTHING for message in passed)
+
+
+def _without_data(evidence: NavEvidence, values: Mapping[str, Any], topics: Sequence[str]) -> list[str]:
+    """Return what is wrong now with each source that gives no data: silent, or without a transform to the base."""
+    frames, faults = evidence.frames, list[str]()
+    base = base_of_monitor(values) or (frames.tree.base if frames else "")
+    for topic in topics:
+        heard = (evidence.heard or {}).get(topic)
+        if heard is None:
+            continue
+        if heard.is_silent:
+            faults.append(f"its source {named(topic)} is silent")
+        elif frames and base and heard.frame_id and frames.tree.newest(base, heard.frame_id) is None:
+            faults.append(f"its source {named(topic)} has no transform from {named(heard.frame_id)} to {named(base)}")
+    return faults
+
+
+def _either(faults: Sequence[str]) -> str:
+    return "; ".join(faults[:_MOST_NAMES])
+
+
+def _ages(evidence: NavEvidence, topics: Sequence[str]) -> Iterator[str]:
+    """Describe how old each source is."""
+    for topic in topics[:_MOST_NAMES]:
+        heard = (evidence.heard or {}).get(topic)
+        if heard is None:
+            yield f"{named(topic)} was not listened to."
+        elif not heard.count:
+            yield f"Nothing came on {named(topic)} in {heard.duration_s:.1f} s."
+        else:
+            age = f", up to {max(heard.ages_s):.2f} s old when it comes" if heard.ages_s else ""
+            yield f"{named(topic)} comes with {heard.rate_hz:.3g} Hz{age}."
 
 
 def _holding(evidence: NavEvidence, node: str, name: str, action: str, points: Sequence[Near]) -> NavFinding:

@@ -177,6 +177,7 @@ def _stands(evidence: NavEvidence, chain: Chain) -> Iterator[NavFinding]:
 
 
 def _moves(odometry: Any) -> bool:
+    """Whether an odometry message reports motion."""
     speed = odometry.twist.twist
     return (
         abs(float(speed.linear.x)) > _MOVES_M_S

@@ -8,7 +8,17 @@ from typing import Any
 
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.navigation.checks.check import TUNING, NavCheck
-from ros2_mcp.ops.navigation.evidence import VELOCITIES, NavEvidence, NavFinding, is_zero, line_age_s, said
+from ros2_mcp.ops.navigation.evidence import (
+    VELOCITIES,
+    Heard,
+    NavEvidence,
+    NavFinding,
+    is_of_role,
+    is_zero,
+    line_age_s,
+    said,
+    speed_of,
+)
 
 _ACKNOWLEDGE = r"timed out while waiting for action server to acknowledge"
 _SHORT_MS = 20.0
@@ -67,10 +77,10 @@ def _rate(evidence: NavEvidence) -> Iterator[NavFinding]:
     """Find a controller that misses its rate, measured while it drives: Nav2's own warning about it is often false."""
     for node in evidence.of_role("controller_server"):
         wanted_hz = evidence.value(node, "controller_frequency")
+        if not isinstance(wanted_hz, (int, float)):
+            continue
         for one in evidence.of(*VELOCITIES):
-            if list(one.nodes) != [node] or not isinstance(wanted_hz, (int, float)) or one.count < _LEAST:
-                continue
-            times = [received_ns for received_ns, message, _ in one.messages if not is_zero(message)]
+            times = _sent_by(node, one)
             if len(times) < _LEAST:
                 continue
             rate_hz = (len(times) - 1) / max((times[-1] - times[0]) / 1e9, 1e-3)
@@ -82,6 +92,32 @@ def _rate(evidence: NavEvidence) -> Iterator[NavFinding]:
                     proof=f"{rate_hz:.1f} of {float(wanted_hz):g} Hz on {named(one.topic)}.",
                     remedy="Lower controller_frequency, or give the controller fewer samples or a smaller costmap.",
                 )
+
+
+def _sent_by(controller: str, one: Heard) -> list[int]:
+    """Return the times of receipt (ns) of the commands that a controller sent; none if they may be another's.
+
+    Nav2's behaviours publish on the controller's topic, each with a publisher that is silent until it runs, and at
+    another rate. A behaviour either turns or drives straight: a publisher that does both at once is the controller's.
+    """
+    others = [node for node in one.nodes if node != controller]
+    if controller not in one.nodes or not all(is_of_role(node, "behavior_server") for node in others):
+        return []
+    by_writer: dict[int, list[tuple[int, Any]]] = {}
+    for received_ns, message, writer in one.messages:
+        if not is_zero(message):
+            by_writer.setdefault(writer, []).append((received_ns, message))
+    sent = [
+        [received_ns for received_ns, _ in rows]
+        for rows in by_writer.values()
+        if not others or any(_steers(message) for _, message in rows)
+    ]
+    return max(sent, key=len, default=[])
+
+
+def _steers(command: Any) -> bool:
+    ahead, left, turn = speed_of(command)
+    return bool((ahead or left) and turn)
 
 
 def _progress(evidence: NavEvidence) -> Iterator[NavFinding]:
