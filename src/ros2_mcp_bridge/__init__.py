@@ -1,1 +1,1 @@
-"""The bridge, which runs under the Python of the robot's ROS 2: standard library and rclpy only."""
+"""The bridge. It runs under the Python of the robot's ROS 2: standard library and rclpy only."""

@@ -64,7 +64,7 @@ class StopEpoch:
         self.lapses += 1
 
     def accept(self, epoch: float) -> Acceptance:
-        """Return the acceptance of a request that carries this epoch, which the exits check."""
+        """Return the acceptance of a request that carries this epoch; the exits check the acceptance."""
         return Acceptance(self, epoch)
 
 

@@ -268,7 +268,7 @@ class Operations:
         self._kept_out = reason
 
     def _cancel_others(self, reason: str) -> None:
-        """Cancel the goals of other clients, which drive the robot towards a keep-out zone, if the policy allows it."""
+        """Cancel goals of other clients that drive the robot towards a keep-out zone, if the policy allows it."""
         cancelled = [name for name in self._graph.moving_actions() if self._limiter.may_cancel(name)]
         for name in cancelled:
             self._loop.start(self._clients.cancel_all(name), log_failure)

@@ -167,8 +167,7 @@ class SampleQueue:
 
 
 class Outbox:
-    """The packets that wait to be written: replies and events, which are never dropped, and queues of samples.
-    Thread-safe.
+    """The packets that wait to be written: replies and events (never dropped), and queues of samples. Thread-safe.
 
     Over a slow link (`begin_pieces`), large packets and all samples are sent in pieces, as far as the server keeps up;
     small packets go before them.

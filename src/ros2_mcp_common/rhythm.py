@@ -1,4 +1,4 @@
-"""A rate limit on messages, which decides for each message whether it passes.
+"""A rate limit on messages: it decides for each message whether the message passes.
 
 Server and bridge share it. Needs no ROS.
 """

@@ -51,7 +51,7 @@ class Installation:
     built: tuple[Path, ...] = ()
 
     def with_package(self, prefix: Path) -> Installation:
-        """Return this installation with one more package, which hides packages of the same name below it."""
+        """Return this installation with one more package; it hides packages of the same name in this installation."""
         return Installation(self.home, (prefix, *self.built))
 
     @property

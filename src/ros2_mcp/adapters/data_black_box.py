@@ -187,7 +187,7 @@ class DataBlackBoxSource(Source):
 
     @property
     def codec(self) -> Codec:
-        """The codec of its messages, which uses the robot's definitions."""
+        """The codec of the box's messages; it uses the robot's definitions."""
         return self._box.robot.values.codec
 
     async def type_of(self, topic: str) -> str:
@@ -268,7 +268,7 @@ class DataBlackBoxes(SourceKind):
         store: BagStore,  # noqa: ARG002
         request: SourceRequest,
     ) -> Sequence[Callable[[], Awaitable[Source]]]:
-        """Return a function that opens the box in the graph, if there is one."""
+        """Return a function that opens the box in the graph, if there is a box."""
         found = await self._found(robot, request)
 
         async def opened() -> Source:
@@ -363,7 +363,7 @@ def split_payload(data: bytes) -> tuple[list[bytes], str]:
 
 
 def read_second(response: Any) -> Answered:
-    """Return the messages of the second generation, which are CDR in base64.
+    """Return the messages of the second generation: CDR, decoded from base64.
 
     Raises:
         BadData: if they are not base64.

@@ -21,7 +21,9 @@ _Policy = TypeVar("_Policy", QosHistory, QosReliability, QosDurability, QosLivel
 
 
 def qos_text(publishers: Sequence[QoS]) -> str:
-    """Return the publishers' QoS in rosbag2's format, with numbers, which every distribution since Foxy reads."""
+    """Return the publishers' QoS in rosbag2's format, with numbers instead of names: every distribution since Foxy
+    reads numbers.
+    """
     return metadata.dump_qos_v8([_to_rosbags(qos) for qos in publishers])
 
 

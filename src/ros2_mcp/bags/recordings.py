@@ -15,7 +15,7 @@ ROS_1_START = b"#ROSBAG V"
 """The first bytes of a ROS 1 bag."""
 _STEM = re.compile(r"(?P<stem>.*?)(?:_\d+)?(?:\.mcap|\.db3)(?:\.zstd)?", re.DOTALL)
 _OF_RING = re.compile(r"(?P<stem>box)_\d{8}T\d{6}_\d{9}_0\.mcap")
-"""The files of a black box, whose names have their start times (`ring.py`)."""
+"""The files of a black box; each file's name has its start time (`ring.py`)."""
 _MOST_NAMED = 10
 """Most recordings that an error names."""
 
@@ -102,7 +102,7 @@ def foreign_in(folder: Path) -> list[str]:
 
 
 def _in_folder(folder: Path) -> list[Path]:
-    """Return the files of the one recording of a folder; raises `BadInput` if there are several."""
+    """Return the files of a folder's only recording; raises `BadInput` if there are several recordings."""
     files = _in_order(folder)
     if len({stem_of(path) for path in files}) <= 1:
         return files

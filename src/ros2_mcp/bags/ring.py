@@ -16,15 +16,15 @@ _PARTS = 16
 """Files of a ring. When the oldest is deleted, a sixteenth is lost; more files would repeat latched messages more
 often."""
 _CHANNEL_BYTES = 500
-"""Upper bound of the bytes that a topic needs in a file besides its messages, and its definition and QoS, which are
-stored twice."""
+"""Upper bound of the bytes that a topic needs in a file besides its messages; its definition and QoS are stored twice.
+"""
 MOST_MESSAGES = 32
 """Messages kept of one latched topic. /tf_static has one message from each driver's publisher; more than 32 are
 rare."""
 
 
 class LatchedTopic:
-    """The last messages of a latched topic, which a late subscriber needs; equal messages are kept once.
+    """The last messages of a latched topic, for late subscribers; equal messages are kept once.
 
     Several are kept, because a topic may have several publishers and a message does not say which one sent it: at most
     `MOST_MESSAGES`, taking at most `most_bytes` in a file; the last message is always kept.

@@ -18,7 +18,7 @@ from ros2_mcp.model.text import quoted
 METADATA = "metadata.yaml"
 NOT_CLOSED = f"{METADATA} is missing: the recording was not closed."
 VERSION = 8
-"""Version of the metadata: that of Iron, whose integers for QoS every later distribution reads too."""
+"""Version of the metadata: the version of Iron; its integers for QoS are read by every later distribution, too."""
 
 
 @dataclass(slots=True)

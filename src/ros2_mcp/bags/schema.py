@@ -45,7 +45,7 @@ def definitions_in(type_name: str, encoding: str, text: str) -> dict[str, Defini
 
 
 def bare(text: str) -> str:
-    """Return a definition without comments and spacing, which do not affect the encoding."""
+    """Return a definition without comments and spacing: neither affects the encoding."""
     lines = (" ".join(line.partition("#")[0].split()) for line in text.splitlines())
     return "\n".join(line for line in lines if line)
 

@@ -341,7 +341,7 @@ class SqliteFile:
 
 
 def _connect(path: Path) -> sqlite3.Connection:
-    """Return a read-only connection, which also works in a read-only folder."""
+    """Return a read-only connection; it also works in a read-only folder."""
     uri = path.resolve().as_uri()
     database = sqlite3.connect(f"{uri}?mode=ro", timeout=_BUSY_S, uri=True, check_same_thread=False)
     try:
@@ -358,7 +358,7 @@ def _connect(path: Path) -> sqlite3.Connection:
 
 
 def _raise_if_locked(path: Path, error: sqlite3.Error) -> None:
-    """Raise `Locked` if the error says that the database is locked, which is not damage."""
+    """Raise `Locked` if the error says that the database is locked: a lock is not damage."""
     if "locked" in str(error):
         hint = "Ask again when the other program has finished or paused; the file is not damaged."
         raise Locked(f"{path.name} is locked: another program writes to it.", hint) from error

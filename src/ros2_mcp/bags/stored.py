@@ -15,7 +15,7 @@ MOST_PROBLEMS = 50
 """Problems that are reported of one file. A failing disk damages thousands of chunks, and a reader needs no more than
 these."""
 _MOST_NAMED = 5
-"""Topics that are named of one hole; a chunk has those of the whole robot."""
+"""Topics that are named for one hole: a chunk may have all topics of the robot."""
 
 
 Form: TypeAlias = Literal["ros2", "json", "other"]
@@ -125,7 +125,7 @@ class OddTimes:
 
 
 LEAST_BACK_NS = 1_000_000
-"""The threads of a recorder may swap messages by microseconds, which is not an irregularity."""
+"""The threads of a recorder may swap messages by microseconds: this is no irregularity."""
 
 
 def odd_times_in_words(odd: Mapping[str, OddTimes]) -> list[str]:

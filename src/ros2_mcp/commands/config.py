@@ -266,9 +266,7 @@ def _extensions(settings: Mapping[str, object]) -> str:
 def _http_servers(
     url: str = "url", kind: str = "", within: str = "mcpServers", more: Mapping[str, object] = {}
 ) -> Callable[[Address], str]:
-    """Return the format of nearly all clients, which differ in the name of the URL and in whether they name
-    its kind.
-    """
+    """Return the format of nearly all clients. They differ in the name of the URL and in whether they name its kind."""
 
     def text(at: Address) -> str:
         named = {"type": kind} if kind else {}

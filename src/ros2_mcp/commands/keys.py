@@ -48,7 +48,7 @@ def key(wait_s: float) -> str:
 
 @contextmanager
 def single_keys() -> Generator[Restored, None, None]:
-    """Within this context, keys arrive one by one; yields a function for contexts in which lines can be typed."""
+    """Within this context, each key arrives at once; yields a function for contexts in which lines can be typed."""
     if sys.platform == "win32":
         os.system("")  # pyright: ignore[reportDeprecated] - so that signs move the cursor
 

@@ -210,7 +210,7 @@ def _ago(seconds: float) -> str:
 
 @dataclass(slots=True)
 class Choice:
-    """The chosen request, which keys answer, and since when it has been chosen (monotonic clock, s).
+    """The chosen request (the keys answer it), and since when it has been chosen (monotonic clock, s).
 
     Only a key chooses a request, even after the chosen one has gone: a key pressed twice answers one request only.
     """

@@ -76,8 +76,8 @@ def serve(settings: Settings) -> int:
 
 
 def launch(settings: Settings) -> Bridge | None:
-    """Launch the bridge of a single robot, which starts during the imports. Bridges of several robots start on first
-    use.
+    """Launch the bridge of a single robot: the bridge starts during the imports. Bridges of several robots start on
+    first use.
     """
     from ros2_mcp.compose.entries import entries_of
     from ros2_mcp.guard.policy_file import policy_for

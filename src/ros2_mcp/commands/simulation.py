@@ -116,7 +116,7 @@ def with_interfaces(settings: Settings, robot: str = DEFAULT) -> Settings:
 
 
 def build_later(settings: Settings, robot: str) -> None:
-    """Begin to build the packages that the robot can start without, in another process, which ends by itself.
+    """Begin to build the packages that the robot can start without, in another process; the process ends by itself.
 
     That process has low priority and prints nothing: if it fails, the robot runs without the packages. It also marks
     the packages as in use, so that servers that start later know them.

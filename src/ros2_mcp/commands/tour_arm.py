@@ -36,7 +36,7 @@ async def move_by_name(tour: Tour) -> None:
 
 
 async def stop_in_the_middle(tour: Tour) -> None:
-    """Stop a trajectory, which would continue by itself: the joints hold their measured positions."""
+    """Stop a trajectory, because it would continue by itself: the joints hold their measured positions."""
     tour.say("3. Begin a long move, and stop it in the middle.")
     move: dict[str, Any] = {"joints": {_PAN: -1.5}, "duration_s": 6.0, "controller": _TOPIC}
     moving = asyncio.create_task(tour.call("ros2_joint_move", **move))

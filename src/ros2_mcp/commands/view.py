@@ -93,7 +93,7 @@ def _server(app: LocalPage) -> uvicorn.Server:
     import uvicorn
 
     class Server(uvicorn.Server):
-        """A server that leaves signals to this command, which ends it."""
+        """A server that leaves signals to this command: the command ends the server."""
 
         @contextmanager
         def capture_signals(self) -> Generator[None, None, None]:

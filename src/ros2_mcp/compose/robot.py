@@ -130,7 +130,7 @@ def _noting_latched(guard: Guard) -> Callable[[str, str, bool], None]:
 
 
 def guard_for(settings: Settings) -> Guard:
-    """Return the guard of the settings, which decides about every command: policies, latch and the server's lock."""
+    """Return the guard of the settings. It decides about every command: policies, latch and the server's lock."""
     policy = policy_for(settings)
     folder = state_of(settings, policy)
     return Guard(

@@ -93,8 +93,8 @@ class Grant:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RouteApproval:
-    """The used approval of a list of goals, which covers them until the job that sends them ends. It covers a single
-    goal, too, which its job sends again after a pause.
+    """The used approval of a list of goals, or of a single goal. It covers the goals until the job that sends them
+    ends: a job sends a goal again after a pause.
     """
 
     id: str

@@ -22,14 +22,14 @@ from ros2_mcp.guard.chain import HEAD, Head, file_name, files_of, follows, line_
 from ros2_mcp_common.files import PLAIN, give_lock, read_at, take_lock, write_at
 
 FILE_BYTES = 64_000_000
-"""The size at which a new file begins, in bytes: about 100,000 lines, which `verify` reads in a second."""
+"""The size at which a new file begins, in bytes: about 100,000 lines; `verify` reads them in a second."""
 KEEP_BYTES = 1_000_000_000
 """The size of all files together, in bytes: over a million commands. The oldest files are deleted first."""
 ROOM_BYTES = 262_144
 """The free space required on the disk before a command, in bytes, so that its outcome can be written as well. A line
 has 3 kB at most."""
 _HEAD_BYTES = 256
-"""The fixed length of the head, in bytes: it is overwritten in place, which needs no space on a full disk."""
+"""The fixed length of the head, in bytes: it is overwritten in place, so that it needs no space on a full disk."""
 _LOCK_S = 0.1
 """The time limit for another server to release the head, in s. Writing a line takes 50 µs; a suspended server must not
 block this one."""
@@ -141,7 +141,7 @@ class AuditFile:
     # ── after a start, or when another server has written ────────────────────────────────────────────────────────────
 
     def _catch_up(self) -> None:
-        """Find the end of the chain, which another server may have moved or a kill may have left incomplete."""
+        """Find the end of the chain: another server may have moved it, or a kill may have left it incomplete."""
         data = read_at(self._head_fd, _HEAD_BYTES, 0)
         found = parse_head(data)
         if self._open_name and found == self.head and self._is_in_place():

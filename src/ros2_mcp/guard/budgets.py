@@ -18,8 +18,9 @@ MOST_HZ = 5_000.0
 """The largest sum of the rates of one principal's repeats, motions and relays, in Hz. The bridge publishes a message in
 about 0.05 ms, so this occupies a quarter of its ROS thread."""
 MOST_HZ_IN_TOTAL = 10_000.0
-"""The largest sum of rates of all principals, in Hz: half of the bridge's ROS thread, which leaves time for a stop. A
-stop also precedes everything that waits."""
+"""The largest sum of rates of all principals, in Hz: half of what the bridge's ROS thread can do, so that a stop has
+time. A stop also precedes everything that waits.
+"""
 
 
 @dataclass(slots=True)

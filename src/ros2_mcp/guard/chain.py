@@ -205,7 +205,7 @@ class _Chain:
             self._verdict.faults.append(f"{place}: the server found damage when it went on: {entry.get('what')}.")
 
     def judge_ends(self, head: Head | None, any_file: bool) -> None:
-        """Check the beginning and the end, which the chain itself does not protect."""
+        """Check the beginning and the end: the chain itself protects neither."""
         verdict, last = self._verdict, self._verdict.head
         if verdict.lines and self._first_seq - 1 not in self._dropped:
             verdict.faults.append(f"It begins with number {self._first_seq}: what was before is missing.")
@@ -231,7 +231,7 @@ def _gap(last: int, seq: int) -> str:
 
 
 def _entry(line: bytes) -> Mapping[str, Any]:
-    """Parse a line; an empty mapping if it is no JSON object, which `verify` reports."""
+    """Parse a line; an empty mapping if it is no JSON object (`verify` reports this)."""
     try:
         entry = json.loads(line)
     except (ValueError, RecursionError):

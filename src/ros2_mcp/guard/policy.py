@@ -229,7 +229,7 @@ def verb_of(command: Command[Any]) -> Verb:
 
 
 def _is_own_record(command: Command[Any]) -> bool:
-    """Return whether this is the recording of the black box, which is the operator's own setting."""
+    """Return whether this is the recording of the black box: the operator's own setting."""
     return isinstance(command, commands.Record) and command.principal == SERVER
 
 

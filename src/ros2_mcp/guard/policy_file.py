@@ -451,7 +451,7 @@ def _curve(section: Section) -> CurveLimits:
     is_bounded = limits.joints and all(each.speed is not None for each in limits.joints.values())
     if limits.speed is None and not limits.described and not is_bounded:
         problem = "not every joint has a bound of speed, and the limits of the robot's description are left out."
-        raise section.error(section.node, problem, "Give speed, in rad/s.")
+        raise section.error(section.node, problem, "Give `speed`, in rad/s.")
     return limits
 
 

@@ -124,7 +124,7 @@ def read_tokens(path: Path) -> Tokens:
 
 
 def add_token(path: Path, name: str, scopes: Sequence[str]) -> str:
-    """Add a token to the file, which is created if necessary, and return the token. The token itself is not stored.
+    """Add a token to the file (created if necessary), and return the token. The token itself is not stored.
 
     Raises:
         BadInput: for an invalid name or scope, a name that exists already, or a file that cannot be used.

@@ -184,7 +184,7 @@ class Arrival:
 
 
 def _on_one_line(text: str) -> str:
-    """Return a sentence of stage 1, which has names of the far side in it, on one line of bounded length."""
+    """Return a sentence of stage 1 on one line of bounded length: it contains names of the far side."""
     return " ".join(text.split())[:_MOST_SENTENCE]
 
 

@@ -1,4 +1,4 @@
-"""The interface of carriers, which transport the stream to one bridge.
+"""The interface of carriers. A carrier transports the stream to one bridge.
 
 `Connection`, `Heartbeat` and `Bridge` use a carrier and nothing below it: no process, signals or `/proc`. A new kind of
 carrier is a module next to `local.py` and a line in `carriers.py`.

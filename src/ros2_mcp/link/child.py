@@ -253,7 +253,7 @@ def _plain(line: bytes) -> str:
 
 
 def _enlarge(pipe: int) -> None:
-    """Enlarge a pipe from 64 kB to a megabyte, which means fewer wake-ups for images. A refusal is ignored."""
+    """Enlarge a pipe from 64 kB to a megabyte, for fewer wake-ups with images. A refusal is ignored."""
     if sys.platform == "linux":
         import fcntl
 

@@ -41,7 +41,7 @@ _KEPT_REASONS = 100
 # The most repeats whose start is remembered: as many as may run at once (`Repetition.most_running`).
 _KEPT_REPEATS = 256
 _MOST_REASON = 300
-"""The characters that are shown of a reason of the bridge, which names a zone and places."""
+"""The characters that are shown of a reason of the bridge; the reason names a zone and places."""
 _logger = logging.getLogger(__name__)
 
 

@@ -71,7 +71,7 @@ class Posted:
         return self.answer.exception() if self.answer.done() and not self.answer.cancelled() else None
 
     def fail(self, error: RobotError) -> None:
-        """Fail the request, which was not written because there is no bridge."""
+        """Fail the request: it was not written, because there is no bridge."""
         self.answer.set_exception(error)
 
     def cancel(self) -> None:
@@ -348,8 +348,8 @@ class Connection:
             raise
 
     async def unsubscribe(self, subscription: Receiver) -> None:
-        """End a subscription; take in the samples in transit and the final counts, which may be missing over a slow
-        link.
+        """End a subscription; take in the samples in transit and the final counts; over a slow link both may be
+        missing.
         """
         number = subscription.number
         if number is None or number not in self._subscriptions:

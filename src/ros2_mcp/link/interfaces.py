@@ -48,8 +48,8 @@ class InterfaceCache:
             return ()
 
     def planned(self, packages: Sequence[str]) -> tuple[Path, ...]:
-        """Return the prefixes of packages in `SHIPPED`, which exist or will exist once the packages are built for this
-        Python.
+        """Return the prefixes of packages in `SHIPPED`: prefixes that exist, or will exist once the packages are built
+        for this Python.
 
         Empty if nothing can be built for it.
         """

@@ -60,9 +60,7 @@ class LocalBridge(Child):
         return self.installation.why
 
     def describe(self) -> str:
-        """Return the process id, and the setup files while they are still being sourced, which takes time on a slow
-        disk.
-        """
+        """Return the process id, and the setup files while they are still being sourced (slow on a slow disk)."""
         try:
             is_shell = Path(f"/proc/{self.pid}/comm").read_text().strip() == "bash"  # then Python
         except OSError:

@@ -1,4 +1,4 @@
-"""The way in which this program was installed and started, which determines the commands that it suggests to users.
+"""The way in which this program was installed and started: the commands that it suggests to users depend on this.
 
 The package is on no index yet, so "pip install ros2-mcp" would not work; and Debian and Ubuntu refuse a bare pip.
 """

@@ -95,7 +95,7 @@ class OpenResponse(Protocol):
 
 
 class Connected(OpenResponse, Protocol):
-    """A client with a connection of its own, which carries all its requests and their answers."""
+    """A client with a connection of its own. The connection carries all its requests and their answers."""
 
     principal: Principal
 
@@ -209,7 +209,7 @@ class Leases:
         scope[_ACCEPTED] = {robot.stops: robot.stops.now() for robot in self._robots}
 
     def asked(self, principal: Principal, response: OpenResponse | None = None) -> None:
-        """Record a request of a client, which renews its lease, and the open response to it.
+        """Record a request of a client, and the open response to the request; the request renews the client's lease.
 
         A request whose response the client has already closed is no sign of life.
         """

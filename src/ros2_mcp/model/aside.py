@@ -1,4 +1,4 @@
-"""Run long work in a thread, so that it does not block the event loop, which renews the link lease."""
+"""Run long work in a thread, so that it does not block the event loop: the loop renews the link lease."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def extent(value: object) -> int:
 
 
 async def load(*modules: str) -> None:
-    """Import modules in a thread, which are needed only now: NumPy and the codec take 0.3 to 1 s."""
+    """Import, in a thread, modules that are needed only now: NumPy and the codec take 0.3 to 1 s."""
     missing = [name for name in modules if name not in _loaded]
     if missing:
         await to_thread.run_sync(_import, missing, abandon_on_cancel=True)

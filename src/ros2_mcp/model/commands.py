@@ -161,7 +161,7 @@ class Moved:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Move(Command[Moved]):
-    """Send velocity commands of a controller in the bridge, which receives feedback, `rate_hz` times a second.
+    """Send velocity commands of a controller in the bridge, `rate_hz` times a second; the controller receives feedback.
 
     `controller` are its parameters, with its `kind`; `hears` are the types of the topics to which it subscribes.
     `value` is the fastest command that it may send, by which a policy decides; the bridge checks each command that it

@@ -96,7 +96,7 @@ def _converted(path: str, value: Any, kind: str) -> Any:
 
 
 def _scalar(path: str, value: Any, kind: str, declared: str) -> Any:
-    """Convert a scalar, or an element of a list, whose parameter has the type `declared`."""
+    """Convert a scalar, or an element of a list; `declared` is the type of its parameter."""
     is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
     if kind == "bool" and isinstance(value, bool):
         return value

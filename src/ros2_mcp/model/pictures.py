@@ -13,7 +13,7 @@ POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 MAX_SIDE = 1568
 """Pixels. Vision models scale down larger sides, so more would cost time and show nothing."""
 MAX_BYTES = 700_000
-"""Clients accept results of up to 1 MB; base64 makes 933 kB of this, which leaves room for the text."""
+"""Clients accept results of up to 1 MB; base64 makes 933 kB of this, and the rest is room for the text."""
 
 
 @dataclass(frozen=True, slots=True)

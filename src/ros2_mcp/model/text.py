@@ -49,7 +49,7 @@ LAYOUT = "\n\t"
 _MOST_QUOTED = 80
 """Characters of the robot's text within a sentence: about a line. The full text is in the values beside it."""
 LOG_LINE = 240
-"""Characters of a line of the log, which names node, file and goal before the reason."""
+"""Characters of a line of the log: the line names node, file and goal before the reason."""
 _LINE_BREAKS = re.compile(r"[\n\r\v\f\x1c-\x1e\x85\u2028\u2029]+")
 _NAME = re.compile(r"[\w/~.:+\[\]*-]{1,256}", re.ASCII)
 
@@ -95,7 +95,7 @@ def visible_json(value: Any) -> tuple[Any, str]:
 
 
 def exact_json(value: Any) -> str:
-    """Return compact JSON text without hidden characters, which every parser reads as the original value."""
+    """Return compact JSON text without hidden characters; every parser reads it as the original value."""
     return with_json_escapes(visible_json(value)[1])
 
 

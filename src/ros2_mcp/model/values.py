@@ -54,7 +54,7 @@ def summarised(paths: Mapping[str, str]) -> str:
     such += " (characters)" if more.endswith("]") and not more.endswith(FIRST_ELEMENTS) else ""
     is_list = any(field.endswith(FIRST_ELEMENTS) for field in paths.values())
     larger = ", or a larger max_array" if is_list else ""
-    return f"Summarised: {named}. For more, give fields{such}{larger}."
+    return f"Summarised: {named}. For more, give `fields`{such}{larger}."
 
 
 def not_finite_number(text: str) -> float | None:

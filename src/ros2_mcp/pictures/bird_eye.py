@@ -24,7 +24,7 @@ _DARKEST = 24
 """Least brightness of a point, so that a black point differs from the black background."""
 
 _CORE = (0.05, 0.95)
-"""Quantiles of x and y that bound the core of a cloud, which may have a tenth of outliers."""
+"""Quantiles of x and y that bound the core of a cloud: a tenth of the points may be outliers."""
 _BEYOND = 3
 """Points farther from the core than this many times its extent are outliers, such as reflections, which would shrink
 the rest of the picture to a few pixels. Lidars sample near surfaces more densely, so far walls are no outliers."""
@@ -187,7 +187,7 @@ def _finest(xyz: NDArray[np.float64], max_side: int) -> float:
 def _pixels(
     xyz: NDArray[np.float64], rgb: NDArray[np.uint8], resolution: float
 ) -> tuple[NDArray[np.uint8], float, float]:
-    """Return the picture, and x and y of its upper left corner, which are multiples of the resolution."""
+    """Return the picture, and x and y of its upper left corner (multiples of the resolution)."""
     cells = np.floor(xyz[:, :2] / resolution).astype(np.int64)
     left, lowest = cells.min(axis=0)
     right, highest = cells.max(axis=0)
@@ -217,7 +217,7 @@ def _coloured(cloud: Cloud, kept: NDArray[np.bool_], options: BirdEyeOptions) ->
 
 
 def _jet(share: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """Map 0 to 1 to blue, cyan, green, yellow, red; without the dark ends, which would be hard to see."""
+    """Map 0 to 1 to blue, cyan, green, yellow, red; without the dark ends, because these would be hard to see."""
     parts = [1.5 - np.abs(0.5 + 3 * share - centre) for centre in (3, 2, 1)]
     return np.rint(255 * np.minimum(np.maximum(np.stack(parts, axis=1), 0), 1)).astype(np.uint8)
 

@@ -23,7 +23,7 @@ _MOST = 256
 _NAMED = 16
 """Labels that the note names with their colours; the others have small shares."""
 _GOLDEN = 0.618034
-"""Step around the colour circle, which keeps neighbouring labels distinct, however many there are."""
+"""Step around the colour circle: it keeps neighbouring labels distinct, however many there are."""
 
 
 def label_raster(values: NDArray[Any], encoding: str, *, any_value: bool = False) -> Raster | None:

@@ -31,8 +31,7 @@ _EDGE, _GAP = 14, 12
 _FINE = 2
 """Lines are drawn this many times larger and scaled down, so that they are smooth."""
 _DOTS = 60
-"""Curves of up to this many points show each point as a dot, which reveals the rate; more dots would be a thick
-line."""
+"""Curves of up to this many points show each point as a dot, to reveal the rate; more dots would be a thick line."""
 _MARK = 4
 """Pixels from the centre of the mark of a non-finite value to its edge."""
 _PADDING = 0.05

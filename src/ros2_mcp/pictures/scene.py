@@ -21,7 +21,7 @@ from ros2_mcp.world.limbs import LimbSeen
 from ros2_mcp.world.occupancy import OccupancyGrid, largest_of
 
 _MOST_PIXELS = 1_050_000
-"""Vision models scale down larger pictures, which makes the letters too small."""
+"""Vision models scale down larger pictures, so that the letters become too small."""
 _LONGEST_SIDE = 1400
 """Pixels of the ground; the axes take the rest of the largest side that models accept."""
 _FINEST_M = 0.002
@@ -48,7 +48,7 @@ _LONGEST_NAME = 28
 
 _PAPER, _INK = "#ffffff", "#1a1a1a"
 _LINE, _STRONG_LINE = (40, 90, 200, 120), (30, 80, 200, 190)
-"""Grid lines are blue, which maps are not, so that they are visible on black, grey and white."""
+"""Grid lines are blue (no map is blue), so that they are visible on black, grey and white."""
 ROBOT, SCAN, PATH, GOAL, PLACE = "#ff8c00", "#e6003c", "#00a03c", "#c800c8", "#0050d2"
 _HEADING = "#8a3c00"
 LIMB, _LIMB_FILL = "#5a3296", (150, 110, 220)

@@ -158,7 +158,9 @@ class KeptPrograms(Kept):
                 "Give replace=true for a new version of it, or another name.",
             )
         if former is None and len(self.names()) >= MAX_PROGRAMS:
-            raise BadInput(f"{MAX_PROGRAMS} programs are kept already.", "Remove one: ros2_program_save with remove.")
+            raise BadInput(
+                f"{MAX_PROGRAMS} programs are kept already.", "Remove one: ros2_program_save with remove=true."
+            )
         version = 1 + max(former.version if former else 0, *self._former_versions(program.name), 0)
         kept = KeptProgram(
             name=program.name,

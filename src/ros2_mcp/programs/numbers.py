@@ -1,4 +1,4 @@
-"""Numeric functions for programs, which have no library for them.
+"""Numeric functions for programs: programs have no numeric library.
 
 Each function of `NUMBERS` is in the module `robot` under its name there. Values that are not finite numbers are
 ignored: NaN and infinities, also as texts ("nan", "inf"), and None, all of which messages contain. Angles are in rad.

@@ -44,7 +44,7 @@ time for other work.
 MOST_MESSAGES = 600_000
 """The most messages: ten minutes at 1 kHz. For more, statistics are the better tool."""
 MOST_COMMANDS = 12_000
-"""The most commands: ten minutes at 20 Hz, which is as fast as most bases follow."""
+"""The most commands: ten minutes at 20 Hz, the fastest rate that most bases follow."""
 MOST_PRINTED = 12_000
 """The most characters shown of what a program prints."""
 _MOST_PRINTED_IN_ALL = 1_000_000
@@ -54,7 +54,7 @@ _MOST_DONE = 40
 _LOOK_S = 0.1
 """Time between two checks that the process and the bridge live: a fifth of the time in which a robot has to stop."""
 _ASKED_AGAIN_S = 0.2
-"""Time between two checks whether a person has answered, which takes seconds anyway."""
+"""Time between two checks whether a person has answered; a person takes seconds anyway."""
 _MOST_PICTURES = 4
 """The most pictures of a result: each costs a model about 1500 tokens."""
 

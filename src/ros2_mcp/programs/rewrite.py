@@ -1,4 +1,4 @@
-"""Rewrites programs for the sandbox, which cannot wait for the robot within the iterator of a `for` loop.
+"""Rewrites programs for the sandbox, because the sandbox cannot wait for the robot within the iterator of a `for` loop.
 
 A loop over messages becomes a loop over a list that grows with every turn. The first line of its body requests the next
 message: there, the sandbox can wait. `Rewritten.line` maps the shifted line numbers back.

@@ -354,7 +354,7 @@ def in_program(error: RobotError) -> Exception:
 
 
 def _never(*_: Any, **__: Any) -> None:
-    """Never called: it represents a function in the module, whose calls `_drive` answers."""
+    """Never called: it represents a function in the module; `_drive` answers calls of that function."""
     raise AssertionError("a function of the sandbox was called in this process")
 
 

@@ -312,7 +312,7 @@ class Streams:
         return message
 
     async def latest(self, source: Source, topic: str, fields: Sequence[str], timeout_s: float) -> dict[str, Any]:
-        """Return the newest message of a topic, which is followed from the first call on. Raises as
+        """Return the newest message of a topic; the topic is followed from the first call on. Raises as
         `Followed.newest`.
         """
         key = _name_in(source, topic), tuple(fields)

@@ -1,4 +1,4 @@
-"""The prompts of a server with several robots: each has a further argument, which names the robot."""
+"""The prompts of a server with several robots: each prompt has a further argument that names the robot."""
 
 from __future__ import annotations
 

@@ -195,7 +195,9 @@ class Failsafes:
         ]
 
     def give_up(self, owner: Principal) -> Sequence[str]:
-        """Release what a disconnected client owns, and return the topics to be zeroed, which no other client uses."""
+        """Release what a disconnected client owns, and return the topics to be zeroed: topics that no other client
+        uses.
+        """
         topics: set[str] = set()
         for driven in self.driven:
             others = [user for user in driven.users if user != owner]

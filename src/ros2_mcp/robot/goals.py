@@ -209,9 +209,7 @@ async def send(core: Core, prepared: Prepared[SendGoal]) -> Answer:
 
 
 async def _follow(core: Core, goal: Goal) -> None:
-    """Subscribe to the status of the goal's action, which covers all its goals, unless another goal's job has
-    done so.
-    """
+    """Subscribe to the status of the goal's action, unless another goal's job has done so."""
     while True:
         followed = [other for other in core.jobs.running(Goal) if other.is_followed]
         if len(followed) < _MOST_FOLLOWED and all(other.action != goal.action for other in followed):

@@ -50,8 +50,9 @@ NO_END_S = 1e9
 """32 years, in s: the time-out of requests that stay open, such as fail-safes and relays. Every request on the stream
 needs a time-out."""
 _COUNTED_AT_ONCE = 200
-"""The most topics whose endpoints the bridge counts at once, which takes 2 ms in a graph of 2,000 topics: a stop can
-pass between two such requests."""
+"""The most topics whose endpoints the bridge counts at once, in 2 ms in a graph of 2,000 topics: a stop can pass
+between two such requests.
+"""
 _ASKED_AT_ONCE = 32
 """The most concurrent requests about nodes; the bridge answers one after the other."""
 _SETTLING = 0.8
@@ -222,7 +223,7 @@ class Graph:
         return self._bridge.age_s
 
     async def contact(self) -> Contact:
-        """Return distribution, middleware, domain and clock of the bridge, which is started if necessary. Raises as
+        """Return distribution, middleware, domain and clock of the bridge; start the bridge if necessary. Raises as
         `ask`.
         """
         hello, clock = await self._bridge.ready(), self._bridge.clock

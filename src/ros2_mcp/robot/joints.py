@@ -58,8 +58,8 @@ class RobotJoints(Kept):
         return self._urdf
 
     async def look(self, names: Sequence[str] = ()) -> LookAtJoints:
-        """Measure these joints, and send the description's joint limits to the bridge, which judges trajectories as
-        well.
+        """Measure these joints, and send the description's joint limits to the bridge, because the bridge checks
+        trajectories as well.
 
         Raises as `Graph.ask`.
         """

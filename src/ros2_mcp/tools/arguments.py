@@ -93,7 +93,7 @@ Seconds = Annotated[Number, Field(ge=0, le=MAX_DURATION_S)]
 Duration = Annotated[Number | None, Field(gt=0, le=MAX_DURATION_S, description="Seconds to collect.")]
 MessageLimit = Annotated[
     Whole | None,
-    Field(ge=1, le=MAX_MESSAGES, description="Stop after this many messages; without duration, waits at most 20 s."),
+    Field(ge=1, le=MAX_MESSAGES, description="Stop after this many messages; without `duration`, waits at most 20 s."),
 ]
 NumericFields = Annotated[
     list[str] | None,

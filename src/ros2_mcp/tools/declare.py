@@ -20,7 +20,8 @@ Risk = Literal["read", "write", "actuate", "stop"]
 jobs, and is offered with every tool that does more than read."""
 
 Audience = Literal["model", "page"]
-"""The caller of a tool: the model, or in a chat host the page that a tool has opened, whose tools no model sees."""
+"""The caller of a tool: the model, or in a chat host the page that a tool has opened. No model sees the page's tools.
+"""
 
 ToolFunction = Callable[..., Awaitable[Any]]
 
@@ -130,7 +131,7 @@ def tool(
     finds: str = "",
     always_loaded: bool = False,
 ) -> Callable[[ToolFunction], ToolFunction]:
-    """Declare the decorated function as a tool with the same name; the arguments are those of `ToolDeclaration`."""
+    """Declare the decorated function as a tool with the same name; its arguments are fields of `ToolDeclaration`."""
 
     def declare(function: ToolFunction) -> ToolFunction:
         DECLARED.append(

@@ -22,7 +22,8 @@ _NUMBERS = ("number", "integer")
 
 
 def as_meant(schema: Schema, arguments: Mapping[str, Any], *, acts: bool) -> tuple[dict[str, Any], list[str]]:
-    """Return the arguments without those that count as not given, and a sentence for each value that was changed.
+    """Return the arguments without the arguments that count as not given, and a sentence for each value that was
+    changed.
 
     Args:
         schema: of the arguments, in the plain form of `argument_schema`.

@@ -147,7 +147,7 @@ async def ros2_bag_read(
     *,
     selection: Messages,
 ) -> bags.BagMessages:
-    """Read messages of one topic in a bag: the first ones from start on, or without start the last ones."""
+    """Read messages of one topic in a bag: the first messages from `start` on, or without `start` the last messages."""
     chosen = replace(selection, message_limit=message_limit)
     return await bags.read(robot, store, bag, topic_name, chosen, start=start, end=end)
 

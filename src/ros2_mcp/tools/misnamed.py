@@ -39,7 +39,7 @@ MEANT: Mapping[str, Sequence[str]] = {
     **dict.fromkeys(("start_time", "from", "since"), ("start", "time_start", "since")),
     **dict.fromkeys(("end_time", "to", "until"), ("end", "time_end")),
 }
-"""Wrong name → the arguments it may mean; the hint names the first one that the tool has."""
+"""Wrong name → the arguments it may mean; the hint names the first argument that the tool has."""
 
 
 _SAME: Sequence[Sequence[str]] = (

@@ -283,7 +283,7 @@ async def ros2_nav_localize(
     at: Annotated[
         dict[str, Any] | None,
         BeforeValidator(_as_object),
-        Field(description='Where it is: {"place": name} or {"x", "y", "yaw_deg"} in map; with search, a guess.'),
+        Field(description='Where it is: {"place": name} or {"x", "y", "yaw_deg"} in map; with search=true, a guess.'),
     ] = None,
     search: Annotated[Flag, Field(description="Find it on the map by its laser scan.")] = False,
     radius_m: Annotated[
@@ -297,7 +297,7 @@ async def ros2_nav_localize(
     """Tell localisation where the robot is (initial pose): given, found on the map, or kept. Nothing moves.
 
     Reports whether the transforms took it, and how well the laser scan fits the map before and after. If several poses
-    fit nearly as well, none is published: choose one and give it as at.
+    fit nearly as well, none is published: choose one and give it as `at`.
     """
     request = LocalizeRequest(at=at, search=search, radius_m=radius_m, last=last, topic=topic_name)
     return await localize(robot, session, request, report)
@@ -426,6 +426,6 @@ async def ros2_place_set(
     frame: Annotated[str, Field(description="Coordinate frame.")] = "map",
     remove: Annotated[Flag, Field(description="Delete the place instead.")] = False,
 ) -> PlaceKept:
-    """Save a pose under a name, or delete one. Places outlive this server."""
+    """Save a place (a pose with a name), or delete a place. Places outlive this server."""
     request = PlaceRequest(name=name, x_m=x, y_m=y, yaw_deg=yaw_deg, frame=frame, remove=remove)
     return await set_place(robot, session, request)

@@ -33,8 +33,9 @@ _ANY_VALUE: Schema = {"anyOf": [*_ANY_SCALAR, {"type": "array", "items": {"anyOf
 
 
 def argument_schema(schema: Mapping[str, Any]) -> Schema:
-    """Return the schema of a tool's arguments: optional values appear as plain ones, and unknown arguments are
-    errors."""
+    """Return the schema of a tool's arguments: optional values appear as plain values, and unknown arguments are
+    errors.
+    """
     result = _plain(schema, schema.get("$defs", {}))
     result["additionalProperties"] = False
     for name, node in result.setdefault("properties", {}).items():

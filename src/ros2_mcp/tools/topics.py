@@ -45,7 +45,7 @@ Data = Annotated[
     ),
 ]
 _SEVERAL = Field(min_length=1, max_length=20)  # more than a person reads or commands at once
-_HZ = "Messages per second; needs duration."
+_HZ = "Messages per second; needs `duration`."
 _SECONDS = "Duration in seconds; needs frequency."
 Destination = Annotated[str, Field(description="Such as /cmd_vel.")]
 PublishedType = Annotated[str, Field(description="Such as geometry_msgs/msg/Twist. Default: the topic's own.")]

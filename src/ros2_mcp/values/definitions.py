@@ -115,7 +115,7 @@ class Definitions:
         return type_name in current.texts or type_name in current.owners or type_name in current.plain
 
     def is_cdr(self, type_name: str) -> bool:
-        """Return whether its messages are CDR, whose bytes can be read without decoding them."""
+        """Return whether its messages are CDR: their bytes can be read without decoding."""
         return type_name not in self._set.plain and type_name not in self._set.refused
 
     def unknown_in(self, type_name: str) -> list[str]:

@@ -347,7 +347,7 @@ def _statistics(base: str, values: NDArray[Any]) -> dict[str, Any]:
 
 
 def _short(value: float) -> float:
-    """Return the shortest decimal that rounds to the same float32 as `value`, which is a float32."""
+    """Return the shortest decimal that rounds to the same float32 as the float32 `value`."""
     for digits in ("%.7g", "%.8g", "%.9g"):
         short = float(digits % value)
         try:

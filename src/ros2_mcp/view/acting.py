@@ -18,10 +18,11 @@ from ros2_mcp.view.acts import MOST_ACTS, acts_in, presses_as_one
 from ros2_mcp_common.policy.velocity import VELOCITY_TYPES
 
 _ALIVE_S = 1.0
-"""Seconds for the answer of a live server, which looks nothing up. A server that hangs has lost its link lease in a
-second."""
+"""Seconds for the answer of a live server: it looks nothing up. A server that hangs has lost its link lease in a
+second.
+"""
 _STOPPED_S = 15.0
-"""Seconds for the whole answer of a stop, which waits until goals have ended and the robot is observed at rest."""
+"""Seconds for the whole answer of a stop: a stop waits until goals have ended and the robot is observed at rest."""
 _LATE_S = 2.0
 """Seconds for the stop's answer of a server that did not answer `list` and may only be slow: its zeros are sent from
 here meanwhile."""

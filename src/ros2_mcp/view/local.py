@@ -1,4 +1,4 @@
-"""Serve the page on this machine: a small HTTP application for one browser, which requires a token.
+"""Serve the page on this machine: a small HTTP application for one browser; requests need a token.
 
 The browser receives the token in the fragment of the address, which is never sent, and returns it in a header of each
 POST. There is no cookie (cookies ignore ports) and no header for other origins. The page itself contains no data and is

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 MOST_MESHES = 200
 """Meshes of one description; a humanoid has 60."""
 _MOST_TRIANGLES = 120_000
-"""Triangles of all meshes together, which a computer without a graphics card rotates smoothly."""
+"""Triangles of all meshes together: as many as a computer without a graphics card rotates smoothly."""
 _MOST_OF_ONE = 20_000
 _MOST_NAME = 500
 _MOST_PACKAGES = 2000
@@ -122,7 +122,7 @@ def prefixes_of(settings: Settings) -> Sequence[Path]:
 
 
 def _prefixes(given: Sequence[Path]) -> list[Path]:
-    """Return the prefixes in which to look for packages: at or directly below the given folders and those of
+    """Return the prefixes in which to look for packages: at or directly below the given folders and the folders of
     AMENT_PREFIX_PATH and COLCON_PREFIX_PATH, then Python's own.
     """
     listed = [os.environ.get(name, "") for name in ("AMENT_PREFIX_PATH", "COLCON_PREFIX_PATH")]

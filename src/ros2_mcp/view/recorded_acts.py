@@ -56,7 +56,7 @@ class RecordedActs:
 
 
 class _Calls:
-    """The audit lines in a recording, each with the time of its message, which is the clock of the other topics."""
+    """The audit lines in a recording, each with the time of its message, by the clock of the other topics."""
 
     def __init__(self, stream: Stream) -> None:
         self.lines: list[tuple[str, Entry]] = []

@@ -40,7 +40,7 @@ _FAILED_S = 1.0
 """Seconds between two attempts of a panel that cannot be shown."""
 _MOST_TOPIC = 300
 _PART_BYTES = 300_000
-"""Bytes of a large part in one answer: base64 adds a third, which chat hosts are known to pass on."""
+"""Bytes of a large part in one answer: base64 adds a third, and chat hosts are known to pass on this size."""
 _MOST_PAST = 4
 """Closed pages whose last state is still reported."""
 _ROUNDED_NS = 1000

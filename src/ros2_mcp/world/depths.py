@@ -16,8 +16,8 @@ from ros2_mcp.world.clouds import cloud_of
 from ros2_mcp.world.scans import moved
 
 _MOST_POINTS = 60_000
-"""Points that are analysed, evenly spread: an image of 640 × 480 has five times as many, which its surfaces do not
-need."""
+"""Points that are analysed, evenly spread: an image of 640 × 480 has five times as many, more than its surfaces need.
+"""
 _AMONG = 5
 """In a dense cloud the fifth nearest point is taken as the nearest obstacle: single points may be sensor noise."""
 _DENSE = 500

@@ -142,7 +142,7 @@ def parts_of(urdf: Urdf, body: str) -> Sequence[str]:
 
 
 def _in_base(at: Vector, base: Mount) -> Vector:
-    """Transform a point from the frame of the body to that of the base, which is fixed to the body."""
+    """Transform a point from the frame of the body to the frame of the base (fixed to the body)."""
     dx, dy, dz = (one - other for one, other in zip(at, base.xyz, strict=True))
     axes = [Mount(rpy=base.rpy).of(Mount(axis)).xyz for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))]
     x, y, z = (dx * axis[0] + dy * axis[1] + dz * axis[2] for axis in axes)

@@ -287,7 +287,7 @@ def _not_then(tree: FrameTree, lacking: Sequence[Edge], sought_ns: int) -> NoTra
     older = "Read older transforms from a recording (bag); a server with --black-box always keeps one."
     if tree.is_recorded:
         older = "Give a later time: this one is before the part of the recording that was read."
-    hint = "Leave time out for the latest." if is_later else older
+    hint = "Leave `time` out for the latest transform." if is_later else older
     return NoTransform("not at that time", message, hint)
 
 

@@ -61,7 +61,7 @@ def wheels_of(urdf: Urdf) -> list[Joint]:
 
 
 def is_passive(urdf: Urdf, joint: Joint) -> bool:
-    """Return whether the joint belongs to a caster, which is not driven and whose position does not matter."""
+    """Return whether the joint belongs to a caster: it is not driven, and its position does not matter."""
     names = [f"{joint.name} {joint.child}", *(f"{above.name} {above.child}" for above in above_of(urdf, joint.parent))]
     return joint.kind == "continuous" and any(map(_CASTER.search, names))
 
@@ -157,7 +157,7 @@ def kind_of(
 
 
 def _flying(urdf: Urdf | None, rotors: int, driven_by: Collection[str]) -> str:
-    """Name a drone; with a caveat if only an autopilot suggests it, which ground vehicles and boats have as well."""
+    """Name a drone; with a caveat if only an autopilot suggests it: ground vehicles and boats have it as well."""
     is_named = (urdf and _FLYING.search(urdf.name)) or any("Multi" in kind for kind in driven_by)
     if rotors:
         return f"drone, {rotors} rotor{'s' if rotors > 1 else ''}"

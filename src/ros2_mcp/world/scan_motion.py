@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 _REACH_M = 6.0
 """Points farther away than this are not used: their distance to each other is large, and they fit by chance."""
 _LEAST_M = 0.3
-"""Nearer points may be parts of the robot, which move with it."""
+"""Nearer points may be parts of the robot and move with it."""
 _MOST_POINTS = 180
 _LEAST_POINTS = 40
 _COARSE_CELL_M, _COARSE_WIDTH_M = 0.05, 0.1
@@ -21,7 +21,7 @@ _FINE_CELL_M, _FINE_WIDTH_M = 0.02, 0.04
 """Cells, and how fast the fit falls with the distance: at first as wide as the steps of the search, then as the noise
 of a scanner."""
 _MARGIN = 12
-"""Cells at the edge that no point is in: those of its neighbourhood are."""
+"""Cells beyond the outermost points, on each side: they belong to the neighbourhoods of these points."""
 _STEP_M, _STEP_RAD = 0.1, math.radians(3)
 _FITS, _LEAST_SHARE = 0.5, 0.5
 _OTHER_M, _OTHER_RAD, _ALIKE = 0.2, math.radians(10), 0.93

@@ -378,7 +378,7 @@ def _pose_of(
 
 
 def pose_of(pose: Any) -> Pose:
-    """Convert a geometry_msgs/msg/Pose; a quaternion of all zeros, which was not set, is no rotation.
+    """Convert a geometry_msgs/msg/Pose; a quaternion of all zeros (not set) counts as no rotation.
 
     Raises:
         ValueError: if it has numbers that are not finite, with the first of them.

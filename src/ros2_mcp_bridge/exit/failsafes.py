@@ -21,7 +21,7 @@ HOLD_S = 3600.0
 
 
 class Arrival(Protocol):
-    """A message or call on its way, which says when it has arrived: a future of rclpy, or a `Publisher`."""
+    """A message or call in transit, with whether it has arrived: a future of rclpy, or a `Publisher`."""
 
     def done(self) -> bool:
         """Return whether there is nothing more to wait for."""
@@ -68,7 +68,7 @@ def ended_by(service: str, type_name: str, message: Any) -> Motion | None:
 
 
 class FailSafes:
-    """The fail-safes in force: the zeros of driven topics, which `send_zeros` publishes, and one action per request."""
+    """The fail-safes in force: the zeros of driven topics (`send_zeros` publishes them), and one action per request."""
 
     def __init__(self, send_zeros: Callable[[], None]) -> None:
         self._send_zeros = send_zeros
@@ -77,7 +77,7 @@ class FailSafes:
 
     @contextmanager
     def in_force(self, request: Request, action: Action, ends: Motion | None = None) -> Generator[None, None, None]:
-        """A context manager in which the action, which ends the motion `ends`, is in force for the request."""
+        """A context manager in which the action that ends the motion `ends` is in force for the request."""
         self._actions[request] = action
         if ends:
             self._ends[request] = ends

@@ -242,7 +242,7 @@ class Limiter:
         return self.rules is not None and not self.rules.ruling("cancel", action, CANCEL_GOAL).problem
 
     def watched_by(self, watchdog: Watchdog) -> None:
-        """Take the watchdog, which knows where the robot is."""
+        """Take the watchdog, because it knows where the robot is."""
         self.watchdog = watchdog
 
     def check_start(self, type_name: str = "", request: Any = None) -> None:

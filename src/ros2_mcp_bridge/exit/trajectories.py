@@ -107,7 +107,7 @@ class TrajectoryTopic(VelocityTopic):
         return Trajectory(self, message)
 
     def wait_clock(self) -> Steps[None]:
-        """Steps that wait until the positions of the joints, which the hold needs, are known; at most 3.5 s."""
+        """Steps that wait until the positions of the joints are known, for the hold; at most 3.5 s."""
         deadline = time.monotonic() + MEASURED_S
         while self._joint_states.missing(self._awaited) and time.monotonic() < deadline:
             self._joint_states.follow()

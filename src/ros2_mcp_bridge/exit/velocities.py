@@ -130,7 +130,7 @@ class Command(Outgoing):
         return self._topic.stamped(self.value)
 
     def has_left(self) -> None:
-        """Record that the robot may move from now on, and the frame of this command, which its zero will use."""
+        """Record that the robot may move now, and the frame of this command: its zero will use the same frame."""
         self._topic.commanded(self.value.header.frame_id if self._topic.is_stamped else "", moves=self.moves)
         self._topic.is_moving = any(floats_of(self.value.__class__)[1](self.value))
 

@@ -1,5 +1,5 @@
-"""The interface of a controller, which decides about a motion. It is pure: it needs neither
-ROS nor a particular system.
+"""The interface of a controller. A controller decides about a motion. It is pure: it needs neither ROS nor a particular
+system.
 
 The runner (`motion.py`) passes it the messages of its topics and publishes the velocities that it returns.
 """

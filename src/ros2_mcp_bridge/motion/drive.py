@@ -386,7 +386,7 @@ class Drive:
     def _guarded(
         self, guard: Guard, course: Line | Circle | Turn, direction: int, speed: float, now: float
     ) -> float | None:
-        """Return the speed that the sensors allow; None if they allow none, which ends the drive."""
+        """Return the speed that the sensors allow; None if they allow no motion, so that the drive ends."""
         is_blind = not course.is_turn and not guard.sees(0.0 if direction > 0 else math.pi)
         if is_blind and not self._corrections:  # a correction is only some centimetres
             way = "ahead" if direction > 0 else "back"

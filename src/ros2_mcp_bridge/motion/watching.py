@@ -57,7 +57,7 @@ class _Plan(NamedTuple):
 
 
 class Ear:
-    """A subscription to one feedback topic, which follows its publishers as they come and go.
+    """A subscription to one feedback topic: it follows the topic's publishers as they come and go.
 
     While it passes a message on, `received_at` is when the middleware received it (monotonic, s): it
     may have waited since then. `from_before_s` is its age by its publisher's clock if it was sent before the

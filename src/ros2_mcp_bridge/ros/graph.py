@@ -1,4 +1,4 @@
-"""Requests about the ROS graph, which are answered as soon as discovery has settled."""
+"""Requests about the ROS graph: they are answered as soon as discovery has settled."""
 
 from __future__ import annotations
 
@@ -208,7 +208,7 @@ class Graph:
     # without reading their names.
 
     def _counted(self, topics: Sequence[tuple[str, Iterable[str]]]) -> list[tuple[int, int]]:
-        """Return the numbers of publishers and subscribers of topics, which are given with their types."""
+        """Return the numbers of publishers and subscribers of topics that are given with their types."""
         counts = rcl.counts(self._node, [name for name, _ in topics])
         return [
             (

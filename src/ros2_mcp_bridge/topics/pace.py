@@ -1,4 +1,4 @@
-"""Pacing of requests to one service, whose server loses requests when its queue, usually of 10, is full."""
+"""Pacing of requests to one service: a server loses requests when its queue, usually of 10, is full."""
 
 from __future__ import annotations
 

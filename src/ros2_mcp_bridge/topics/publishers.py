@@ -125,7 +125,7 @@ class Publisher:
         self._raw.publish_raw(data)
 
     def _send_default(self) -> None:
-        """Publish the default value, which ends a command of another type when a limit's hold time is over."""
+        """Publish the default value to end a command of another type when a limit's hold time is over."""
         self.publish_zero(rcl.serialize(self._interface()))
 
     def is_needed(self) -> bool:
@@ -376,7 +376,7 @@ class Publishers:
         }
 
     def failsafe(self, request: Request) -> Steps[protocol.Cancelled]:
-        """Steps that hold a topic, which gets its zero when the server is gone, until the request is cancelled.
+        """Steps that hold a topic until the request is cancelled; the topic gets its zero when the server is gone.
 
         With `now` it gets a zero at once, for a robot that a former bridge has left moving.
         """

@@ -1,4 +1,6 @@
-"""Raw subscriptions, drained by the loop instead of by the executor, which takes only one message at a time."""
+"""Raw subscriptions, drained by the loop instead of by the executor, because the executor takes only one message at a
+time.
+"""
 
 from __future__ import annotations
 

@@ -196,7 +196,7 @@ class Watchdog:
         self._driven_since: float | None = None
         self._stand_since: float | None = None
         self.latches = True
-        """Whether the last finding sets the latch, which only an operator resets, or only ends what drives it."""
+        """Whether the last finding sets the latch (only an operator resets it), or only ends what drives the robot."""
 
     @property
     def place(self) -> Pose | None:
@@ -257,7 +257,7 @@ class Watchdog:
             self._place = Pose(x, y, yaw)
 
     def _heard_transforms(self, chain: TransformChain, message: Any, now: float) -> None:
-        """Record a message with transforms, which tell a pose if all of the chain are new enough."""
+        """Record a message with transforms; a pose is known if all transforms of the chain are new enough."""
         rule, silence = self.pose_rule, self._no_place
         assert rule and silence
         chain.take(message, now)

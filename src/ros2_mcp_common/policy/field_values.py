@@ -125,8 +125,8 @@ def number_of(value: Any, path: str) -> float:
 
 
 def _meant(message: Any, name: str, value: Any) -> Any:
-    """Return a float32 of a message as the decimal number that was meant: 0.2, not 0.200000003,
-    which exceeds a limit of 0.2.
+    """Return a float32 of a message as the decimal number that was meant: 0.2, not 0.200000003: the latter exceeds a
+    limit of 0.2.
     """
     if not isinstance(value, float) or isinstance(message, Mapping):
         return value

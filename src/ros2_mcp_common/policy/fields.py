@@ -43,7 +43,7 @@ def _floats(message: Any, prefix: str = "") -> list[str]:
 
 
 def names_at(message: Any, path: str) -> list[str]:
-    """Return the names of the numbers at or below a path of a rule, which are the same for every message of the type.
+    """Return the names of the numbers at or below a path of a rule: the same names for every message of the type.
 
     Raises:
         Unfit: if there is no such field.

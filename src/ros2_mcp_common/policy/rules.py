@@ -1,4 +1,4 @@
-"""The compiled rules of the policies in force, which go to the bridge as JSON, and the functions that apply them.
+"""The compiled rules of the policies in force (the bridge gets these rules as JSON), and the functions that apply them.
 
 The server applies them for its errors, the bridge at its exits, so that both decide alike. Needs no ROS. Several
 policies are an intersection: each of them has to allow an act, and the limits of all hold. Within one policy, only what
@@ -339,7 +339,7 @@ class Ruling:
 
 @dataclass(frozen=True)
 class Rules:
-    """All rules in force, which the bridge receives once, before any other request may act.
+    """All rules in force. The bridge receives them once, before any other request may act.
 
     `digest` is the SHA-256 of all policies in their canonical form.
     """

@@ -233,7 +233,7 @@ def _starts(measured: State, to: float | None = None, *, wraps: bool = False) ->
 
 
 def _carried(starts: Sequence[float], measured: State, first: State) -> Iterator[State]:
-    """Yield the states from which a controller may begin, which depend on what it measures besides positions.
+    """Yield the states from which a controller may begin: these depend on what it measures besides positions.
 
     ros2_controllers takes the speed if there is a state interface for it, and the acceleration if there is one for
     that, too. The first segment is a line, a cubic or a quintic accordingly, whatever the first point contains.
@@ -331,7 +331,7 @@ def _problem_of(
     bounds: JointBounds,
     step: float | None,
 ) -> str:
-    """Return the same as `problem` for one joint, which may move along these segments to its points."""
+    """Return the same as `problem` for one joint that may move along these segments to its points."""
     name = ascii(path.names[joint])[1:-1]
     most_step = step if step is not None else _NO_STEP if bounds.acceleration is not None else math.inf
     speed = measured.speed or 0.0

@@ -428,7 +428,7 @@ def distro_of(install: Path) -> str:
 
 
 def _places(pattern: str, env: Mapping[str, str]) -> list[Path]:
-    """Return the folders that match a pattern, which begins with the home folder or the root."""
+    """Return the folders that match a pattern; a pattern begins with the home folder or the root."""
     home = env.get("HOME", "")
     if pattern.startswith("~/"):
         return sorted(Path(home).glob(pattern[2:])) if home else []
@@ -513,7 +513,7 @@ def wheel_environment(env: Mapping[str, str], prefix: Path, site_packages: Path)
 
 
 def workspace_setup(workspace: str) -> Path:
-    """Return the setup file of a workspace, which is given by its root, its install folder or that file itself.
+    """Return the setup file of a workspace that is given by its root, its install folder or the setup file itself.
 
     Raises:
         NotFound: if there is none.

@@ -170,7 +170,7 @@ def tell(nonce: str, stage: str, **details: str) -> None:
 
 
 def _read_line() -> bytes:
-    """Read one line from stdin without a buffer, which would swallow the bytes behind it."""
+    """Read one line from stdin without a buffer: a buffer would swallow the bytes behind the line."""
     with open(0, "rb", buffering=0, closefd=False) as stream:
         return stream.readline()
 
@@ -246,7 +246,7 @@ def _become_bridge(nonce: str, archive: str, head: "dict[str, Any]") -> None:
 
 
 def _enter_container(nonce: str, name: str, words: "list[str]") -> None:
-    """Become the engine's client, which starts another stage 1 in the container."""
+    """Become the engine's client: the client starts another stage 1 in the container."""
     engine = _engine_of(name)
     tell(nonce, "container", name=name, engine=" ".join(engine))
     signal.alarm(0)  # the engine's client lives as long as the bridge

@@ -81,7 +81,7 @@ class Samples(Counts):
 
 
 class FrameIdChanged(TypedDict):
-    """The `frame` event: the commands on a velocity topic have a new frame, which its zero will use."""
+    """The `frame` event: the commands on a velocity topic have a new frame; the topic's zero will use this frame."""
 
     event: Literal["frame"]
     topic: str

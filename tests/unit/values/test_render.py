@@ -95,7 +95,7 @@ def test_a_long_array_becomes_length_first_values_and_statistics_of_the_finite(d
         "min": 1.0, "min_at": 0, "min_at_angle": 0, "max": 3.0, "mean": 2.0, "nan": 1, "inf": 2,
     }  # fmt: skip
     assert list(result.truncated) == ["ranges"]
-    assert 'Summarised: ranges. For more, give fields, such as fields=["ranges[0:100]"], or' in summarised(
+    assert 'Summarised: ranges. For more, give `fields`, such as fields=["ranges[0:100]"], or' in summarised(
         result.truncated
     )
 

@@ -35,7 +35,7 @@ _TEXT_S = 1.0
 """Time for the autopilot's text about a refusal: it comes within milliseconds, in a log that
 is drained ten times a second."""
 _LOOK_S = 0.05
-"""Seconds between two reads of the log, which is drained ten times a second."""
+"""Seconds between two reads of the log. The log is drained ten times a second."""
 _WARNING = 30
 """The level WARN of rcl_interfaces/msg/Log."""
 _MOST_TEXTS = 3

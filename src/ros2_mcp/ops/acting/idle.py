@@ -126,7 +126,9 @@ def _below(controllers: Mapping[str, Mapping[str, Any]], meant: Sequence[str]) -
 
 
 def _interfaces(controller: Mapping[str, Any]) -> Sequence[str]:
-    """Return the interfaces that a controller commands: those claimed while it is active, and those always required."""
+    """Return the interfaces that a controller commands: interfaces claimed while it is active, and interfaces always
+    required.
+    """
     return [*controller["claimed_interfaces"], *controller["required_command_interfaces"]]
 
 
@@ -142,7 +144,7 @@ async def _by_its_state(robot: Robot, node: str) -> str:
 
 
 async def _sign_of_life(robot: Robot, node: str, services: set[str]) -> str:
-    """Return a sentence if a node does not answer get_parameters, which every node serves; else nothing."""
+    """Return a sentence if a node does not answer get_parameters (every node serves it); else nothing."""
     service = f"{node}{_PARAMETERS}"
     if service not in services:
         return ""

@@ -1,4 +1,4 @@
-"""`ros2_cancel_action_goal`: one goal, all goals, or those accepted up to a time."""
+"""`ros2_cancel_action_goal`: one goal, all goals, or the goals accepted up to a time."""
 
 from __future__ import annotations
 

@@ -32,8 +32,7 @@ def told_by_result(action_type: str, result: Mapping[str, Any] | None) -> str:
 
 
 def _missed(result: Mapping[str, Any]) -> list[str]:
-    """Return the waypoints that were not reached, as elements of the goal's `poses`, each with its error code if there
-    is one."""
+    """Return the waypoints that were not reached, as elements of the goal's `poses`, each with any error code."""
     found: list[str] = []
     for one in cast("Sequence[Any]", result.get("missed_waypoints") or ()):
         if isinstance(one, Mapping):

@@ -1,4 +1,4 @@
-"""`ros2_action_request_result`: the result of a goal, whichever client sent it."""
+"""`ros2_action_request_result`: the result of a goal of any client."""
 
 from __future__ import annotations
 
@@ -58,8 +58,8 @@ async def request_result(
     waits: bool = True,
     report: Report = silent,
 ) -> GoalResult:
-    """Wait for the result of a goal, whichever client sent it; if it `waits`, wait for its server to appear, too. A
-    time-out does not cancel the goal.
+    """Wait for the result of a goal of any client; if it `waits`, wait for its server to appear, too. A time-out does
+    not cancel the goal.
 
     Raises:
         NotFound: if there is no such action, or its server left before the goal ended.

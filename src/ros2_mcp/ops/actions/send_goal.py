@@ -39,8 +39,9 @@ _REDISCOVERED_S = 10.0
 """Time for the next bridge to discover an action's server: discovery may take several seconds on a busy machine."""
 _WENT_ON = "The bridge was lost meanwhile: the robot went on with the goal, and the next bridge saw it end."
 _ANNOUNCED_S = 0.1
-"""Time for an announcement, which takes milliseconds. A server that has had no goal yet has no latched message, so its
-first goal is delayed by this."""
+"""Time for an announcement. It takes milliseconds. A server that has had no goal yet has no latched message, so its
+first goal is delayed by this.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +110,7 @@ async def send_goal(
     action_type = await robot.types.action(action, action_type)
     servers = await servers_of_action(robot, action)
     if servers and not force:
-        await check_one_server(robot, action, "End all but one, or set force to true.")
+        await check_one_server(robot, action, "End all but one, or set force=true.")
     several = f"{in_words_of(action, servers)}: each may carry it out." if servers else ""
     command = SendGoal(
         principal=session.principal,

@@ -26,8 +26,9 @@ MAX_MESSAGES = 1000
 """The most messages of one call that follows states or feedback: more than a model reads,
 and a bound on what is collected."""
 LATCHED_S = 0.5
-"""Time for the latched message, which comes with the matching, within milliseconds. A server
-that has had no goal has none."""
+"""Time for the latched message: it comes with the matching, within milliseconds. A server that has had no goal has
+none.
+"""
 _OTHER_CLOCK_S = 1e8
 """Three years: a stamp further than this from now is from a clock that began at zero, as in a simulation."""
 

@@ -12,7 +12,7 @@ from ros2_mcp.ops.results.results import HIDDEN
 Severity = Literal["critical", "warning"]
 
 _MOST_JOINED = 6
-"""The most findings combined in one sentence; a node may publish a hundred topics, which the table lists."""
+"""The most findings combined in one sentence; a node may publish a hundred topics; the table lists them."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,7 +39,7 @@ MOTION_TYPES = frozenset(_FIELDS)
 
 _NUMBER_BYTES = 8
 _HEADER_BYTES = 4
-"""Size of the CDR header, whose second byte gives the byte order."""
+"""Size of the CDR header; its second byte gives the byte order."""
 
 
 class Finite:

@@ -227,11 +227,11 @@ def evaluate(capture: Capture[Columns], most_fields: int = 80) -> TopicStatistic
         until = recorded_time(int(kept.times_ns[-1]), capture.began_ns) if len(kept.times_ns) else "its beginning"
         notes.append(f"Periods and gaps cover the time up to {until}; later times did not fit in memory.")
     if not kept.columns:
-        notes.insert(0, "It has no numeric fields; to measure bytes, booleans or stamps, name them in fields.")
+        notes.insert(0, "It has no numeric fields; to measure bytes, booleans or stamps, name them in `fields`.")
     elif len(varying) > most_fields:
         left_out = len(varying) - most_fields
         first = varying[most_fields].path.path
-        notes.insert(0, f"{left_out} more fields, from {first} on, are not shown; name them in fields.")
+        notes.insert(0, f"{left_out} more fields, from {first} on, are not shown; name them in `fields`.")
     if kept.replayed:
         notes.insert(
             0,

@@ -186,7 +186,7 @@ class BagStore:
         return problems
 
     def bag_names(self) -> dict[str, Path]:
-        """Return every bag that may be read, by its name, which is its path below the folder."""
+        """Return every bag that may be read, by its name: its path below the folder."""
         from ros2_mcp.bags.recordings import recordings_in
 
         found: dict[str, Path] = {self.subject.name: self.subject} if self.subject else {}
@@ -305,7 +305,7 @@ def _schemas(bag: Bag) -> dict[str, tuple[str, str]]:
 
 
 def _mark(path: Path) -> tuple[int, int]:
-    """Return the total size and the newest modification time (ns) of the files, which differ whenever the files do."""
+    """Return the total size and the newest modification time (ns) of the files: they differ whenever the files do."""
     from ros2_mcp.bags.recordings import files_of
 
     size = newest_ns = 0

@@ -1,4 +1,4 @@
-"""Messages of the past: the messages of a topic, from the first source that has some."""
+"""Messages of the past: the messages of a topic, from the first source that has messages."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ async def get_messages(
     selection: Selection,
     report: Report = silent,
 ) -> StoredMessages:
-    """Return the last messages in a time span of the past, from the first source that has some.
+    """Return the last messages in a time span of the past, from the first source that has messages.
 
     The selection's `message_limit` is the number of messages (None: all). If they do not fit, they are evenly thinned.
 
@@ -100,8 +100,8 @@ async def get_messages(
 
 
 async def _find(sources: Sources, topic: str, type_name: str, request: SourceRequest, selection: Selection) -> _Found:
-    """Return the messages of the first source that has some; if none has and none has failed, those of the
-    first source that knows the topic.
+    """Return the messages of the first source that has messages; if no source has any and no source has failed, the
+    (empty) answer of the first source that knows the topic.
     """
     filters = [path for path in selection.fields if "==" in path]
     all_of_them = replace(selection, fields=filters, every_n=1, message_limit=selection.message_limit or MAX_MESSAGES)

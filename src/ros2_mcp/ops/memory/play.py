@@ -46,7 +46,7 @@ _ANSWERED_S = 0.5
 """Time for the answer about an ended publisher: the bridge sends it before it rejects a
 feed, so it has only to be read."""
 _POLL_S = 0.02
-"""Seconds between two checks of whether a publisher is ready, which takes milliseconds."""
+"""Seconds between two checks of whether a publisher is ready; a publisher takes milliseconds."""
 _DISCOVERED_S = 0.3
 """Time for subscribers to discover our publishers, a little after these discover them;
 messages sent earlier arrive late."""
@@ -158,7 +158,9 @@ class Playback(Job):
         self._published = dict.fromkeys(topics, 0)
         """The number of published messages of each topic, as far as the bridge has reported it."""
         self._ended: dict[str, RelayCounts] = {}
-        """The bridge's last counts of the publishers that it has ended, which a feed in progress does not return."""
+        """The bridge's last counts of the publishers that it has ended; a feed in progress does not return these
+        counts.
+        """
         self._note = ""
         self._guarded = ""
         self._progress = 0.0
@@ -334,8 +336,8 @@ class Playback(Job):
         self._progress = 1.0
 
     def _latched(self) -> list[tuple[str, Sample]]:
-        """Return the latched messages from before that part of the bag, which a late subscriber would
-        have received at its beginning.
+        """Return the latched messages from before that part of the bag: a late subscriber would have received them at
+        its beginning.
         """
         span = replace(self._span, start_ns=self._start_ns)
         return [(name, one) for name, topic in self._topics.items() for one in latched_before(self._bag, topic, span)]
@@ -463,8 +465,8 @@ _REMAP = 'Give it a name of ROS with remaps, such as {"vehicle.speed": "/vehicle
 async def _installed(
     robot: Robot, request: PlayRequest, topics: Mapping[str, StoredTopic]
 ) -> tuple[Mapping[str, StoredTopic], Mapping[str, str]]:
-    """The topics whose types the robot knows, and why not the others; raises `UnknownInterface` where one of those was
-    asked for by name, or none is left.
+    """The topics whose types the robot knows, and why the others are left out; raises `UnknownInterface` if an unknown
+    topic was asked for by name, or no topic is left.
     """
     errors: dict[str, UnknownInterface] = {}
     for name in {topic.type for topic in topics.values()}:
@@ -502,7 +504,7 @@ async def _check(robot: Robot, request: PlayRequest, topics: Mapping[str, Stored
         subscribers = [subscriber.node for subscriber in present.subscribers if subscriber.node not in own]
         if subscribers and topic.type in MOTION_TYPES:
             driven.append(f"{subscribers[0]} listens to {destination}")
-    hint = "Give remaps, choose other topics, or set force."
+    hint = "Give `remaps`, choose other topics, or set force=true."
     if busy and not request.force:
         raise Refused(f"These topics have a live publisher: {', '.join(busy)}.", hint)
     if driven and not request.force:

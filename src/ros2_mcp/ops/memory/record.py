@@ -56,13 +56,13 @@ crash loses no more than that."""
 _SHORT_TURN_S, _MUCH_BYTES = 0.02, 2_000_000
 """The shorter interval after a turn with so many bytes: a raw camera at full HD sends 19 MB in a tenth of a second."""
 _JOINED_POLL_S = 0.02
-"""Seconds between two checks of whether the subscriptions have begun, which takes some milliseconds."""
+"""Seconds between two checks of whether the subscriptions have begun; they take some milliseconds."""
 _LOOK_S = 1.0
 """How often new topics are looked for, as the tool's description promises."""
 _JOINED_S = 2.0
 """How long the start waits for the subscriptions of present topics; discovery takes up to that long."""
 _LEFT_S = 3.0
-"""How long the end waits for the last samples of subscriptions, which a busy bridge may delay."""
+"""How long the end waits for the last samples of subscriptions: a busy bridge may delay these samples."""
 _WAITING_BYTES = 128_000_000
 """The most bytes that one topic may hold in memory while this server is busy: two bursts of
 large pictures (see `QUEUE_BYTES`)."""
@@ -257,8 +257,8 @@ class Recording(Job):
 
     @contextmanager
     def _with_calls(self, recorder: Recorder) -> Generator[None, None, None]:
-        """While the context is open, also record the audit's lines on this server's commands,
-        which may explain an incident.
+        """While the context is open, also record the audit's lines on this server's commands: these lines may explain
+        an incident.
         """
         auditing = self._robot.guard.audit
         log = auditing.log if isinstance(auditing, Auditing) else None

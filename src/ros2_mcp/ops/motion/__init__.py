@@ -1,1 +1,1 @@
-"""Motion with closed-loop control, which the bridge carries out on the robot's side."""
+"""Motion with closed-loop control; the bridge carries it out on the robot's side."""

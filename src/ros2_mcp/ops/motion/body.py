@@ -1,4 +1,4 @@
-"""The extent of a robot around its base, which a guarded drive keeps clear of obstacles."""
+"""The extent of a robot around its base: a guarded drive keeps this extent clear of obstacles."""
 
 from __future__ import annotations
 

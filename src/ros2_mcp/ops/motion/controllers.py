@@ -31,7 +31,7 @@ class Controller:
 
     @property
     def interface(self) -> str:
-        """The interface by which it is commanded: its action, which reports progress, else its topic."""
+        """The interface by which it is commanded: its action (an action reports progress), else its topic."""
         return self.action or self.topic
 
     def may_move(self, joints: Sequence[str]) -> bool:

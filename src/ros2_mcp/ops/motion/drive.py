@@ -53,7 +53,7 @@ a robot on a busy computer that has had sixty of them will not arrive."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriveRequest:
-    """The settings of a drive: `distance_m` (negative: backwards) or `angle_deg` (positive: to the left), which with
+    """The settings of a drive: `distance_m` (negative: backwards) or `angle_deg` (positive: to the left); an angle with
     `radius_m` is a forward arc. `speed` is in m/s, or in °/s for a turn in place. `guard_m` is kept free ahead of the
     outline: `DEFAULT_GUARD_M` if it is None and the robot has a scan or a cloud; 0 uses no sensor. Topics that are not
     given are found. `time_limit_s` is a time limit shorter than the course's.

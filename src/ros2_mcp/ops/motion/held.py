@@ -43,7 +43,7 @@ async def others_on(robot: Robot, topic: str) -> str:
 
 
 async def _past_a_monitor(robot: Robot, topic: str, publishers: Sequence[str]) -> str:
-    """Return a sentence if the topic is the output of Nav2's collision monitor, which does not check what
+    """Return a sentence if the topic is the output of Nav2's collision monitor, because the monitor does not check what
     other nodes publish there; else "".
     """
     for node in publishers:

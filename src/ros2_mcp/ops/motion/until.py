@@ -1,4 +1,4 @@
-"""`ros2_move_until`: move at a velocity until a condition on a topic holds, which the bridge evaluates."""
+"""`ros2_move_until`: move at a velocity until a condition on a topic holds; the bridge evaluates the condition."""
 
 from __future__ import annotations
 

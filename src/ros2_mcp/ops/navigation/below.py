@@ -29,7 +29,7 @@ _ANSWER_S = 0.8
 """A node that spins answers within milliseconds, a busy one within some tenths of a second. Each node is asked
 twice."""
 _CANCELLED_S = 1.0
-"""A controller handles a request to cancel between two of its steps, which are 0.05 s apart."""
+"""A controller handles a request to cancel between two of its steps: steps are 0.05 s apart."""
 _AFTER_S = 0.3
 """Wait between a request to cancel and the next check of the running goals: a controller ends its goal with its next
 step."""
@@ -106,7 +106,7 @@ async def idle_server(robot: Robot, action: str) -> str:
 
 
 async def _answers(robot: Robot, node: str) -> bool:
-    """Whether a node answers a request for no parameters, which every node serves; true if it cannot be asked."""
+    """Whether a node answers a request for no parameters (every node serves it); true if it cannot be asked."""
     for _ in range(2):  # the first answer may be lost if the node has not discovered our client yet
         try:
             kind = "rcl_interfaces/srv/GetParameters"

@@ -144,7 +144,7 @@ async def dock(
         attempt = attempt or _Attempt(robot, session, goal.action, goal.action_type)
         return await attempt.wait(goal, timeout_s, report)
     if request.undock and (request.dock or request.at is not None):
-        raise BadInput("Undocking needs no dock.", "Give undock alone, with dock_type if Nav2 asks for it.")
+        raise BadInput("Undocking needs no dock.", "Give undock=true alone, with dock_type if Nav2 asks for it.")
     kind = UNDOCK if request.undock else DOCK
     action = await action_of(robot, kind, request.action)
     if idle := await idle_server(robot, action):
@@ -189,7 +189,7 @@ class _Attempt:
         }
         if request.at is not None:
             if request.dock:
-                raise BadInput("dock is a name, and at is a pose instead.", "Give one of both.")
+                raise BadInput("`dock` is a name, and `at` is a pose instead.", "Give one of the two.")
             (target, *more) = targets_of(request.at, places_of(self._robot))
             if more or target.yaw_rad is None:
                 raise BadInput("The pose of one dock is needed, with its heading.", "Give yaw_deg, too.")
@@ -208,7 +208,9 @@ class _Attempt:
                 raise BadInput(f"The docking server knows no dock {quoted(name)}, only {names}.", hint)
             self._dock = by_name[name]
         elif not name:
-            raise BadInput("The docks are not among the parameters of the docking server.", "Give dock, its name.")
+            raise BadInput(
+                "The docks are not among the parameters of the docking server.", "Give the name of a dock as `dock`."
+            )
         return {**goal, "use_dock_id": True, "dock_id": name, "dock_pose": Target("", "map", 0.0, 0.0, 0.0).pose()}
 
     async def begin(self) -> None:

@@ -19,7 +19,7 @@ from ros2_mcp.robot import Robot
 _PART_S = 2.0
 """Limit for each part; all run in parallel. Sensors are listened to for 1.5 s, and a caller should not wait longer."""
 _FINDINGS_S = 4.5
-"""Limit for the checks of `ros2_nav_check`, which listen for 2 s."""
+"""Limit for the checks of `ros2_nav_check`: these checks listen for 2 s."""
 _OLD_COSTMAP_S = 5.0
 """Nav2 publishes the costmap once a second, some robots once in two seconds."""
 _LONGEST_AGE_S = 1e6

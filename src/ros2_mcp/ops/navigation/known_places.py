@@ -95,7 +95,7 @@ class Places(Kept):
         known = self._read()
         former = known.get(name)
         if former is None and len(known) >= MOST_PLACES:
-            raise BadInput(f"{MOST_PLACES} places are kept already.", "Remove one: ros2_place_set with remove.")
+            raise BadInput(f"{MOST_PLACES} places are kept already.", "Remove one: ros2_place_set with remove=true.")
         known[name] = NamedPlace(name, place.frame, place.x_m, place.y_m, place.yaw_rad)
         self._write(known)
         return former

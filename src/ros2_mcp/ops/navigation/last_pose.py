@@ -1,4 +1,4 @@
-"""The robot's last pose on its map, stored in its state folder: for a restart of its software, which forgets it.
+"""The robot's last pose on its map, stored in its state folder, because a restart of the robot's software forgets it.
 
 A pose is stored only where the scan fits the map: what a localiser reports right after its start may be anywhere.
 """

@@ -189,9 +189,9 @@ def _unpublished(
     request: LocalizeRequest, found: Found, before: Whereabouts, fit_before: ScanFit | str
 ) -> NavLocalized:
     first = found.poses[0] if found.poses else None
-    helps = "Give the right one with at; or search=true with at, a guess of where it is, and its yaw_deg."
+    helps = "Give the right pose as `at`; or search=true with `at`, a guess of where it is, and its yaw_deg."
     if request.last:
-        helps = "Publish it all the same with at, or search=true with at and radius_m around it."
+        helps = "To publish it all the same, give it as `at`; or search around it: search=true with `at` and radius_m."
     return NavLocalized(
         topic_name=request.topic or TOPIC,
         frame=MAP_FRAME,

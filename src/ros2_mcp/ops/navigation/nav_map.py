@@ -155,7 +155,9 @@ async def nav_map(robot: Robot, session: Session, request: MapRequest, report: R
     if not request.path.strip():
         raise BadInput("`path` is missing.", "Give a path on the robot's computer, such as /maps/floor1.")
     if request.at is not None and not (request.what == "load" and request.pose_graph):
-        raise BadInput("at says where slam_toolbox goes on in a pose graph.", "Leave it out; see ros2_nav_localize.")
+        raise BadInput(
+            "`at` says where slam_toolbox goes on in a pose graph.", "Leave `at` out; see ros2_nav_localize."
+        )
     service, kind = await _service(robot, request)
     await robot.values.learn(kind)
     topic = await _topic(robot, service)

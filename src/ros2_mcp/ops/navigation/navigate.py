@@ -68,7 +68,8 @@ class Navigation(Job):
     tool = "ros2_navigate"
     """The tool that waits for it."""
     most_running = 8
-    """A robot has one Nav2, whose goals replace each other: more navigations than this make no sense."""
+    """A robot has one Nav2, and a new goal of Nav2 replaces the goal before: more navigations than this make no sense.
+    """
 
     def __init__(
         self,

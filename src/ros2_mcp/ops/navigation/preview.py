@@ -219,7 +219,7 @@ async def _picture(
 def _one(to: object, robot: Robot) -> Target:
     found = targets_in(robot, to)
     if len(found) != 1:
-        raise BadInput("A preview takes one place.", "Give one place; preview each leg by itself, with start.")
+        raise BadInput("A preview takes one place.", "Give one place; preview each leg by itself, with `start`.")
     return found[0]
 
 

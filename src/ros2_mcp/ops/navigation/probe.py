@@ -148,7 +148,7 @@ def _request(is_turn: bool) -> DriveRequest:
 
 
 def _ended(driven: Driven) -> str:
-    """Say how a motion ended that neither came to its end nor used up its time, which wrong odometry explains."""
+    """Say how a motion ended that neither came to its end nor used up its time; wrong odometry explains such an end."""
     return "" if driven.outcome in ("reached", "time_out", "missed") else driven.summary()
 
 

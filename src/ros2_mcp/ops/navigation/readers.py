@@ -316,7 +316,9 @@ async def _grids(robot: Robot, graph: GraphSnapshot, action: str) -> Grids:
     maps = [name for name in _of_types(graph, GRID) if "costmap" not in name and name.rpartition("/")[2] == "map"]
 
     async def the_maps() -> list[CostGrid]:
-        """One; several different ones where several nodes publish it: each keeps its own for who comes later."""
+        """One message; several different messages where several nodes publish the topic: each node keeps its own for
+        later subscribers.
+        """
         if not maps:
             return []
         several = len(graph.topics[maps[0]].publishers) > 1

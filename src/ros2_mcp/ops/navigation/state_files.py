@@ -45,7 +45,7 @@ def damaged(folder: StateFolder, file: str, what: str, why: object) -> BadData:
 
 
 def write_state(folder: StateFolder, file: str, value: Mapping[str, Any], what: str) -> None:
-    """Write an object to a file of the folder, which is created if necessary.
+    """Write an object to a file of the folder; create the folder if necessary.
 
     Raises:
         RobotError: if it cannot be written.

@@ -19,8 +19,9 @@ from ros2_mcp.robot import Robot
 from ros2_mcp_common.policy.verbs import CHANGE_STATE
 
 ANSWER_S = 0.4
-"""Time for a node's own answers, which take milliseconds if it spins: the facts from the graph must
-not wait for a node that hangs."""
+"""Time for a node's own answers. They take milliseconds if the node spins: the facts from the graph must not wait for a
+node that hangs.
+"""
 _DISCOVERED_S = 2.0
 """How long a node without known endpoints is looked up again: they are discovered within a second of the node."""
 _POLL_S = 0.1

@@ -43,11 +43,11 @@ DEFAULT_RATE_HZ = 10.0
 _STARTED_S = 5.0
 """A relay that has not begun by then (the bridge is busy) is reported as `starting`, and goes on."""
 _MATCH_S = 1.0
-"""How long the bridge waits for the destination's subscribers, which discovery may still be matching."""
+"""How long the bridge waits for the destination's subscribers: discovery may still be matching them."""
 _APPEARS_S = 1.0
 """How long to wait for a publisher of the source if no type is given: it may just be starting."""
 _LOOK_EVERY_S = 0.02
-"""Seconds between two checks of whether a relay has begun, which takes a few milliseconds."""
+"""Seconds between two checks of whether a relay has begun; a relay takes a few milliseconds."""
 _SILENT_S = 1.0
 """After this long without a message, the publishers are looked up again: a new publisher may need another QoS."""
 _LATCHED_DEPTH = 10
@@ -379,13 +379,14 @@ async def start(robot: Robot, session: Session, request: RelayRequest) -> RelayS
         raise BadInput(f"There is no transform {request.transform!r}.", f"Choose from {', '.join(TRANSFORMS)}.")
     if TRANSFORMS[request.transform] != "on_change" and request.tolerances:
         raise BadInput(
-            f"tolerances have no meaning with {request.transform}.", "Leave tolerances out, or use transform on_change."
+            f"`tolerances` have no meaning with {request.transform}.",
+            'Leave `tolerances` out, or use transform="on_change".',
         )
     if request.target_rate_hz is not None:
         if TRANSFORMS[request.transform] != "rate_limit":
             raise BadInput(
                 f"target_rate_hz has no meaning with {request.transform}.",
-                "Leave target_rate_hz out, or use transform rate_limit.",
+                'Leave target_rate_hz out, or use transform="rate_limit".',
             )
         bounded("target_rate_hz", request.target_rate_hz, MIN_RATE_HZ, MAX_RATE_HZ, "Hz")
     bounded("duration_sec", request.duration_s, 0.0, MAX_RELAY_S, "s")

@@ -82,7 +82,7 @@ async def call(
     await robot.values.learn(service_type)
     missing = robot.values.missing_fields(f"{service_type}_Request", request or {})
     if missing and force_call and request is None:
-        hint = "Give them in fields; {} uses the default of each."
+        hint = "Give them in `fields`; {} uses the default of each."
         raise BadInput(f"The request needs fields: {', '.join(missing)}.", hint)
     request = request or {}
     if missing and not force_call:

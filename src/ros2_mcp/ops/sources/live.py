@@ -49,13 +49,15 @@ _BURST_NS = 1_000_000_000
 """The messages that publishers keep for late subscribers come at once when they match;
 even large maps within a second."""
 _STREAM_MESSAGES, _STREAM_NS = 5, 1_500_000_000
-"""A topic with so many messages over such a time is a stream, whose silence later in the session is reported; a single
+"""A topic with so many messages over such a time is a stream: its silence later in the session is reported; a single
 press of a button is not.
 """
 _TURN_S = 1.0
 """The longest single wait for samples; the empty batch after it shows that the stream is alive."""
 _APPEARING_S = 1.0
-"""Time for a topic without a similar name in the graph, which may be starting; discovery on one machine takes less."""
+"""Time for a topic without a similar name in the graph: its publisher may be starting; discovery on one machine takes
+less.
+"""
 _QUESTION = "rcl_interfaces/srv/GetParameterTypes"
 _ANSWER_S = 1.0
 """Time-out of a question to a node: a node that spins answers within milliseconds, also over a wireless network."""

@@ -130,5 +130,5 @@ class NewestSamples(Kept):
 
 
 def newest_of(robot: Robot, topic: str) -> Newest:
-    """Return the newest message of a topic of a robot, which is subscribed to from now on."""
+    """Return the newest message of a topic of a robot; the topic stays subscribed from now on."""
     return robot.kept.get(NewestSamples, lambda: NewestSamples(robot)).of(topic)

@@ -181,7 +181,7 @@ class Stream:
         return sample.received_ns < self.start_ns or 0 < sample.source_ns < self.asked_ns
 
     async def why_no_more(self, last: Sample | None) -> str:
-        """Return a sentence on why no sample came after `last`, which is None if there was no sample at all."""
+        """Return a sentence on why no sample came after `last` (None if there was no sample at all)."""
         return f"The recording has {'no more messages' if last else 'no message'} of it in that part."
 
 
@@ -254,7 +254,7 @@ class Source(ABC):
 
     @abstractmethod
     async def type_of(self, topic: str) -> str:
-        """Return the type of a topic, which `codec` knows from then on.
+        """Return the type of a topic; `codec` knows the type from then on.
 
         Raises:
             NotFound: if the topic does not exist (yet).
@@ -388,7 +388,7 @@ class Source(ABC):
 
 
 class SourceKind:
-    """A kind of source, which finds its sources. A subclass overrides one method or both."""
+    """A kind of source: it finds the sources of this kind. A subclass overrides one method or both."""
 
     async def named(self, robot: Robot, store: BagStore, request: SourceRequest) -> Source | None:  # noqa: ARG002
         """Return the requested source, or None if it is not of this kind."""
@@ -400,8 +400,8 @@ class SourceKind:
         store: BagStore,  # noqa: ARG002
         request: SourceRequest,  # noqa: ARG002
     ) -> Sequence[Callable[[], Awaitable[Source]]]:
-        """Return a function for each source that may have earlier messages, which opens
-        it; the likeliest source first.
+        """Return, for each source that may have earlier messages, a function that opens the source; the likeliest
+        source first.
         """
         return ()
 

@@ -158,8 +158,8 @@ def _turned(pose: Pose) -> str:
 
 
 def _looking(pose: Pose) -> str:
-    """Return the viewing direction of a camera, which is +z of its optical frame (REP 103): its yaw in the base's
-    frame, and its elevation.
+    """Return the viewing direction of a camera (+z of its optical frame, REP 103): its yaw in the base's frame, and its
+    elevation.
     """
     x, y, z = rotated(pose.rotation, (0.0, 0.0, 1.0))
     up_deg, yaw_deg = math.degrees(math.asin(min(max(z, -1.0), 1.0))), math.degrees(math.atan2(y, x))

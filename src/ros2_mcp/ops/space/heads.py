@@ -21,8 +21,7 @@ _HEAD_BYTES = 256
 _ENOUGH, _ENOUGH_NS = 5, 600_000_000
 """So many messages over at least this time (ns) are enough to measure a rate."""
 _RARE_S = 0.5
-"""A topic is rare (below 2 Hz) if no second message follows for this long, or none but one came within twice this
-time."""
+"""A topic is rare (below 2 Hz) if no second message follows for this long, or only one came within twice this time."""
 _RECENT_NS = 5_000_000_000
 """The part at the end of a recording that is read, in ns: enough for a topic published once a second."""
 

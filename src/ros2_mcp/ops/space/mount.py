@@ -22,8 +22,9 @@ _UNKNOWN_S = 5.0
 """Time for which a frame that was not found is not waited for again, so that a robot without transforms is read
 fast."""
 _PARTS_NS = ((0, 1), (2_000_000_000, 200_000_000))
-"""The parts of a recording that are read, in ns before and after the message: first an empty part, which gives static
-transforms only, since the seconds around the message may hold hundreds of megabytes of images."""
+"""The parts of a recording that are read, in ns before and after the message: first an empty part that gives static
+transforms only, since the seconds around the message may hold hundreds of megabytes of images.
+"""
 
 
 @dataclass(frozen=True, slots=True)

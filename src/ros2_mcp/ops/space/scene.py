@@ -537,7 +537,7 @@ def _drawn(gathered: Gathered, request: SceneRequest) -> tuple[SceneDrawing, Sce
 
 
 def _chosen_grid(asked: str, grids: Sequence[str]) -> str:
-    """Return the topic of the grid: the requested one, else a map, else a costmap; empty if there is no such topic.
+    """Return the topic of the grid: the requested topic, else a map, else a costmap; empty if there is no such topic.
 
     Raises:
         NotFound: if `costmap` is requested and none is published.

@@ -35,7 +35,7 @@ MOST_S = 600.0
 _MOST_POSES = 5_000
 """The most poses averaged over a duration: all of 100 s at 50 Hz; of more, every n-th."""
 _LOOK_S = 0.5
-"""Interval at which poses are taken from the tree, which keeps 30 s."""
+"""Interval at which poses are taken from the tree; the tree keeps 30 s."""
 _WATCHED_S = 4.5
 """Time from the first question on in which stamps of an unknown clock are watched for a restart."""
 _MOST_TOLD = 8

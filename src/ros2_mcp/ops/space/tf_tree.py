@@ -236,7 +236,7 @@ def _of_edges(rows: Sequence[EdgeRow]) -> list[FrameProblem]:
 
 
 def _gaps(source: Source, tree: FrameTree, walk: Sequence[tuple[str, int]]) -> list[str]:
-    """Report gaps of edges within the recording, which the state at its end does not show."""
+    """Report gaps of edges within the recording: the state at its end does not show these gaps."""
     found: list[str] = []
     for edge in (tree.edges[name] for name, _ in walk if name in tree.edges) if tree.is_recorded else ():
         from_ns, to_ns = edge.longest_gap() or (0, 0)

@@ -173,8 +173,8 @@ async def measure(source: Source, topics: Sequence[str] | None = None, report: R
 def _with_publishers(
     results: Sequence[TopicStats], full: Mapping[str, str], graph: GraphSnapshot
 ) -> Sequence[TopicStats]:
-    """Return the results; results with an error get the topic's types and publishers, which may explain it, for
-    instance several types.
+    """Return the results; results with an error get the topic's types and publishers, as these may explain the error,
+    for instance several types.
     """
 
     def known(found: TopicStats) -> TopicStats:
@@ -202,7 +202,7 @@ async def _published(source: Source) -> tuple[list[str], str]:
 
 
 async def _live(source: Source, topic: str, report: Report) -> TopicStats:
-    """Measure one topic for the whole time, which begins when the topic exists."""
+    """Measure one topic for the whole time, beginning when the topic exists."""
     from ros2_mcp.ops.measure.columns import Room
     from ros2_mcp.ops.topics.arrivals import AgedArrivals
 

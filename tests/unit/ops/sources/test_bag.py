@@ -101,7 +101,7 @@ async def read_of(
 
 @pytest.mark.promise("ros2_topic_subscribe", "from start on, or without start the last seconds or messages")
 @pytest.mark.promise("ros2_topic_echo_wait", "the next message from start on, or without start the last message")
-@pytest.mark.promise("ros2_bag_read", "the first ones from start on, or without start the last ones")
+@pytest.mark.promise("ros2_bag_read", "the first messages from `start` on, or without `start` the last messages")
 @pytest.mark.parametrize(
     ("start", "end", "duration_s", "limit", "expected"),
     [

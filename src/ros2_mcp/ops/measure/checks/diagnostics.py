@@ -41,8 +41,8 @@ def _find(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _idle_parts(row: Diagnostic, judged: set[str]) -> list[str]:
-    """Return the message or the values that name an inactive part, without the controllers in `judged`, which have a
-    check.
+    """Return the message or the values that name an inactive part, without the controllers in `judged`: these have a
+    check of their own.
     """
     said = _SAYS_IDLE.search(row.message) and not _SAYS_NONE.search(row.message)
     values = [

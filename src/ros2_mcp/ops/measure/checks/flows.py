@@ -27,7 +27,9 @@ def _find(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _waits(evidence: Evidence) -> Mapping[str, str]:
-    """Return, for each silent topic, the topic at the start of its chain, which is silent too or has no publisher."""
+    """Return, for each silent topic, the topic at the start of its chain: a topic that is silent too, or has no
+    publisher.
+    """
     silent = {row.topic_name for row in evidence.rows if row.state in _SILENT}
     topics = evidence.graph.topics
     heard: dict[str, list[str]] = {}
@@ -37,8 +39,8 @@ def _waits(evidence: Evidence) -> Mapping[str, str]:
                 heard.setdefault(subscriber.node, []).append(name)
 
     def first(name: str, seen: frozenset[str]) -> str:
-        """Return the first topic of the chain; silent inputs precede inputs without a publisher, which may be
-        optional.
+        """Return the first topic of the chain; silent inputs precede inputs without a publisher, because the latter may
+        be optional.
         """
         inputs = [each for one in topics[name].publishers for each in heard.get(one.node, ()) if each not in seen]
         for each in (one for one in inputs if one in silent):

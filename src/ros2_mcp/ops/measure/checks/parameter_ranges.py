@@ -1,4 +1,4 @@
-"""Parameters outside the range stated in their description, which no node checks."""
+"""Parameters outside the range stated in their description: no node checks this range."""
 
 from __future__ import annotations
 

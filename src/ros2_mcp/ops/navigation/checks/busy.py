@@ -1,4 +1,6 @@
-"""A computer with too much to do: all answers and all messages are late at once, which says nothing of each."""
+"""A computer with too much to do: all answers and all messages are late at once, so that no single delay says anything
+about its node.
+"""
 
 from __future__ import annotations
 

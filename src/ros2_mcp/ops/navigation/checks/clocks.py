@@ -20,7 +20,7 @@ _STEADY_S = 0.4
 """A clock offset is the same in each message; a delay varies by more than this."""
 _OTHER_TIME_S = 1e6
 _MOST_TOLERANCE_S = 2.5
-"""AMCL stamps ahead of the scan by its transform_tolerance, which is 1 s of itself."""
+"""AMCL stamps ahead of the scan by its transform_tolerance (default: 1 s)."""
 _LEAST, _LEAST_MESSAGES = 3, 8
 """Least number of transforms, and of messages of a topic: on a loaded machine a few may all be late."""
 _MOST_NAMES = 6

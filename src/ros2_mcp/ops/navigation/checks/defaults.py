@@ -1,4 +1,4 @@
-"""Parameter files that were never applied: all values of a node are Nav2's defaults, which fit no real robot."""
+"""Parameter files that were never applied: all values of a node are Nav2's defaults: these fit no real robot."""
 
 from __future__ import annotations
 

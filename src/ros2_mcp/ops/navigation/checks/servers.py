@@ -207,7 +207,7 @@ def _not_brought_up(evidence: NavEvidence, supervisor: str, nodes: Sequence[str]
 
 
 def _old_plugins(evidence: NavEvidence, node: str) -> list[str]:
-    """Return plugins of a node whose names contain a slash, which newer distributions refuse, instead of "::"."""
+    """Return plugins of a node whose names contain a slash instead of "::": newer distributions refuse a slash."""
     values = {
         name: value for name, value in (evidence.parameters or {}).get(node, {}).items() if isinstance(value, str)
     }
