@@ -176,6 +176,6 @@ def run_builder(
                     )
         finally:
             process.kill()  # nothing happens if it has ended
-        following.join(_LOOKS_S)
+            following.join(_LOOKS_S)
         output.seek(0)
         return output.read(), process.returncode
