@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import inspect
 import os
+import sys
 from collections.abc import AsyncIterator, Generator, Iterator
 from pathlib import Path
 from typing import TypeVar
@@ -20,6 +21,8 @@ pytest_plugins = ("support.leaves_nothing", "support.running_tests")
 ROS = Path(__file__).with_name("ros")
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 """As on users' machines: each of the thousand servers and bridges would be compiled anew, which takes 0.6 s."""
+TOLD_LINES = 25
+"""Of a failure's text at once; all of it stands in the summary at the end."""
 TASKS_END_S = 1.0
 """A task that was cancelled needs a few rounds of the loop until it has ended; a busy machine stretches them."""
 
@@ -67,6 +70,14 @@ def pytest_make_collect_report() -> Generator[None, pytest.CollectReport, pytest
 def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
     """What keeps a test from being run on this machine."""
     return _failed_for_want((yield))
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    """A whole run that is ended at its bound has told what failed until then, though its summary never comes."""
+    if report.failed and os.environ.get("CI") == "true" and "PYTEST_XDIST_WORKER" not in os.environ:
+        told = report.longreprtext.splitlines()[-TOLD_LINES:]
+        sys.stderr.write("\n".join(["", f"{report.when} of {report.nodeid} failed:", *told, ""]))
+        sys.stderr.flush()
 
 
 def _failed_for_want(report: Report) -> Report:

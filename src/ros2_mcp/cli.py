@@ -409,7 +409,7 @@ class _Version(argparse.Action):
 
 
 def settings_from(arguments: argparse.Namespace) -> Settings:
-    """Return the settings of the environment, overridden by those of the command line."""
+    """Return the settings of the environment, overridden by the command line's."""
     words: Mapping[str, str | list[str] | None] = vars(arguments)
     overrides: dict[str, Any] = {}
     for name, option in OPTIONS.items():

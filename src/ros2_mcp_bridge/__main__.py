@@ -204,8 +204,8 @@ class Bridge:
         os._exit(status)
 
     def _lapse(self, silent_s: float) -> None:
-        """End what the server moves, because it is silent: on the ROS thread, or if that
-        hangs, on another one first.
+        """End what the server moves, because it is silent: on the ROS thread, or if that thread hangs, first on another
+        thread.
         """
         self._stops.lapse()
         self._outbox.send(Lapsed(event="lapsed", silent_s=round(silent_s, 3)))

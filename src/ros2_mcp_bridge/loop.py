@@ -1,4 +1,4 @@
-"""The loop of the ROS thread: spins the executor and runs operations that wait, without blocking on one of them."""
+"""The loop of the ROS thread: spins the executor and runs operations that wait, without blocking on any operation."""
 
 from __future__ import annotations
 

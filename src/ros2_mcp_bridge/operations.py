@@ -297,7 +297,7 @@ class Operations:
             self._outbox.reply(request.id, result)
 
     def _services(self, request: Request) -> Steps[ServicesReply]:
-        """Return the services without those that are in the graph only because this bridge has a client of them."""
+        """Return the services, except services that are in the graph only because of a client of this bridge."""
         found, unserved = (yield from self._graph.services(request)), self._clients.unserved()
         served = [
             (name, [type_name for type_name in types if (name, type_name) not in unserved])

@@ -19,7 +19,7 @@ resumed, and returns its result.
 """
 
 Answer = Union[Mapping[str, object], "tuple[Mapping[str, object], bytes]", None]
-"""The `ok` part of an answer, with a body if there is one; None if the answer is sent in another way."""
+"""The `ok` part of an answer, with a body if any; None if the answer is sent in another way."""
 
 
 class OperationError(Exception):

@@ -1,4 +1,4 @@
-"""The bridge's end of the stream: one thread reads packets, another one writes them, replies before samples."""
+"""The bridge's end of the stream: one thread reads packets, another thread writes packets, replies before samples."""
 
 from __future__ import annotations
 
@@ -144,7 +144,7 @@ class SampleQueue:
             self.drop_oldest()
 
     def take_batch(self, most_bytes: int = BATCH_BYTES, most_samples: float = math.inf) -> bytes:
-        """Remove the oldest samples, up to so many bytes but at least one, and return their packet."""
+        """Remove the oldest samples, up to so many bytes but at least one sample, and return their packet."""
         batch = [self._pop()]
         size = len(batch[0].data)
         while self.waiting and size + len(self.waiting[0].data) <= most_bytes and len(batch) < most_samples:

@@ -1,4 +1,4 @@
-"""Make the C library keep the memory of large messages for the next ones."""
+"""Make the C library keep the memory of large messages for the next messages."""
 
 import ctypes
 import os

@@ -75,7 +75,7 @@ def write_at(descriptor: int, data: bytes, offset: int) -> None:
 
 
 def replace(written: Path, target: Path) -> None:
-    """Move a written file to the place of another one, atomically."""
+    """Move a written file to the place of another file, atomically."""
     deadline = time.monotonic() + _REPLACED_S
     while True:
         try:

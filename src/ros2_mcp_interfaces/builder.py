@@ -21,7 +21,7 @@ _RUNTIME = (
     *("rosidl_runtime_c", "rosidl_typesupport_c", *TYPESUPPORTS, "rosidl_typesupport_fastrtps_cpp"),
     *("rmw", "rcutils", "fastcdr"),
 )
-"""Libraries of the installation that generated code may use; the linker drops those that it does not use."""
+"""Libraries of the installation that generated code may use; the linker drops unused libraries."""
 
 _TELLS_S = 5.0
 """Time between two lines about how many files are compiled."""

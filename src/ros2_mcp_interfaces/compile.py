@@ -15,7 +15,8 @@ from ros2_mcp_interfaces.errors import BuildError
 # Parallel compilers: nearly all of the time is spent there, 8 s for a small package. The bounds were not measured.
 JOBS = max(2, min(4, os.cpu_count() or 2))
 _MOST_LINES_SHOWN = 12
-"""The most lines of a compiler's messages in an error: the first ones show the cause; consequences of it fill pages."""
+"""The most lines of a compiler's messages in an error: the first lines show the cause; consequences of it fill pages.
+"""
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,9 @@ class Compiler:
 
 
 def find_compiler() -> Compiler:
-    """Return the compilers in CC and CXX, or else those on the PATH. Raises `BuildError` if there is none."""
+    """Return the compilers in CC and CXX, or else the compilers on the PATH. Raises `BuildError` if there is no
+    compiler.
+    """
     return Compiler(
         _command("C", "CC", ("gcc", "cc", "clang")),
         _command("C++", "CXX", ("g++", "c++", "clang++")),

@@ -70,7 +70,9 @@ class Generation:
             yield Generated(generator, directory, found)
 
     def _write_descriptions(self, interfaces: list[Path]) -> None:
-        """Write the files with the type hashes, which need those of all contained types."""
+        """Write the type descriptions with their hashes. Their generator reads the descriptions of all contained types,
+        also from other packages.
+        """
         from rosidl_generator_type_description import generate_type_hash
 
         shares = [prefix / "share" for prefix in reversed(self.installation.prefixes)]

@@ -61,7 +61,7 @@ class Installation:
 
     @property
     def include_directories(self) -> list[Path]:
-        """The include directory of each installed package, and the common one."""
+        """The include directory of each installed package, and the common include directory."""
         packages = [path for prefix in self.prefixes for path in sorted((prefix / "include").iterdir())]
         return [*(path for path in packages if path.is_dir()), self.home / "include"]
 
@@ -118,8 +118,8 @@ def check_references(package: Package, installation: Installation) -> list[Path]
 
 
 def find_installation() -> Installation:
-    """Return the installation of this Python, or else the first one in AMENT_PREFIX_PATH. Raises `BuildError` if
-    generators are missing.
+    """Return the installation of this Python, or else the first installation in AMENT_PREFIX_PATH. Raises `BuildError`
+    if generators are missing.
     """
     sourced = [Path(entry) for entry in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if entry]
     for home in (Path(sys.prefix), *sourced):

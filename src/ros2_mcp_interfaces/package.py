@@ -61,7 +61,7 @@ class Package:
 
 
 def find_packages(directories: Sequence[Path]) -> list[Package]:
-    """Return the interface packages in the given directories, each after those that it refers to.
+    """Return the interface packages in the given directories, each after the packages that it refers to.
 
     A directory is a package, or a folder (such as a workspace's `src`) with packages somewhere below it. Raises
     `BuildError` for a directory without definitions, two packages of one name, and cycles.

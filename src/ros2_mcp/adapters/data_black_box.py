@@ -209,7 +209,7 @@ class DataBlackBoxSource(Source):
         latched: bool = True,  # noqa: ARG002 - the box does not keep QoS
         times_only: bool = False,  # noqa: ARG002 - it gives whole messages only
     ) -> AsyncGenerator[Stream, None]:
-        """Return the messages of a topic; with a limit, the last ones.
+        """Return the messages of a topic; with a limit, the last messages.
 
         Raises:
             UnknownInterface: if there are messages whose type is unknown.
@@ -292,8 +292,8 @@ class DataBlackBoxes(SourceKind):
 
 
 async def find_box(robot: Robot) -> DataBlackBox | None:
-    """Return the Data Black Box in the graph: preferably one at `/get_messages`, and the second generation before the
-    first.
+    """Return the Data Black Box in the graph: preferably the box at `/get_messages`, and the second generation before
+    the first.
     """
     found = [
         (row.name != "/get_messages", kind != SECOND_TYPE, row.name, kind)
@@ -340,7 +340,7 @@ def full_date_time(unix_ns: int) -> dict[str, int]:
 
 
 def unix_ns(date: Any) -> int:
-    """Return the Unix time in ns of a `FullDateTime`; 0 if it is not a date, such as one that is all zero."""
+    """Return the Unix time in ns of a `FullDateTime`; 0 if it is not a date, such as all zeros."""
     try:
         parts = (date.year, date.month, date.day, date.hour, date.minute, date.second)
         since = datetime(*map(int, parts), tzinfo=timezone.utc) - _EPOCH

@@ -182,7 +182,7 @@ class _Registry:
 
 @dataclass
 class ArgSpec:
-    """One argument, as those modules declare it."""
+    """One argument, as WiseVision's modules declare it."""
 
     name: str
     description: str = ""
@@ -194,7 +194,7 @@ class ArgSpec:
 
 @dataclass
 class BasePromptHandler:
-    """One prompt, as those modules declare it, with templates for `str.format`."""
+    """One prompt, as WiseVision's modules declare it, with templates for `str.format`."""
 
     name: str
     description: str

@@ -272,7 +272,7 @@ def _open_file(path: Path, compression: str) -> StoredFile:
 
 
 def _hole_of(missing: Path, opened: Sequence[StoredFile]) -> Hole:
-    """Return the hole of a missing file: from the end of the file before it to the start of the one after it."""
+    """Return the hole of a missing file: from the end of the file before it to the start of the next file."""
     before = [file.times[1] for file in opened if file.times and order_of(file.path) < order_of(missing)]
     after = [file.times[0] for file in opened if file.times and order_of(file.path) > order_of(missing)]
     start_ns = max(before, default=0)

@@ -212,4 +212,4 @@ def _read(read: Callable[[ReadDataStream], _Record], data: bytes) -> _Record:
     except EndOfFile as error:
         raise Damaged("a record is too short") from error
     except UnicodeDecodeError as error:
-        raise Damaged("a text is not UTF-8") from error
+        raise Damaged("a string in one of the file's records is not UTF-8") from error

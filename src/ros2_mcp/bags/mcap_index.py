@@ -50,7 +50,7 @@ class Index:
 
 
 def read_index(file: BinaryIO, size: int) -> Index:
-    """Return the index of the file; if it has no valid one, scan the whole file.
+    """Return the index of the file; if it has no valid index, scan the whole file.
 
     Raises:
         Damaged: if the file is not an MCAP file at all.

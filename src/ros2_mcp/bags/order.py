@@ -51,7 +51,7 @@ def _of(times: Sequence[int]) -> Written:
 
 
 def is_back(before_ns: int, at_ns: int) -> bool:
-    """Return whether a message is older than the one before by at least `LEAST_BACK_NS`."""
+    """Return whether a message is older than the message before it by at least `LEAST_BACK_NS`."""
     return before_ns - at_ns >= LEAST_BACK_NS
 
 

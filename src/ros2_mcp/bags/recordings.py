@@ -21,7 +21,8 @@ _MOST_NAMED = 10
 
 
 def recordings_in(folder: Path, *, as_whole: bool = True) -> list[Path]:
-    """Return the recordings of a folder: the folder itself if all its files form one; otherwise each recording's path.
+    """Return the recordings of a folder: the folder itself if all its files form one recording; otherwise each
+    recording's path.
 
     Without `as_whole` the folder itself is never returned, for a folder that only contains recordings. A recording of
     several files has the name that these have in common, without number and suffix.

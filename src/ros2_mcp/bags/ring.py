@@ -41,7 +41,7 @@ class LatchedTopic:
         return self._samples.values()
 
     def add(self, sample: Sample) -> None:
-        """Add a message; the oldest ones are dropped if there are too many."""
+        """Add a message; the oldest messages are dropped if there are too many."""
         if self._samples.pop(sample.data, None) is None:
             self.bytes += _size(sample.data)
         self._samples[sample.data] = sample

@@ -31,7 +31,9 @@ the last message does not need a thousand."""
 _PAGE_BYTES = 8_000_000
 """Bytes of messages that one query holds in memory."""
 _UNINDEXED_BYTES = 64_000_000
-"""The same without an index of the times (`ros2 bag` makes one): each query then reads and sorts the whole file."""
+"""The same without an index of the times (`ros2 bag` makes no such index): each query then reads and sorts the whole
+file.
+"""
 _ORDERED_ROWS = 20_000
 """Rows whose times are read at once, without their data: takes 10 ms."""
 _Row: TypeAlias = "tuple[tuple[int, int], tuple[str, Sample] | None]"
@@ -371,7 +373,7 @@ def _beyond_place(past: tuple[int, int], start_ns: int, end_ns: int, newest_firs
 
 @contextmanager
 def _decompressed(path: Path) -> Generator[Path, None, None]:
-    """Decompress a file into a temporary one, which is deleted when the context ends."""
+    """Decompress a file into a temporary file; delete the temporary file when the context ends."""
     descriptor, name = tempfile.mkstemp(prefix="ros2-mcp-", suffix=".db3")
     try:
         with os.fdopen(descriptor, "wb") as whole, path.open("rb") as packed:  # closed again: else Windows keeps it

@@ -144,7 +144,7 @@ def odd_times_in_words(odd: Mapping[str, OddTimes]) -> list[str]:
 
 
 def joined(holes: Iterable[Hole]) -> list[tuple[int, int]]:
-    """Return the time ranges of holes in order; overlapping or adjacent ones are merged."""
+    """Return the time ranges of holes in order; overlapping or adjacent ranges are merged."""
     found: list[tuple[int, int]] = []
     for start_ns, end_ns in sorted((hole.start_ns, hole.end_ns) for hole in holes):
         if found and start_ns <= found[-1][1]:

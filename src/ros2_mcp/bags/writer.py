@@ -94,7 +94,7 @@ class BagWriter:
         self.counts[topic_name] += 1
 
     def flush(self) -> None:
-        """Close the chunk and flush to the operating system; begin the next file if this one is full."""
+        """Close the chunk and flush to the operating system; begin the next file if the current file is full."""
         self._writer.flush()
         if self._split_bytes and self._output.size >= self._split_bytes:
             self.end()

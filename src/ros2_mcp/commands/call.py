@@ -86,7 +86,7 @@ def call(settings: Settings, tool: str, assignments: Sequence[str], *, as_json: 
 
 
 class _Interrupt:
-    """Ctrl+C, or another signal to end: cancels the call, or sets the event once `event` was called."""
+    """Handles Ctrl+C and other signals to end: cancels the call; after `event()` was called, sets its event instead."""
 
     def __init__(self) -> None:
         this_call = asyncio.current_task()

@@ -15,7 +15,7 @@ _READ_BYTES = 1 << 16
 
 
 def connect(path: Path) -> int:
-    """Connect stdin and stdout with the server at that socket until one of them ends. Return 1 if the server ended
+    """Connect stdin and stdout with the server at that socket until either side ends. Return 1 if the server ended
     first.
 
     Raises:
@@ -32,7 +32,9 @@ def connect(path: Path) -> int:
     except OSError as error:
         raise LinkError(
             f"No server can be reached at {path}: {error.strerror or error}.",
-            f"Start one there (ros2-mcp --socket {path}), as this user, or as one that shares the group of the socket.",
+            "Its socket admits only its own user and the members of its group: connect as one of these users."
+            if isinstance(error, PermissionError)
+            else f"Start a server there: ros2-mcp --socket {path}",
         ) from error
     client_has_ended = threading.Event()
     threading.Thread(target=_carry_out, args=(connection, client_has_ended), daemon=True).start()

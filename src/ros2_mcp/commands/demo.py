@@ -34,7 +34,7 @@ def demo(settings: Settings, *, robot: str, robot_only: bool, output: Path | Non
 
 
 def run_robot(settings: Settings, robot: str) -> int:
-    """Replace this process by that simulated robot, until Ctrl+C: in the given domain, or else in a private one."""
+    """Replace this process by that simulated robot, until Ctrl+C: in the given domain, or else in a private domain."""
     domain_id = Graph.private().domain_id if settings.domain_id is None else settings.domain_id
     installation = find_ros(with_interfaces(replace(settings, domain_id=domain_id), robot))
     reach = reach_of_this_machine(installation.distro, os.environ)

@@ -119,7 +119,7 @@ def reset(folder: Path) -> str:
 
 
 def _step(servers: Sequence[Server], step: str, words: list[str]) -> list[Row]:
-    """Return the answers of all servers, or of the one with the given request. Raises `RobotError`."""
+    """Return the answers of all servers, or of the server with the given request. Raises `RobotError`."""
     if step not in _STEPS:
         raise BadInput(f"There is no step called {step!r}.", f"Choose from {', '.join(_STEPS)}.")
     if step in ("list", "stop", "reset"):

@@ -41,13 +41,13 @@ _BEFORE_DISCOVERY_RANGES = ("foxy", "galactic", "humble")
 
 @dataclass(frozen=True, slots=True)
 class Graph:
-    """A private ROS graph on this machine, so that a simulated robot never meets a real one."""
+    """A private ROS graph on this machine, so that a simulated robot never meets a real robot."""
 
     domain_id: int
 
     @classmethod
     def private(cls) -> Graph:
-        """Return a graph in the highest unused domain of this machine, from 100 down to 1: usually the same one each
+        """Return a graph in the highest unused domain of this machine, from 100 down to 1: usually the same domain each
         time.
 
         The domain is reserved until this process ends, even if it executes another program.
@@ -138,7 +138,9 @@ def build_later(settings: Settings, robot: str) -> None:
 
 
 def _later(settings: Settings, installation: RosInstallation, robot: str) -> list[Path]:
-    """Return the prefixes of packages that are built later, except those that the user has built in another version."""
+    """Return the prefixes of packages that are built later, except packages of which the user has built another
+    version.
+    """
     if installation.kind != "wheels" or installation.python != sys.executable:
         return []
     cache = InterfaceCache(settings.interface_folder)

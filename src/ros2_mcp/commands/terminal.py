@@ -63,7 +63,7 @@ def readable(summary: Sequence[str], result: Row, width: int) -> list[str]:
 
 
 def _part(name: str, value: Any, width: int, *, is_only: bool) -> list[str]:
-    """Return the lines of one field of a result, below its name unless it is the only one."""
+    """Return the lines of one field of a result, below its name unless it is the only field."""
     if isinstance(value, str):
         return _indented(value.split("\n"))  # indented, to differ from our own lines
     if name in ("message", "messages") and isinstance(value, (list, dict)):

@@ -1,4 +1,4 @@
-"""The tour's chapter with the rover and all of Nav2: a goal, and why another one fails."""
+"""The tour's chapter with the rover and all of Nav2: a goal, and why another goal fails."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""The robots of one server, each with its own settings: those of `--robot`, and those in the file of `--robots`.
+"""The robots of one server, each with its own settings: the robots of `--robot`, and the robots in the file of
+`--robots`.
 
 The file is never searched for: a client may start a server in any folder, and a file there must not choose hosts.
 """
@@ -37,7 +38,7 @@ class Entry:
 
 
 def entries_of(settings: Settings) -> Sequence[Entry]:
-    """Return the robots that the settings name, those of the file first, in order; at least one.
+    """Return the robots that the settings name, the file's robots first, in order; at least one.
 
     If there are several, each records into its own folder, with its name, within the record folder.
 

@@ -37,8 +37,8 @@ from ros2_mcp.settings import Settings
 
 @asynccontextmanager
 async def connect(settings: Settings | None = None) -> AsyncGenerator[Robot, None]:
-    """Within this context, the robot that the settings name, by default those of the environment; a recording if they
-    name a bag.
+    """Within this context, the robot that the settings name, or a recording if they name a bag. Default: the settings
+    of the environment.
 
     Entering does not wait: operations wait for the bridge, and raise `RobotError` if there is none. On exit, all motion
     that was started is stopped.

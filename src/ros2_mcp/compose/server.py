@@ -66,7 +66,7 @@ class Assembly:
 
     @cached_property
     def catalog(self) -> Catalog:
-        """The prompts: the base prompts, and those that the settings name."""
+        """The prompts: the base prompts, and the prompts that the settings name."""
         catalog = Catalog(
             self.robot,
             folder=self.settings.prompts,

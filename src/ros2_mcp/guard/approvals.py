@@ -26,7 +26,7 @@ DENIED_S = 60.0
 """The time during which a denied command is refused without asking again, in s: repeated questions must not wear a
 person down."""
 MOST_GRANT_S = 600.0
-"""The longest duration of a grant, in s, unless the policy sets another one."""
+"""The longest duration of a grant, in s, unless the policy sets another maximum."""
 MOST_PENDING = 8
 """The most waiting requests of one client: more than a person would read. A further request is refused; no waiting
 request is dropped in its favour."""
@@ -166,8 +166,9 @@ class Approvals:
         request = request or self._ask(exact, bounds)
         raise ApprovalNeeded(
             f"needs_approval {request.id}: this waits for a person; nothing was sent.",
-            "Tell the operator, who runs `ros2-mcp operate`. Once approved, repeat the same call within "
-            f"{self._valid_s:g} s, leaving out any part that already succeeded. The approval is valid for one call.",
+            "Ask the operator to approve it with `ros2-mcp operate`, then repeat the call within "
+            f"{self._valid_s:g} s. If a part of it has already succeeded, leave that part out. The approval "
+            "is valid for one call.",
             request_id=request.id,
         )
 

@@ -151,7 +151,7 @@ class AuditFile:
         self._open(found)
 
     def _is_in_place(self) -> bool:
-        """Return whether the open file is still the one with that name, and has the expected length."""
+        """Return whether the open file is still the file with that name, and has the expected length."""
         try:
             named = (self._folder / self._open_name).lstat()
         except OSError:

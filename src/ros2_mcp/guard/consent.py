@@ -57,7 +57,7 @@ class Consent:
 
 
 class Auditing:
-    """The audit of the commands that pass the guard: a line before each command, one after it, and one for each
+    """The audit of the commands that pass the guard: a line before each command, a line after it, and a line for each
     refusal.
 
     Single messages of a relay or playback have no lines: the start of the relay or playback has.

@@ -146,7 +146,7 @@ class ExactCommand:
 
     @property
     def goals(self) -> Sequence[Any]:
-        """The values of all goals that an approval covers: those of the list, or the only one."""
+        """The values of all goals that an approval covers: the goals of the list, or the only goal."""
         return self.route.get("goals", (self.value,))
 
     @property

@@ -40,7 +40,7 @@ class Act:
 
     @property
     def is_part(self) -> bool:
-        """Whether the command, messages for an open relay, belongs to one that was decided, approved and audited
+        """Whether the command, messages for an open relay, belongs to a command that was decided, approved and audited
         before.
         """
         return isinstance(self.command, Feed)

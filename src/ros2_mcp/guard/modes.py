@@ -31,7 +31,7 @@ class Modes:
             self.now = strictest(kept, most)
 
     def set(self, mode: str) -> Mode:
-        """Change the mode; return the former one.
+        """Change the mode; return the former mode.
 
         Raises:
             BadInput: if there is no such mode, the policy does not allow it, or it cannot be stored.

@@ -112,8 +112,8 @@ def _linked(path: Path, usual: StateFolder) -> Path | None:
 
 
 def sockets_of(folder: Path) -> list[Path]:
-    """Return the paths of operator sockets in a folder, and of links to those of robots with a state folder of their
-    own.
+    """Return the paths of operator sockets in a folder, and of links to the sockets of robots with a state folder of
+    their own.
     """
     return sorted(folder.glob(f"{_PREFIX}*{_SUFFIX}"))
 

@@ -30,7 +30,7 @@ SHOWN_S = 1.0
 """The time limit for a client to send its secret, or, if it is no operator, its request, in s: such a client must not
 keep operators out."""
 STRANGER = -1
-"""The user id of a connection that sent no secret, or a wrong one."""
+"""The user id of a connection that sent no secret, or a wrong secret."""
 _ANSWERED_S = 30.0
 """The time limit for an answer, in s: a stop takes some seconds; everything else is answered at once."""
 _LOOPBACK = "127.0.0.1"

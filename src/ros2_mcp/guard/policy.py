@@ -47,7 +47,7 @@ _VERBS: Mapping[type[Command[Any]], Sequence[Verb]] = {
     commands.Feed: ("relay", "play"),
     commands.Record: ("record",),
 }
-"""The verbs of the commands that are no service requests; `meaning` returns the verb of those."""
+"""The verbs of the commands that are no service requests; `meaning` returns the verb of a service request."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,7 +119,7 @@ class Policy:
 
     @property
     def robot(self) -> str:
-        """The robot's name in the first policy that gives one; "" if none does."""
+        """The robot's name in the first policy that gives a name; "" if no policy does."""
         return next((document.robot for document in self.documents if document.robot), "")
 
     def ruling(self, command: Command[Any]) -> Ruling | None:
@@ -217,7 +217,7 @@ def _terms(command: Command[Any], publishers: Sequence[str]) -> Terms:
 
 
 def strictest(*modes: Mode) -> Mode:
-    """Return the strictest of these modes; without any, the most permissive one."""
+    """Return the strictest of these modes; without modes, the most permissive mode."""
     return MODES[min((MODES.index(mode) for mode in modes), default=len(MODES) - 1)]
 
 

@@ -70,7 +70,7 @@ def _policy(chosen: tuple[str, ...], read_only: bool) -> Policy:
 
 
 def read_policies(chosen: Sequence[str], system: Path | None = None) -> list[Document]:
-    """Read the policies in force: the system's, if there is one, and each chosen file or profile.
+    """Read the policies in force: the system's policy, if it exists, and each chosen file or profile.
 
     Raises:
         PolicyFileError: with file, line, and the correct form.

@@ -47,7 +47,7 @@ class Spent:
         self.read()
 
     def read(self) -> None:
-        """Merge the uses that earlier servers have stored with those counted here."""
+        """Merge the uses that earlier servers have stored with the uses counted here."""
         if self._folder is None:
             return
         try:

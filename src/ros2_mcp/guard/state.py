@@ -199,7 +199,7 @@ class ServerLock:
             self._descriptor = self._mine = None
 
     def _is_held(self) -> bool:
-        """Return whether this server holds the lock, and its file is still the one that other servers would lock."""
+        """Return whether this server holds the lock, and its file is still the file that other servers would lock."""
         if self._descriptor is None or self._folder is None:
             return False
         try:

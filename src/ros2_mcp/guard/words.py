@@ -84,7 +84,7 @@ def watched(document: Document, most: Mapping[str, float]) -> list[str]:
 
 
 def _keep_out(keep_out: KeepOut) -> Iterable[str]:
-    """Yield sentences about the keep-out zones: each with its corners, and what happens before one."""
+    """Yield sentences about the keep-out zones: each with its corners, and what happens before a zone."""
     for name, corners in keep_out.zones.items():
         yield f"The keep-out zone {name} in the frame {keep_out.frame_id} has the corners {_corners(corners)} m."
     round_m = f"a circle of {keep_out.radius_m:g} m"

@@ -52,8 +52,10 @@ _PYTHON = (
     "line=sys.stdin.buffer.raw.readline();exec(zlib.decompress(base64.b64decode(line)))"
 )
 WORDS = ("sh", "-c", f":; exec sh -c '{_SCRIPT}' '{_PYTHON}'")
-"""The words after those of a way in. A way in that executes words (docker, kubectl) runs `sh` with this script. One
-that joins the words for a shell (ssh, adb) runs `sh -c :`, which does nothing, and then the rest, which is the same."""
+"""The words that follow the words of a way in. A way in that executes words (docker, kubectl) runs `sh` with this
+script. A way in that joins the words for a shell (ssh, adb) runs `sh -c :`, which does nothing, and then the rest,
+which is the same.
+"""
 
 # Text without effect in a program: comment lines, and docstrings that begin and end on their own lines.
 _COMMENT = re.compile(r"^[ \t]*#.*$", re.MULTILINE)

@@ -212,7 +212,7 @@ class ErrorLines:
 
     @property
     def tail(self) -> list[str]:
-        """The last lines, oldest first; at most 50, and an unfinished one."""
+        """The last lines, oldest first; at most 50, and an unfinished line."""
         return [*self._lines, *([_plain(self._begun)] if self._begun.strip() else [])]
 
 

@@ -219,8 +219,8 @@ class Bridge:
         return posted
 
     def tell(self, op: str, body: bytes) -> None:
-        """Send a request before all later ones without waiting for its reply. No effect on a bridge that has not got
-        its rules yet.
+        """Send a request before all later requests without waiting for its reply. No effect on a bridge that has not
+        got its rules yet.
         """
         if self._connection:
             self._connection.tell(op, body)
@@ -314,8 +314,8 @@ class Bridge:
         return self._outcome
 
     async def _supervise(self) -> None:
-        """Run one bridge process after another: at once after one that had begun to work, otherwise after a pause or on
-        request.
+        """Run one bridge process after another: at once after a process that had begun to work, otherwise after a pause
+        or on request.
 
         After a failed start there are further ones, because motions of the lost bridge must still be stopped: without
         limit for a remote robot, unless only a person can remove the obstacle.

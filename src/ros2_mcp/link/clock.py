@@ -40,7 +40,7 @@ class _RoundTrip:
 
 
 class RobotClock:
-    """The robot's clock, estimated from its replies to pings; equal to this machine's clock until the first one.
+    """The robot's clock, estimated from its replies to pings; equal to this machine's clock until the first reply.
 
     The shortest round trip of the last minute is used: the error is at most half of its duration. A round trip that
     contradicts the former estimate means that a clock was set or a machine slept: all earlier ones are discarded.

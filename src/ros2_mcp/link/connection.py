@@ -81,7 +81,7 @@ class Posted:
 
 
 class Receiver(Protocol):
-    """The receiver of the samples of one subscription in the bridge, which has this number there."""
+    """The receiver of the samples of one subscription in the bridge; the subscription has this number there."""
 
     number: int | None
 
@@ -309,7 +309,7 @@ class Connection:
             self._send({"id": next(self._numbers), "op": op}, body)
 
     async def _send_large(self, header: Mapping[str, object], body: bytes, request: _Open) -> None:
-        """Send a large request after earlier ones, once there is room, so that the write queue stays bounded.
+        """Send a large request after earlier requests, once there is room, so that the write queue stays bounded.
 
         Over a slow link it takes time, during which other packets pass; if it is cancelled meanwhile, it was never
         sent.

@@ -130,7 +130,7 @@ def wheels_without_rclpy() -> str | None:
 
 
 def _built_for(installation: finding.Found, settings: Settings) -> tuple[Path, ...]:
-    """Return the interface packages that were built for these wheels, and the shipped ones if built for equal
+    """Return the interface packages that were built for these wheels, and the shipped packages if built for equal
     wheels.
     """
     cache = InterfaceCache(settings.interface_folder)
@@ -177,8 +177,8 @@ _ELSEWHERE = "A robot elsewhere needs no ROS here: --robot ssh://me@robot."
 
 
 def way_out(distro: str) -> str:
-    """Return the command that installs ROS 2 on this machine, if there is one, and a hint at remote robots, which need
-    none.
+    """Return the command, if any, that installs ROS 2 on this machine, and a hint that remote robots need no ROS 2
+    here.
     """
     if sys.platform == "win32":
         return "Name the robot: --robot ssh://user@host. In WSL, ros2-mcp finds the ROS 2 that is installed there."

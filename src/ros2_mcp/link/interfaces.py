@@ -19,7 +19,7 @@ from ros2_mcp.link.installation import RosInstallation
 from ros2_mcp.model.errors import LinkError
 
 SHIPPED = Path(__file__).resolve().parents[2] / "ros2_mcp_demo" / "interfaces"
-"""The sources of the packages that come with this one: interfaces of the simulated robot that no wheel has."""
+"""The sources of the packages that come with ros2-mcp: interfaces of the simulated robot that no wheel has."""
 HANGS_S = 900.0
 """A build that reports no progress for this long hangs. As a whole it may take as long as it needs: a package with many
 interfaces compiles for minutes on a small machine, and each line says how far it is."""
@@ -71,7 +71,7 @@ class InterfaceCache:
         return {package_name(built) for built in self.folder.glob("[!.]*-*") if built.is_dir()}
 
     def use(self, prefix: Path, packages: Sequence[Path]) -> None:
-        """Record packages as in use by an installation; a package replaces one with the same name."""
+        """Record packages as in use by an installation; a package replaces a package with the same name."""
         record = self._record()
         mine = record.setdefault(str(prefix), {})
         mine.update({package_name(package): str(package) for package in packages})
@@ -93,7 +93,7 @@ class InterfaceCache:
 
 
 def package_name(prefix: Path) -> str:
-    """Return the name of the package in a prefix: the folder's name without the digest of the cache, if it has one."""
+    """Return the name of the package in a prefix: the folder's name without the digest of the cache, if present."""
     return _DIGEST.sub("", prefix.name)
 
 

@@ -1,4 +1,4 @@
-"""Outgoing packets: small ones are sent at once, large ones in pieces as far as the bridge keeps up."""
+"""Outgoing packets: small packets are sent at once, large packets in pieces as far as the bridge keeps up."""
 
 from __future__ import annotations
 

@@ -36,7 +36,8 @@ class Sharing:
         self._shared: dict[_Key, Shared] = {}
 
     async def subscribe(self, arguments: Mapping[str, Any]) -> Subscription:
-        """Return a new subscription, or a share of an existing one; `arguments` are those of the bridge's `subscribe`.
+        """Return a new subscription, or a share of an existing subscription; `arguments` are the arguments of the
+        bridge's `subscribe`.
 
         Raises as `Bridge.request`.
         """
@@ -145,7 +146,7 @@ class Shared:
     # ── for the connection ─────────────────────────────────────────────────────────────────────────────────────
 
     def arrived(self, header: Samples, body: bytes) -> None:
-        """Pass a packet of samples to all listeners, to each those after it had joined."""
+        """Pass a packet of samples to all listeners, to each listener the samples after it joined."""
         self.count(header)
         samples = samples_of(header, body)
         before = header["received"] - len(samples)

@@ -88,7 +88,7 @@ class ThreadedWriter(asyncio.WriteTransport):
         return self._is_closing
 
     def close(self) -> None:
-        """Accept no further bytes; the pipe is closed once the waiting ones are written."""
+        """Accept no further bytes; the pipe is closed once the waiting bytes are written."""
         with self._news:
             self._is_closing = True
             self._news.notify()

@@ -54,8 +54,8 @@ def _hash() -> str:
 
 
 def marked(tools: Sequence[Tool]) -> list[Tool]:
-    """Return the tools with the visibility that such a client needs: the tool that opens the page, those that only the
-    page calls, and those that the page must not call.
+    """Return the tools with the visibility that such a client needs: the tool that opens the page, the tools that only
+    the page calls, and the tools that the page must not call.
 
     A page may call any tool without a stated visibility, and some hosts do not ask their user about a page's calls.
     """

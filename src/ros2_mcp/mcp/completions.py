@@ -1,4 +1,4 @@
-"""Completions of arguments: names of the live graph and fixed choices, those that start with the typed text first."""
+"""Completions of arguments: names of the live graph and fixed choices; names that start with the typed text first."""
 
 from __future__ import annotations
 
@@ -67,8 +67,8 @@ class Completions:
         )
 
     async def _values(self, request: CompletionRequest, typed: str, others: Mapping[str, str]) -> list[str]:
-        """Return the completions of the typed text; of a list, those of its last element. `others` are the other
-        arguments.
+        """Return the completions of the typed text; of a list, the completions of its last element. `others` are the
+        other arguments.
         """
         if request.choices or request.kind == "boolean":
             return ranked(request.choices or ("true", "false"), typed)

@@ -168,7 +168,7 @@ class Tools:
         self._structured = structured
 
     async def list(self, context: Context, params: PaginatedRequestParams | None) -> ListToolsResult:
-        """List the tools in a fixed order: with those of the page for clients that show pages, and with output schemas
+        """List the tools in a fixed order: with the page's tools for clients that show pages, and with output schemas
         for clients that request structured content.
         """
         return self._listed(apps.shows_pages(context), self._structured or _asks_for_structure(params))

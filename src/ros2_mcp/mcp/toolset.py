@@ -105,8 +105,8 @@ class Toolset:
 
     @cache  # noqa: B019 - a toolset lives as long as its server
     def functions(self) -> Sequence[Function]:
-        """Return the functions of the module `robot`: those that only programs have, and the allowed tools of the
-        offered groups.
+        """Return the functions of the module `robot`: the functions that only programs have, and the allowed tools of
+        the offered groups.
         """
         groups = {tool.declaration.group for tool in self.by_name.values()}
         tools = [function_of(self._bind(tool)) for tool in self._allowed if tool.program and tool.group in groups]

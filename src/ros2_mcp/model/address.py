@@ -1,4 +1,6 @@
-"""The address of a robot, as a user writes it: `ssh://me@robot`, `docker://NAME`, `local`, or `NAME=` before one."""
+"""The address of a robot, as a user writes it: `ssh://me@robot`, `docker://NAME`, `local`, or `NAME=` before an
+address.
+"""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ def _differing(path: str, values: Sequence[Any]) -> Iterator[tuple[str, Sequence
 
 
 def _are_clear(keys: Collection[str]) -> bool:
-    """Return whether no key looks like a path below another one, as `a.b` does beside `a`."""
+    """Return whether no key looks like a path below another path, as `a.b` does beside `a`."""
     return all(keys) and not any(key[:at] in keys for key in keys for at, sign in enumerate(key) if sign in ".[")
 
 

@@ -1,4 +1,4 @@
-"""Arguments that a file declares in its front matter: those of a prompt, and the inputs of a kept program."""
+"""Arguments that a file declares in its front matter: the arguments of a prompt, and the inputs of a kept program."""
 
 from __future__ import annotations
 

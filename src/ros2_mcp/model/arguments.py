@@ -160,7 +160,7 @@ KINDS: Mapping[str, Kind] = {
 def values_of(
     arguments: Sequence[Argument], given: Mapping[str, str], whose: str = "This prompt", word: str = "argument"
 ) -> dict[str, Any]:
-    """Return a checked value for every argument: the given one, else the default.
+    """Return a checked value for every argument: the given value, else the default.
 
     Empty text counts as not given; so do None and null for an optional argument that is not a string.
 

@@ -82,7 +82,7 @@ def in_column(value: Any) -> str:
 
 
 def told_apart(rows: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[str]]:
-    """Return the columns in which rows differ, and those equal in all rows.
+    """Return the columns in which rows differ, and the columns equal in all rows.
 
     Columns that are empty in all are omitted.
     """

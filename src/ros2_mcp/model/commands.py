@@ -231,7 +231,8 @@ class Feed(Command[int]):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Record(Command[None]):
-    """Record topics to the bag `name`: those in `topics`, and those matching one of `patterns`; without both, all.
+    """Record topics to the bag `name`: the topics in `topics`, and the topics that match one of `patterns`; without
+    both, all topics.
 
     Nothing is sent: a record command is only decided.
     """

@@ -103,7 +103,7 @@ class NoTransform(RobotError):
 
 
 class TypeConflict(RobotError):
-    """Several types under one name, or another type than the requested one."""
+    """Several types under one name, or another type than the requested type."""
 
 
 class TimedOut(RobotError):

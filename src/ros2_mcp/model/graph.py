@@ -38,7 +38,7 @@ class TopicRow:
 
 @dataclass(frozen=True, slots=True, order=True)
 class ServiceRow:
-    """A service with its types; more than one is a fault of the system."""
+    """A service with its types; more than one type is a fault of the system."""
 
     name: str
     types: Sequence[str]
@@ -46,7 +46,7 @@ class ServiceRow:
 
 @dataclass(frozen=True, slots=True, order=True)
 class NodeRow:
-    """A node by its full name; several nodes may share one, which is a fault."""
+    """A node by its full name; several nodes may share a name: a fault."""
 
     name: str
 

@@ -177,6 +177,6 @@ _ALIKE = 0.85
 
 
 def did_you_mean(name: str, known: Sequence[str], otherwise: str = "") -> str:
-    """Return a hint for an unknown name: the nearest known one, never the name itself, or `otherwise`."""
+    """Return a hint for an unknown name: the nearest known name, never the name itself, or `otherwise`."""
     near = nearest(name, [each for each in known if each != name])
     return f"Did you mean {named(near)}?" if near else otherwise

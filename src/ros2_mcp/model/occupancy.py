@@ -6,8 +6,9 @@ import math
 from dataclasses import dataclass
 
 OCCUPIED_FROM = 50
-"""Cells of a map from this percentage on count as occupied, lower ones as free: the middle, because a map has no
-threshold."""
+"""Cells of a map from this percentage on count as occupied, cells below as free: the middle, because a map has no
+threshold.
+"""
 
 
 @dataclass(frozen=True, slots=True)

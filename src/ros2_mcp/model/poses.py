@@ -26,7 +26,7 @@ by the sine of the angle is not."""
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """The pose of a frame in another one: its origin there, in metres, and its rotation.
+    """The pose of a frame in another frame: its origin there, in metres, and its rotation.
 
     `outer @ inner` is the pose of the inner frame in the outermost one; `pose.applied(point)` transforms a point from
     the frame to the other one.
@@ -40,14 +40,14 @@ class Pose:
 
     @property
     def inverse(self) -> Pose:
-        """The pose of the other frame in this one."""
+        """The pose of the other frame in this frame."""
         x, y, z, w = self.rotation
         back = (-x, -y, -z, w)
         at = rotated(back, self.translation)
         return Pose((-at[0], -at[1], -at[2]), back)
 
     def applied(self, point: Vector) -> Vector:
-        """Transform a point from the frame to the other one."""
+        """Transform a point from the frame to the other frame."""
         turned, origin = rotated(self.rotation, point), self.translation
         return turned[0] + origin[0], turned[1] + origin[1], turned[2] + origin[2]
 
@@ -149,7 +149,7 @@ def slerp(a: Quaternion, b: Quaternion, share: float) -> Quaternion:
 
 
 def angle_between_rad(a: Quaternion, b: Quaternion) -> float:
-    """Return the angle of the rotation from one to the other, 0 to π.
+    """Return the angle of the rotation from one pose to the other, 0 to π.
 
     Quaternions may have any length; the result is 0 if one is all zeros.
     """

@@ -55,7 +55,7 @@ _NAME = re.compile(r"[\w/~.:+\[\]*-]{1,256}", re.ASCII)
 
 
 def visible(text: str, keep: str = "") -> str:
-    """Replace each hidden character by its code, such as `⟦U+202E⟧`, except those in `keep`.
+    """Replace each hidden character by its code, such as `⟦U+202E⟧`, except the characters in `keep`.
 
     Only the space U+0020 counts as visible space. Several in a row share their brackets: `⟦U+200B 200C⟧`. The brackets
     themselves are escaped too, so that no text can pass for an escape, and `as_sent` is an exact inverse.

@@ -12,7 +12,7 @@ def iso_time(unix_ns: int) -> str:
     return date.isoformat(timespec="microseconds").replace("+00:00", "Z")
 
 
-def seconds_in(unix_ns: int, began_ns: int | None) -> float | None:
+def seconds_from_start(unix_ns: int, began_ns: int | None) -> float | None:
     """Return the seconds since the beginning of a recording; None without a beginning, for live data.
 
     Rounded down to milliseconds: used as `start`, it still includes the message of that time.
@@ -25,7 +25,7 @@ def recorded_time(unix_ns: int, began_ns: int | None = None) -> str:
 
     `began_ns` is None for live data. The seconds can be given as `start`.
     """
-    seconds = seconds_in(unix_ns, began_ns)
+    seconds = seconds_from_start(unix_ns, began_ns)
     if seconds is None:
         return iso_time(unix_ns)
     written = f"{seconds:.3f}".rstrip("0").rstrip(".")
@@ -33,7 +33,7 @@ def recorded_time(unix_ns: int, began_ns: int | None = None) -> str:
 
 
 def both_times(unix_ns: int, zero_ns: int) -> str:
-    """Format a time in milliseconds for people: seconds since another one, and absolute."""
+    """Format a time in milliseconds for people: seconds since another time, and absolute."""
     return f"{(unix_ns - zero_ns) / 1e9:.3f} s ({iso_time(unix_ns)[:-4]}Z)"
 
 

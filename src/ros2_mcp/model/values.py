@@ -28,7 +28,7 @@ such.
 DIAGONAL_EXPLAINED = (
     f'{{"{DIAGONAL}": […]}} is a square matrix, row by row, with 0 beside its diagonal; accepted as such.'
 )
-"""The explanation in results that contain one."""
+"""The explanation in results that contain such a value."""
 
 
 FIRST_ELEMENTS = "[0:100]"

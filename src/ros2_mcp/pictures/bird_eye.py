@@ -133,7 +133,7 @@ def bird_eye(cloud: Cloud, options: BirdEyeOptions, robot: Place | None = None) 
 
 
 def _kept(cloud: Cloud, options: BirdEyeOptions) -> tuple[NDArray[np.bool_], str]:
-    """Return which points to show, those within the limits without outliers; and a note if there are outliers.
+    """Return which points to show: the points within the limits, without outliers; and a note if there are outliers.
 
     Raises:
         BadData: if there is no such point.

@@ -32,7 +32,7 @@ _INK, _PAPER, _X, _Y, ROBOT_COLOUR = "#222222", "#ffffff", "#e02020", "#10a030",
 
 @dataclass(frozen=True, slots=True)
 class Ground:
-    """The coordinates of a view from above: those of its lower left corner, and metres for each pixel.
+    """The coordinates of a view from above: the coordinates of its lower left corner, and metres per pixel.
 
     `origin` is the pose of the frame's own origin in these coordinates; `robot` that of the robot, if known. `axes`
     names the coordinates.

@@ -99,7 +99,7 @@ def _depth_in_file(described: str, data: bytes) -> NDArray[np.float64] | None:
 
 
 def _depth_raster(metres: NDArray[Any], encoding: str) -> Raster:
-    """Draw distances as grey: the nearest 2 % white, the farthest 2 % dark, invalid ones black.
+    """Draw distances as grey: the nearest 2 % white, the farthest 2 % dark, invalid distances black.
 
     The 2 % at both ends are clipped, so that outliers do not use up the scale.
     """

@@ -21,7 +21,7 @@ _SMALLEST_SIDE = 16
 _SMALL_PIXELS = 160 * 120
 """Photographs up to this size become PNG if it fits: JPEG would blur details of a few pixels."""
 _QUALITIES = (85, 70, 50)
-"""JPEG qualities; below 50 a smaller picture shows more than a worse one."""
+"""JPEG qualities; below 50 a smaller picture shows more than a worse picture."""
 _COLOURS = (128, 16)
 """Numbers of colours for a drawing that is too large; 16 still distinguish the twelve curves of a plot."""
 _MAGNIFIED_SIDE = 400
@@ -56,7 +56,7 @@ def finished(raster: Raster, bounds: Bounds) -> Picture:
 
 
 def encoded(image: Image.Image, kind: str, max_bytes: int) -> tuple[bytes, str]:
-    """Return file and MIME type of the first encoding for that kind that fits, otherwise of the last one."""
+    """Return file and MIME type of the first encoding for that kind that fits, otherwise of the last encoding."""
     files = _encodings(image, kind)
     file = next(files)
     while len(file[0]) > max_bytes and (smaller := next(files, None)):

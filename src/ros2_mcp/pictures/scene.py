@@ -34,8 +34,9 @@ _LABEL_PX = 58
 _FARTHEST_M = 1e6
 """Larger coordinates are invalid: no robot is a thousand kilometres away."""
 _BEYOND_PX = 20_000
-"""Lines to points farther out are clipped here: they are outside of the picture, and drawing longer ones takes
-seconds."""
+"""Lines to points farther out are clipped here: they are outside of the picture, and drawing longer lines takes
+seconds.
+"""
 _TOP, _RIGHT, _GAP, _TICK, _ROW = 30, 64, 8, 5, 22
 """Pixels: room above and right of the ground for labels, beside a label, of a tick, and of a line of the legend."""
 _LARGE, _SMALL = 17, 15
@@ -376,7 +377,7 @@ def _lines(span: Span, line_m: float) -> list[float]:
 
 
 def _labelled(lines: Sequence[float], line_m: float, metres: float) -> list[tuple[float, str]]:
-    """Return the lines that have a label, and the label: each line or every second one, including 0."""
+    """Return the lines that have a label, and the label: each line or every second line, including 0."""
     every = 1 if line_m / metres >= _LABEL_PX else 2
     chosen = [value for value in lines if round(value / line_m) % every == 0]
     if len(chosen) < 2:
@@ -399,7 +400,7 @@ def _write_axes(
     said: tuple[Sequence[tuple[float, str]], Sequence[tuple[float, str]]],
     ground: tuple[int, int, int],
 ) -> None:
-    """Write labels on all four sides, so that every object is near one of them."""
+    """Write labels on all four sides, so that every object is near a label."""
     left, width, height = ground
     pen, font = ImageDraw.Draw(whole), letters(_LARGE)
     right, bottom = left + width, _TOP + height

@@ -31,7 +31,7 @@ DEEPEST = 40
 """The deepest nesting of lists and objects: no ROS message is nested half as deep."""
 _EXACT_IN_JSON = 2**53
 _EXACT = 10**400
-"""The largest integer: no message contains a larger one, and converting it to text would take long."""
+"""The largest integer: no message contains a larger integer, and converting it to text would take long."""
 
 
 def crossed(value: Any, what: str, *, for_json: bool = False) -> Any:

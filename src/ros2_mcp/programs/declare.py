@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from ros2_mcp.robot.session import Session
 
 Risk = Literal["read", "act"]
-"""`act` changes or moves something: such a call is a command, and counted as one."""
+"""`act` changes or moves something: such a call is a command, and counted as such."""
 
 
 class Use(Protocol):

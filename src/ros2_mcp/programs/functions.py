@@ -1,4 +1,4 @@
-"""Functions that only programs have: reading messages one by one, a scan, a picture, a turn, and stopping its own
+"""Functions that only programs have: reading messages in sequence, a scan, a picture, a turn, and stopping its own
 motion.
 """
 
@@ -28,7 +28,7 @@ from ros2_mcp_common.language.scans import limits_of, no_bearings
 async def latest(
     use: Use, topic_name: str, fields: Sequence[str] | None = None, timeout: float = 5.0, bag: str = ""
 ) -> dict[str, Any]:
-    """The newest message of a topic; waits only for the first one."""
+    """The newest message of a topic; waits only for the first message."""
     source = await use.sources.open(bag, waits=False, report=use.report)
     if source.is_live:
         return await use.streams.latest(source.judging().lasting(LONGEST_S).prompt(), topic_name, fields or (), timeout)

@@ -1,4 +1,4 @@
-"""The text of `help()` in a program: a list of the functions of the module `robot`, or all about one of them."""
+"""The text of `help()` in a program: a list of the functions of the module `robot`, or all about one function."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def signature_of(function: Function) -> str:
 
 
 def _argument(each: inspect.Parameter) -> str:
-    """Return the line of an argument with a description; "" for one without."""
+    """Return the line of an argument with a description; "" for an argument without a description."""
     said = [getattr(one, "description", None) for one in getattr(each.annotation, "__metadata__", ())]
     told = " ".join(one for one in said if isinstance(one, str))
     return f"  {each.name}: {told}" if told else ""

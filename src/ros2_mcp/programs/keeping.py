@@ -84,7 +84,7 @@ class ProgramSaved:
     def summary(self) -> str:
         """Return one line."""
         before = f" The former version is in {named(self.previous_file)}." if self.previous_file else ""
-        how = "" if self.done == "removed" else " Run it with its name as program of ros2_program_run."
+        how = "" if self.done == "removed" else f' To run it: ros2_program_run(program="{self.program.name}").'
         return f"{self.done}: {self.program.summary()}.{how}{before}"
 
 
@@ -111,7 +111,7 @@ async def list_programs(robot: Robot, pattern: str = "", *, with_code: bool = Fa
 
 
 async def save_program(robot: Robot, session: Session, programs: Programs, request: ProgramRequest) -> ProgramSaved:
-    """Keep a program that passes the checks, or remove one, and note it in the audit. Nothing runs.
+    """Keep a program that passes the checks, or remove a program, and note it in the audit. Nothing runs.
 
     Raises:
         BadInput: for an error in the program, too.

@@ -50,7 +50,7 @@ MOST_PRINTED = 12_000
 _MOST_PRINTED_IN_ALL = 1_000_000
 """The most characters that a program may print: more come from an endless loop."""
 _MOST_DONE = 40
-"""The most commands that are listed, the first and the last ones; all are counted."""
+"""The most commands that are listed, from the beginning and the end; all are counted."""
 _LOOK_S = 0.1
 """Time between two checks that the process and the bridge live: a fifth of the time in which a robot has to stop."""
 _ASKED_AGAIN_S = 0.2

@@ -169,7 +169,7 @@ def _rewrite_loop(tokens: Sequence[tokenize.TokenInfo], start: int, edits: _Edit
 
 
 def _parts(tokens: Sequence[tokenize.TokenInfo], start: int, ends: Sequence[str]) -> tuple[int, int]:
-    """Return the indices of the token `in` and of the token that ends the iterable; 0 for one that is missing."""
+    """Return the indices of the token `in` and of the token that ends the iterable; 0 for a missing token."""
     depth = within = 0
     for place in range(start + 1, len(tokens)):
         token = tokens[place]

@@ -126,7 +126,9 @@ class Sandbox:
 
     @asynccontextmanager
     async def open(self) -> AsyncGenerator[Sandbox, None]:
-        """Provide a process within this context: one for the check and one for the run, each killed at its end."""
+        """Provide a process within this context: a process for the check, then another for the run, each killed at its
+        end.
+        """
         from pydantic_monty import AsyncMonty
 
         async with AsyncMonty(
@@ -138,7 +140,7 @@ class Sandbox:
             yield self
 
     def kill(self) -> None:
-        """Kill the process, if there is one."""
+        """Kill the process, if it runs."""
         if self._pid is not None:
             with suppress(OSError):
                 os.kill(self._pid, signal.SIGKILL if sys.platform != "win32" else signal.SIGTERM)

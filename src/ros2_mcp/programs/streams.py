@@ -92,7 +92,7 @@ class Followed:
                 raise topic.error
 
     async def next(self, timeout_s: float = math.inf) -> dict[str, Any] | None:
-        """Return the next message, or None after the last one. Waits as long as the source lasts.
+        """Return the next message, or None after the last message. Waits as long as the source lasts.
 
         Raises:
             TimedOut: if no message came in that time.
@@ -169,7 +169,7 @@ class Followed:
             await asyncio.wait_for(self._changed.wait(), None if timeout_s == math.inf else timeout_s)
 
     async def _told(self, topic: _Topic, sample: Sample) -> dict[str, Any]:
-        """Return a message as the program gets it: its fields, or the requested ones, and `_topic`, `_time` and the
+        """Return a message as the program gets it: its fields, or the requested fields, and `_topic`, `_time` and the
         like.
         """
         stream = topic.stream
@@ -223,7 +223,7 @@ class FollowedGoal:
 
 
 class _Topic:
-    """One followed topic: its waiting samples, the last one, and the number of dropped ones."""
+    """One followed topic: its waiting samples, the last sample, and the number of dropped samples."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -243,7 +243,7 @@ class _Topic:
             parse_fields(self.stream.codec.definitions, self.stream.type, fields)
 
     def is_full(self, keep: int) -> bool:
-        """Return whether another sample would displace a waiting one."""
+        """Return whether another sample would displace a waiting sample."""
         return len(self.waiting) >= keep or (bool(self.waiting) and self._bytes > MOST_WAITING_BYTES)
 
     def put(self, sample: Sample, keep: int) -> None:
@@ -300,7 +300,9 @@ class Streams:
         return next(number for number in range(MOST_STREAMS) if number not in self._followed)
 
     async def next(self, number: int) -> dict[str, Any] | None:
-        """Return the next message of a stream, or None at its end, which closes it. Raises as `Followed.next`."""
+        """Return the next message of a stream, or None at its end; the end closes the stream. Raises as
+        `Followed.next`.
+        """
         if (followed := self._followed.get(number)) is None:
             return None
         message = await followed.next()

@@ -31,7 +31,7 @@ class Messages:
 
 
 _OF_RECORDINGS = ("bag", "start", "end")
-"""Arguments of functions that can read recordings: in the short form the first one represents all."""
+"""Arguments of functions that can read recordings: in the short form the first argument represents all."""
 _SAID_ELSEWHERE = frozenset(
     {
         "topic_name",
@@ -154,7 +154,7 @@ def _of_result(kind: Any, classes: dict[str, str]) -> str:
 
 
 def short_arguments(signature: inspect.Signature) -> str:
-    """Return the names of the arguments, optional ones with a question mark."""
+    """Return the names of the arguments, optional arguments with a question mark."""
     shown: list[str] = []
     for name, each in signature.parameters.items():
         if name in _OF_RECORDINGS:
@@ -167,7 +167,7 @@ def short_arguments(signature: inspect.Signature) -> str:
 
 
 def _needed_arguments(signature: inspect.Signature) -> str:
-    """Return the required arguments; if there are none, the first one with a question mark."""
+    """Return the required arguments; if there are none, the first argument with a question mark."""
     given = [each.name for each in signature.parameters.values() if each.default is inspect.Parameter.empty]
     return ", ".join(given or [f"{name}?" for name in signature.parameters][:1])
 
@@ -194,6 +194,6 @@ def _short_result(function: Function) -> str:
 
 
 def _names(kind: Any, left_out: frozenset[str] = _SAID_ELSEWHERE) -> str:
-    """Return the most useful fields of a result: those that repeat arguments or contain notes are omitted."""
+    """Return the most useful fields of a result: fields that repeat arguments or contain notes are omitted."""
     names = [each.name for each in fields(kind) if not each.metadata.get("hidden") and each.name not in left_out]
     return f"{{{', '.join(names[:_MOST_FIELDS])}{', …' if len(names) > _MOST_FIELDS else ''}}}"

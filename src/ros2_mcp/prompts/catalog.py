@@ -1,4 +1,5 @@
-"""All prompts of one server: the base prompts, those in the user's folder, kept programs, and those of the user's code.
+"""All prompts of one server: the base prompts, the prompts in the user's folder, kept programs, and the prompts of the
+user's code.
 
 A prompt that names a tool that is not offered says so. A base prompt then says only that, without the name of the tool,
 because models call the tools that they read of.

@@ -1,4 +1,4 @@
-"""Kept programs as prompts: a user chooses one in the client's menu, with its inputs as arguments."""
+"""Kept programs as prompts: a user chooses a program in the client's menu, with its inputs as arguments."""
 
 from __future__ import annotations
 

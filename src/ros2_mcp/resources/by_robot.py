@@ -1,4 +1,4 @@
-"""Robots in URIs: if a server has several, each URI names one, as in `ros2://log?level=warn&robot=lab`."""
+"""Robots in URIs: if a server has several, each URI names a robot, as in `ros2://log?level=warn&robot=lab`."""
 
 from __future__ import annotations
 

@@ -90,7 +90,7 @@ class Push:
     """Answers the subscription methods of both eras."""
 
     def __init__(self, watched: Callable[[str], tuple[Watcher, Subject]], bus: SubscriptionBus) -> None:
-        """`watched` returns the watcher and subject of a URI, and raises a `RobotError` for an unknown one."""
+        """`watched` returns the watcher and subject of a URI, and raises a `RobotError` for an unknown URI."""
         self._watched = watched
         self._bus = bus
         self._subscribers: dict[int, Subscriber] = {}

@@ -113,7 +113,7 @@ def definitions_of(descriptions: Sequence[Mapping[str, Any]]) -> dict[str, Defin
 
 
 def _type_of(told: Mapping[str, Any]) -> str:
-    """Return a field type as definitions spell it; "" for one that messages do not have."""
+    """Return a field type as definitions spell it; "" for a type that messages do not have."""
     number = int(told["type_id"])
     if not 0 < number <= len(_ARITIES) * _STEP:
         return ""

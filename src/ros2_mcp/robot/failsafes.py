@@ -173,7 +173,7 @@ class Failsafes:
 
     @property
     def driven(self) -> Sequence[Driven]:
-        """The velocity topics that this server has driven, except those that were dropped at rest to make room."""
+        """The velocity topics that this server has driven, except topics that were dropped at rest to make room."""
         return list(self._driven.values())
 
     @property
@@ -296,7 +296,7 @@ class Failsafes:
         return reply["topics"]
 
     async def still(self, topic: str, type_name: str) -> str:
-        """Publish the zero on a topic that this server has not driven, such as one that another bridge left moving.
+        """Publish the zero on a topic that this server has not driven, such as a topic that another bridge left moving.
 
         Returns:
             The reason if that failed; "" if the zero was sent.
@@ -362,7 +362,7 @@ class Failsafes:
         self._goals[goal_id] = self._kept_call(f"goal {goal_id}", body, service)
 
     def withdraw(self, goal_id: str) -> None:
-        """Withdraw the fail-safe of a goal, if there is one."""
+        """Withdraw the fail-safe of a goal, if the goal has a fail-safe."""
         if goal_id in self._goals:
             self._goals.pop(goal_id).close()
 
@@ -384,7 +384,7 @@ class Failsafes:
         ]
 
     def withdraw_brake(self, vehicle: str) -> None:
-        """Withdraw the fail-safe of a vehicle, if there is one."""
+        """Withdraw the fail-safe of a vehicle, if the vehicle has a fail-safe."""
         for kept in self._flights.pop(vehicle, ()):
             kept.close()
 

@@ -1,4 +1,4 @@
-"""Goals: jobs that the robot itself carries out, and the command that sends one."""
+"""Goals: jobs that the robot itself carries out, and the command that sends a goal."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Goal(Job):
 
     kind = "goal"
     most_running = 1000
-    """The most running goals that are kept: those whose end is never observed must not accumulate."""
+    """The most running goals that are kept: goals whose end is never observed must not accumulate."""
     most_kept = 1000
     is_displaced = True
     ends_elsewhere = True

@@ -158,7 +158,7 @@ class Graph:
         return [row.name for row in _nodes(reply["servers"], settled=True)]
 
     async def nodes(self, within_s: float | None = None) -> Rows[NodeRow]:
-        """Return every node, including those of this server."""
+        """Return every node, including the nodes of this server."""
         reply = await self._settled(protocol.NodesReply, "nodes", within_s)
         return _nodes(reply["nodes"], settled=reply["settled"])
 
@@ -312,7 +312,9 @@ class Graph:
         return self._bridge.frame_ids.get(topic, "")
 
     def note_frame_id(self, topic: str, frame_id: str) -> None:
-        """Record the frame of a command that is about to be published; the bridge reports those of its own commands."""
+        """Record the frame of a command that is about to be published; the bridge reports the frames of its own
+        commands.
+        """
         self._bridge.frame_ids[topic] = frame_id
 
     @property
@@ -447,7 +449,7 @@ def _nodes(found: Sequence[tuple[str, str]], *, settled: bool) -> Rows[NodeRow]:
 
 
 def _others(name: str, known: Sequence[str]) -> list[str]:
-    """Return the known names that may have been meant; hidden ones only if the given name is hidden."""
+    """Return the known names that may have been meant; hidden names only if the given name is hidden."""
     return [each for each in known if each != name and (names.is_hidden(name) or not names.is_hidden(each))]
 
 

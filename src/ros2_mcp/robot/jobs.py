@@ -48,7 +48,7 @@ class Job(ABC):
     most_kept: ClassVar[int] = 20
     """The most ended jobs that are kept, so that their last state can be queried."""
     is_displaced: ClassVar[bool] = False
-    """Whether, beyond `most_running`, the oldest job is forgotten instead of the new one being refused."""
+    """Whether, beyond `most_running`, the oldest job is forgotten instead of refusing the new job."""
     has_its_topics_alone: ClassVar[bool] = False
     """Whether nothing else in this server may publish on the job's topics while it runs."""
     ends_elsewhere: ClassVar[bool] = False
@@ -58,7 +58,7 @@ class Job(ABC):
     stopped_by: ClassVar[str] = "ros2_stop"
     """The tool that stops such a job, for the hints of errors."""
     needs_no_id: ClassVar[bool] = True
-    """Whether a tool may be called without an id when this job is the only one of its kind."""
+    """Whether a tool may be called without an id when this job is the only job of its kind."""
     patience_s: ClassVar[float] = 5.0
     """The time limit for `wind_down` and the end that it causes, in s; after it the work is cancelled."""
 
@@ -95,7 +95,7 @@ class Job(ABC):
         return ""
 
     def check_beside(self, running: Sequence[Job]) -> None:  # noqa: B027 - most kinds may run beside any other
-        """Raise a `RobotError` if the job must not run alongside the running ones; no job can start in between."""
+        """Raise a `RobotError` if the job must not run alongside the running jobs; no job can start in between."""
 
     async def wind_down(self) -> None:
         """Ask running work to end in good order. By default the work is cancelled at once."""
@@ -184,7 +184,7 @@ _Job = TypeVar("_Job", bound=Job)
 
 
 class Jobs:
-    """All jobs of a server: the running ones, and the last ended ones of each kind."""
+    """All jobs of a server: the running jobs, and the jobs of each kind that ended last."""
 
     def __init__(self) -> None:
         self._by_id: dict[str, Job] = {}
@@ -265,7 +265,7 @@ class Jobs:
         return job if isinstance(job, kind) else None
 
     def find(self, kind: type[_Job], job_id: str) -> _Job:
-        """Return the job with this id, or the last one with this name in `about`.
+        """Return the job with this id, or the last job with this name in `about`.
 
         Raises:
             NotFound: with the nearest id.
@@ -283,7 +283,7 @@ class Jobs:
         return [self.find(kind, job_id)] if job_id else self.all(kind)
 
     def one(self, kind: type[_Job], job_id: str = "") -> _Job:
-        """Return the job with this id; without an id the only running one, or else the last one that was started.
+        """Return the job with this id; without an id the only running job, or else the last job that was started.
 
         Raises:
             NotFound: as `find`, or if there was none.
@@ -339,7 +339,7 @@ class Jobs:
         return list(await self._end(owned))
 
     async def close(self) -> None:
-        """Stop all jobs, and start no further ones: the end of the server. Safe to call twice."""
+        """Stop all jobs, and start no further jobs: the end of the server. Safe to call twice."""
         self._is_closed = True
         for job in self.running(Job):
             if job.ends_elsewhere:

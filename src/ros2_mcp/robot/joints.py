@@ -21,7 +21,9 @@ from ros2_mcp_common.wire.protocol import JointsReply
 
 DESCRIPTION, TEXT = "robot_description", "std_msgs/msg/String"
 MOST_DESCRIPTION_BYTES = 16_000_000
-"""The largest description that is read, in bytes: one with embedded meshes; `world/urdf.py` accepts less."""
+"""The largest description that is read, in bytes: the size of a description with embedded meshes; `world/urdf.py`
+accepts less.
+"""
 _SAID_S = 4.0
 """The time limit for a description, in s. A latched message arrives on matching; a publisher that missed this
 subscriber's announcement is discovered 3 s later."""
@@ -47,7 +49,7 @@ class RobotJoints(Kept):
         self._read_at = -math.inf
 
     async def urdf(self) -> Urdf | None:
-        """Return the robot's description; None if no readable one was published.
+        """Return the robot's description; None if no readable description was published.
 
         The description of a publisher that has gone is kept: its limits still hold.
         """
@@ -75,7 +77,7 @@ class RobotJoints(Kept):
         return known(Joints(measured, limits))
 
     async def description_topics(self) -> Sequence[str]:
-        """Return the topics with descriptions, `/robot_description` first; empty until one is discovered."""
+        """Return the topics with descriptions, `/robot_description` first; empty until such a topic is discovered."""
         rows = [row for row in await self._graph.topics() if row.publishers and TEXT in row.types]
         found = [row.name for row in rows if row.name.rpartition("/")[2] == DESCRIPTION]
         return sorted(found, key=lambda name: (name.count("/"), name))

@@ -34,9 +34,7 @@ class Listening:
     opened_ns: int = 0
 
     def is_from_before(self, sample: Sample) -> bool:
-        """Return whether a sample was published before the subscription (by its publisher's clock), and is a latched
-        one.
-        """
+        """Return whether a sample was published before the subscription (by its publisher's clock), and is latched."""
         return self.choice.qos.durability == "transient_local" and 0 < sample.source_ns < self.opened_ns
 
     async def take(self, timeout_s: float) -> list[Sample]:

@@ -64,7 +64,7 @@ class NoKnownStop:
         ]
 
     def settle(self, unsettled: Sequence[tuple[Kind, str]]) -> None:
-        """Record that the robot was observed still after these entries were sent; those in progress stay unsettled."""
+        """Record that the robot was observed still after these entries were sent. Entries in progress stay open."""
         self._settled.update(one for one in unsettled if not self._under_way[one])
 
     def note(self, kind: Kind, name: str) -> None:

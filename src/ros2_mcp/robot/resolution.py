@@ -179,7 +179,7 @@ class Types:
         return NotFound(f"There is no service {service}.", await self.near_service(service))
 
     async def near_service(self, service: str) -> str:
-        """Return a hint for a service that does not exist: the one that was most likely meant."""
+        """Return a hint for a service that does not exist: the service that was most likely meant."""
         others = [row for row in await self._graph.services() if row.name != service]
         likely = [row.name for row in others if not is_infrastructure(row.name, row.types)]
         return await self._graph.near(service, likely, "ros2_service_list")
@@ -208,12 +208,12 @@ class Types:
         return _one_of(types, requested, action)
 
     async def near_action(self, action: str) -> str:
-        """Return a hint for an action that does not exist: the one that was most likely meant."""
+        """Return a hint for an action that does not exist: the action that was most likely meant."""
         return await self._graph.near(action, list(await self.actions()), "ros2_list_actions")
 
 
 def _like(text: str, installed: Sequence[str], kind: str) -> str:
-    """Return a hint for a type that does not exist: the most similar one, of that kind first."""
+    """Return a hint for a type that does not exist: the most similar type, of that kind first."""
     if not names.is_short(text):
         return names.did_you_mean(names.interface_type(text, "msg"), installed, _LISTED)
     of_kind = {name.rpartition("/")[2]: name for name in installed if f"/{kind}" in name}

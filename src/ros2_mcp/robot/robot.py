@@ -74,7 +74,7 @@ _EXECUTORS: Mapping[type[Command[Any]], Callable[[Core, Prepared[Any]], Awaitabl
 """The function that carries out each command once it is allowed: it establishes the fail-safe, and sends the bytes."""
 _PUBLISHING = (commands.Publish, commands.Repeat, commands.Relay, commands.Play)
 _NEVER_STOPPED = (commands.CancelGoals, commands.Record)
-"""Commands that no stop holds back: the first one stops; the second writes files and sends nothing."""
+"""Commands that no stop holds back: the first command stops; the second writes files and sends nothing."""
 _logger = logging.getLogger(__name__)
 
 

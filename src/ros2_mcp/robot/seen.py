@@ -1,4 +1,5 @@
-"""The nodes and topics of the robot that were seen in this session, and those that have disappeared since.
+"""The nodes and topics of the robot that were seen in this session, and the nodes and topics that have disappeared
+since.
 
 Servers like this one and the ROS command-line tools are not part of a robot.
 """
@@ -70,7 +71,7 @@ class Seen:
         return self._ran.keys()
 
     def knows(self, node: str) -> bool:
-        """Return whether the node was seen before, or is one that is never recorded."""
+        """Return whether the node was seen before, or is a node that is never recorded."""
         return node in self._nodes or not _is_missed(node)
 
     def note(self, node: str, topics: Mapping[str, str] | None = None) -> None:
@@ -128,7 +129,7 @@ def _is_missed(node: str) -> bool:
 
 
 def is_of_robot(node: str) -> bool:
-    """Return whether a node may belong to a robot: no bridge of a server like this one, and not hidden, as ROS's tools
-    are.
+    """Return whether a node may belong to a robot: no bridge of a server like this server, and not hidden, as ROS's
+    tools are.
     """
     return not (_BRIDGES.fullmatch(node) or names.is_hidden(node))

@@ -1,5 +1,5 @@
-"""The transforms on /tf and /tf_static as a tree of frames, kept from the first query on, so that later ones
-are fast.
+"""The transforms on /tf and /tf_static as a tree of frames, kept from the first query on, so that later queries are
+fast.
 """
 
 from __future__ import annotations
@@ -148,7 +148,7 @@ class TransformListener:
         self._looked_ns[topic] = now_ns
 
     def lives(self, topic: str) -> Mapping[str, Life]:
-        """Return the nodes that have published on the topic since it was subscribed, including those that have gone."""
+        """Return the nodes that have published on the topic since it was subscribed, including nodes that have gone."""
         return self._lives.get(topic, {})
 
     async def clock_publishers(self) -> Sequence[str]:
@@ -255,8 +255,8 @@ class TransformListener:
                 self._tell()
 
     async def _watch_publishers(self, tree: FrameTree) -> None:
-        """Keep the publishers up to date: one that disappears must be known to have existed, and a lookup needs no
-        query.
+        """Keep the publishers up to date: a publisher that disappears must be known to have existed, and a lookup needs
+        no query.
         """
         self._lives.clear()
         self._looked_ns.clear()

@@ -17,7 +17,7 @@ from ros2_mcp_common.policy.verbs import meaning
 
 
 async def as_meant(prepared: Prepared[Any]) -> Prepared[Any]:
-    """Return the command itself, or the one that a service call means, with the same bytes; its request is checked
+    """Return the command itself, or the command that a service call means, with the same bytes; its request is checked
     first.
 
     Raises:

@@ -208,7 +208,7 @@ async def ros2_nav_check(
     to: Annotated[
         dict[str, Any] | None,
         BeforeValidator(_as_object_if_any),
-        Field(description="A goal to look at, too: its place or pose."),
+        Field(description="Check this goal as well: its place or pose."),
     ] = None,
 ) -> NavChecked:
     """Find out why a robot with Nav2 does not navigate: reads only, sends no goal, moves nothing.
@@ -289,7 +289,9 @@ async def ros2_nav_localize(
     radius_m: Annotated[
         Number | None, Field(gt=0, le=1000, description="Search so far around at (3); heading: within 60°.")
     ] = None,
-    last: Annotated[Flag, Field(description="Take the pose kept before a restart, if the scan fits there.")] = False,
+    last: Annotated[
+        Flag, Field(description="After a restart: use the last pose that was stored, if the scan fits the map there.")
+    ] = False,
     topic_name: Annotated[str, Field(description="Default: /initialpose.")] = "",
 ) -> NavLocalized:
     """Tell localisation where the robot is (initial pose): given, found on the map, or kept. Nothing moves.
@@ -351,7 +353,9 @@ async def ros2_nav_dock(
         BeforeValidator(_as_object),
         Field(description="Instead: the pose or place of a dock."),
     ] = None,
-    dock_type: Annotated[str, Field(description="Needed if Nav2 has several types: with at, or to undock.")] = "",
+    dock_type: Annotated[
+        str, Field(description="Type of the dock. With `at` or `undock`, needed if Nav2 has several.")
+    ] = "",
     undock: Annotated[Flag, Field(description="Leave the dock instead.")] = False,
     job_id: Annotated[str, Field(description="Wait for this running docking instead.")] = "",
     timeout_s: Annotated[Number, Field(ge=0, le=MAX_DURATION_S, description="Maximum wait in seconds.")] = 45.0,

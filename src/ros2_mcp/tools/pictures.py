@@ -90,8 +90,12 @@ async def ros2_get_pointcloud_as_bev(
     report: Report,
     topic_name: Annotated[str, Field(description="A topic of sensor_msgs/PointCloud2. Default: the only one.")] = "",
     resolution: Annotated[Number, Field(ge=0.001, le=100, description="Metres per pixel.")] = 0.05,
-    zmin: Annotated[Number | None, Field(description="Minimum height in metres. Default: all.")] = None,
-    zmax: Annotated[Number | None, Field(description="Maximum height in metres. Default: all.")] = None,
+    zmin: Annotated[
+        Number | None, Field(description="Minimum height in metres, in the picture's frame. Default: all.")
+    ] = None,
+    zmax: Annotated[
+        Number | None, Field(description="Maximum height in metres, in the picture's frame. Default: all.")
+    ] = None,
     xmin: Lowest = None,
     xmax: Highest = None,
     ymin: Lowest = None,

@@ -24,7 +24,10 @@ Tolerances = Annotated[
 ]
 Mapping = Annotated[
     dict[str, str],
-    Field(description='For another type at the destination: {"its field": "source field"}; other fields get defaults.'),
+    Field(
+        description='If the destination has another type: {"destination field": "source field"}; other fields get '
+        "defaults."
+    ),
 ]
 
 
@@ -43,7 +46,9 @@ async def ros2_relay_start(
     message_type: MessageType = "",
     transform: Annotated[
         Literal["identity", "rate_limit", "on_change", "filter"],
-        Field(description="Pass all messages, at most target_rate_hz, or only changes (filter means on_change)."),
+        Field(
+            description="identity: all messages; rate_limit: at most target_rate_hz; on_change, filter: only changes."
+        ),
     ] = "identity",
     target_rate_hz: Annotated[
         Number | None,

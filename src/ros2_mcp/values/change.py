@@ -19,7 +19,7 @@ _Blank = Callable[[Any], None]
 
 
 class ChangeDetector:
-    """Compares each message with the last one that was a change.
+    """Compares each message with the last message that was a change.
 
     The stamps of headers are ignored. A field with a tolerance has changed if it differs by more than the tolerance, or
     if just one of the two values is NaN; any other field has changed if it differs at all. The tolerance of `*` applies

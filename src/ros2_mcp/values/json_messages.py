@@ -123,7 +123,7 @@ class RecordedCodec(Codec):
         self._plans: dict[str, _Plan] = {}
 
     def learn_json(self, type_name: str, shape: Shape) -> None:
-        """Set the shape of a JSON type; it replaces an earlier one."""
+        """Set the shape of a JSON type; it replaces an earlier shape."""
         if shape.kind != "object":
             shape = Shape("object", {_VALUE: shape})
         plans: list[_Plan] = []

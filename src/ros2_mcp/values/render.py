@@ -36,7 +36,8 @@ _SQUARES = {9: 3, 36: 6}
 _TEXT_SLICE = 8000
 """Characters of a long text that a hint asks for at once: with its quotes escaped they fit into one answer."""
 _SCAN = "sensor_msgs/msg/LaserScan"
-"""In a scan the nearest point matters: the summary of its ranges includes the angle of the smallest one, in radians."""
+"""In a scan the nearest point matters: the summary of its ranges includes the angle of the smallest range, in radians.
+"""
 _ANGLE_DIGITS = 4
 """Decimals of an angle in rad (0.006°): no scanner is as exact."""
 
@@ -121,7 +122,7 @@ def example_of(definitions: Definitions, type_name: str) -> dict[str, Any]:
 
 
 def _attempts(options: RenderOptions) -> Iterator[_Limits]:
-    """Yield limits to try, each tighter than the one before."""
+    """Yield limits to try, each tighter than the limit before."""
     if options.exact or options.native:
         yield _Limits(_UNLIMITED, _UNLIMITED, _UNLIMITED, _UNLIMITED, _UNLIMITED)
         return
@@ -206,7 +207,7 @@ class _Render:
         return _list_summary(field_type, len(values), first)
 
     def _text(self, text: str, path: str, most: int, whole: str = "", start: int = 0) -> Any:
-        """A text; as a part of another one, whose path is `whole`, it begins at `start` there."""
+        """A text; as a part of another text (its path is `whole`), it begins at `start` there."""
         if len(text) <= most and (text.isascii() or is_unicode(text)):
             return text
         self._cut(path)
@@ -328,7 +329,7 @@ def _add_angle(scan: dict[str, Any]) -> None:
 
 
 def _statistics(base: str, values: NDArray[Any]) -> dict[str, Any]:
-    """Return statistics of the finite values; `min_at` is the index of the smallest one in the whole array."""
+    """Return statistics of the finite values; `min_at` is the index of the smallest value in the whole array."""
     indices = np.flatnonzero(np.isfinite(values)) if base in FLOATS else np.arange(len(values))
     finite = values[indices]
     result: dict[str, Any] = {"min": None, "max": None, "mean": None}

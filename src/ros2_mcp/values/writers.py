@@ -13,7 +13,7 @@ from dataclasses import dataclass
 _MOST_LOST = 200
 """Messages that may be missing between two of one publisher: seconds of a fast topic."""
 _MOST = 64
-"""Publishers that are distinguished; the one whose last message is the oldest is forgotten."""
+"""Publishers that are distinguished; the publisher with the oldest last message is forgotten."""
 
 
 @dataclass(slots=True)

@@ -123,7 +123,7 @@ class Acting:
         return self._audit[1]
 
     async def stop(self, robot: Robot) -> StoppedAll:
-        """Stop every server, send zeros for those that do not answer, and make sure that the latch is set."""
+        """Stop every server, send zeros for servers that do not answer, and make sure that the latch is set."""
         answers, (zeros, problems) = await asyncio.gather(
             self._all(_stop_of, _STOPPED_S, of_one=False), self._instead(robot)
         )

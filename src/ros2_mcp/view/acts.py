@@ -9,9 +9,9 @@ from typing import Any
 from ros2_mcp.model.times import iso_time
 
 MOST_ACTS = 60
-"""Entries, the newest ones, that a page shows."""
+"""The number of entries that a page shows: the newest."""
 _MOST_TEXT = 300
-"""Characters of a field: the audit writes no longer ones."""
+"""Characters of a field: the audit writes no longer fields."""
 _ANSWERS = ("approved", "denied", "granted", "withdrawn")
 """Answers to a request for approval."""
 _KINDS = (
@@ -61,7 +61,7 @@ def acts_in(lines: Sequence[Line]) -> Iterator[Mapping[str, Any]]:
 
 
 def presses_as_one(acts: Sequence[Line]) -> list[Line]:
-    """Merge the entries of one stop (asked for, latch set, robot at rest) into one.
+    """Merge the entries of one stop (asked for, latch set, robot at rest) into one entry.
 
     Its outcome is the stage that was reached. A latch without a stop, and entries after a reset, stay separate.
     """

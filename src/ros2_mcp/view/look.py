@@ -133,7 +133,8 @@ class Shown:
     sample: Sample | None = None
 
     async def newer(self, robot: Robot, topic: str) -> tuple[Sample, Newest, Listening] | None:
-        """Return the newest message of a topic once it differs from the last one; None if none arrives in `WAIT_S`.
+        """Return the newest message of a topic once it differs from the last message; None if no message arrives in
+        `WAIT_S`.
 
         Raises:
             RobotError: if the topic cannot be subscribed to.

@@ -1,4 +1,6 @@
-"""The markers of all topics with their poses: live those received since the page shows them, else since the start."""
+"""The markers of all topics with their poses: live the markers received since the page shows them, else since the
+start.
+"""
 
 from __future__ import annotations
 

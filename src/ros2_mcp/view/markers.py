@@ -1,4 +1,4 @@
-"""Convert markers (visualization_msgs) for the page: those added and not deleted on each topic, within bounds."""
+"""Convert markers (visualization_msgs) for the page: the markers added and not deleted on each topic, within bounds."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class MarkersOfTopic:
             self._one(one, received_ns)
 
     def shown(self, at_ns: int) -> Sequence[Marker]:
-        """Return the markers that are visible at a time; drop expired ones."""
+        """Return the markers that are visible at a time; drop expired markers."""
         over = [key for key, one in self.markers.items() if one.until_ns is not None and one.until_ns < at_ns]
         for key in over:
             del self.markers[key]

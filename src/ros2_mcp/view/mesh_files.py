@@ -122,7 +122,9 @@ def prefixes_of(settings: Settings) -> Sequence[Path]:
 
 
 def _prefixes(given: Sequence[Path]) -> list[Path]:
-    """Return the installation prefixes of packages: below the given ones, and in this process's environment."""
+    """Return the prefixes in which to look for packages: at or directly below the given folders and those of
+    AMENT_PREFIX_PATH and COLCON_PREFIX_PATH, then Python's own.
+    """
     listed = [os.environ.get(name, "") for name in ("AMENT_PREFIX_PATH", "COLCON_PREFIX_PATH")]
     seen = [Path(one) for text in listed for one in text.split(os.pathsep) if one]
     return [*(prefix for one in (*given, *seen) for prefix in _below(one.expanduser())), Path(sys.prefix)]

@@ -145,7 +145,7 @@ def _old(pick: Pick) -> str:
 
 
 def keep(folder: StateFolder, subject: str, picks: Sequence[Pick]) -> None:
-    """Store the picks, in place of earlier ones. Raises `RobotError` if the folder cannot be written."""
+    """Store the picks, in place of earlier picks. Raises `RobotError` if the folder cannot be written."""
     kept = {"subject": subject, "at_s": time(), "picks": [asdict(pick) for pick in picks]}
     try:
         at = folder.make()

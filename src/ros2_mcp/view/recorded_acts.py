@@ -63,7 +63,7 @@ class _Calls:
         self._codec, self._type = stream.codec, stream.type
 
     def add(self, samples: Sequence[Sample]) -> None:
-        """Add messages; those that are not audit lines are skipped."""
+        """Add messages; messages that are not audit lines are skipped."""
         for sample in samples:
             try:
                 message: Any = self._codec.decode(self._type, sample.data)

@@ -29,7 +29,7 @@ from ros2_mcp.view.panels.image import ImagePanel
 from ros2_mcp.view.picks import Pick, keep, picks_of
 
 MOST_VIEWS = 4
-"""Open pages: a user has it open on a screen and a phone, and forgets to close one."""
+"""Open pages: a user has it open on a screen and a phone, and forgets to close a page."""
 MOST_WAIT_MS = 1500
 """Longest wait of one update: chat hosts pass calls on through one or two processes with time-outs of their own."""
 IDLE_S = 10.0
@@ -148,7 +148,7 @@ class View:
             tasks.cancel_scope.cancel()
 
     async def update(self, request: UpdateRequest) -> Mapping[str, Any]:
-        """Return the panels with news for the page; wait for the first one."""
+        """Return the panels with news for the page; wait for the first news."""
         self.asked_at, self._told_at = monotonic(), time()
         until_ns = None if request.at_s is None or self._live else round(request.at_s * 1e9) + _ROUNDED_NS
         has_moved, self._until_ns = until_ns != self._until_ns, until_ns
@@ -282,7 +282,7 @@ class Views:
         return bool(self._views)
 
     async def update(self, request: UpdateRequest, who: str = "") -> Mapping[str, Any]:
-        """Return what is new for a page opened by `who`; a page whose view was closed gets a new one.
+        """Return what is new for a page opened by `who`; a page whose view was closed gets a new view.
 
         Raises:
             BadInput: if too many pages are open.
@@ -323,7 +323,7 @@ class Views:
         return {"picked": [visible(pick.summary()) for pick in view.picks]}
 
     def states(self) -> Sequence[PageState]:
-        """Return what the pages show, and the last state of recently closed ones."""
+        """Return what the pages show, and the last state of recently closed pages."""
         return [*(view.state(self._subject) for view in self._views.values()), *self._past]
 
     @property
@@ -345,7 +345,7 @@ class Views:
         return view
 
     def _give_up_oldest(self) -> bool:
-        """Close the view with the oldest request, if it is older than `_UNWANTED_S`; return whether one was closed."""
+        """Close the view with the oldest request, if it is older than `_UNWANTED_S`; return whether it was closed."""
         oldest = min(self._views.values(), key=lambda view: view.asked_at)
         if monotonic() - oldest.asked_at < _UNWANTED_S:
             return False

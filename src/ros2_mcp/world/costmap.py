@@ -1,4 +1,4 @@
-"""A costmap, or a map used as one: the cost at a point, and which points can be reached.
+"""A costmap, or a map used as a costmap: the cost at a point, and which points can be reached.
 
 Import it inside functions only: it needs NumPy. `model/costs.py` defines the costs.
 """
@@ -116,7 +116,7 @@ class CostGrid(OccupancyGrid):
 
 
 def _runs(is_open: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Return the runs of open cells, row by row: their rows, first columns, and the columns after their last ones."""
+    """Return the runs of open cells, row by row: their rows, first columns, and last columns plus 1."""
     steps = np.diff(np.pad(is_open.astype(np.int8), ((0, 0), (1, 1))), axis=1)
     rows, starts = np.nonzero(steps == 1)
     return rows, starts, np.nonzero(steps == -1)[1]

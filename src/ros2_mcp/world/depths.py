@@ -21,7 +21,7 @@ need."""
 _AMONG = 5
 """In a dense cloud the fifth nearest point is taken as the nearest obstacle: single points may be sensor noise."""
 _DENSE = 500
-"""In clouds with fewer points each one counts: points of sparse radars and thinned clouds have no neighbours."""
+"""In clouds with fewer points each point counts: points of sparse radars and thinned clouds have no neighbours."""
 _BIN_M = 0.05
 """Height of a histogram bin: the thickness of a floor as a depth camera sees it."""
 _GROUND_SHARE = 0.1
@@ -29,7 +29,7 @@ _GROUND_SHARE = 0.1
 _GROUND_WIDE_M = 0.5
 """Least extent of ground in x and y: the top of a box is smaller."""
 _ABOVE_M = 0.1
-"""Points from this height above the ground are obstacles; lower ones are roughness of the ground and sensor noise."""
+"""Points from this height above the ground are obstacles; lower points are roughness of the ground and sensor noise."""
 _TALL_M = 2.0
 """Points higher above the ground, such as a ceiling, are not in the way of most robots."""
 _OPTICAL = ("optical", "optical_frame")

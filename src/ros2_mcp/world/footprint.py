@@ -117,7 +117,7 @@ def unmeasured(urdf: Urdf, base: str) -> Sequence[str]:
 
 
 def reach(points: Sequence[Point]) -> Reach | None:
-    """Return the extent of a footprint; None for an empty one."""
+    """Return the extent of a footprint; None for an empty footprint."""
     if not points:
         return None
     x, y = [point[0] for point in points], [point[1] for point in points]
@@ -125,7 +125,7 @@ def reach(points: Sequence[Point]) -> Reach | None:
 
 
 def parts_of(urdf: Urdf, body: str) -> Sequence[str]:
-    """Return the links of the footprint: those fixed to the body, its legs, and its wheels with their holders."""
+    """Return the links of the footprint: links fixed to the body, its legs, and its wheels with their holders."""
     moved = {joint.child for joint in legs_of(urdf)}
     for wheel in (*wheels_of(urdf), *rotors_of(urdf)):  # a steered engine belongs to the footprint as a wheel does
         holders = [joint.child for joint in above_of(urdf, wheel.child)]

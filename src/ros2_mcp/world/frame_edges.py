@@ -22,8 +22,9 @@ _MOST_JUMPS = 50
 _LOOKED_BACK = 60
 """Recent transforms of an edge that are checked for two parents or two publishers: some seconds."""
 _PAUSES, _LEAST_PAUSE_NS, _ONCE_NS = 3, 1_000_000_000, 5_000_000_000
-"""A publisher has ended if it was silent for three times its longest pause, and for at least a second; one with a
-single message, whose rate is not known, after 5 s."""
+"""A publisher has ended if it was silent for three times its longest pause, and for at least a second; a publisher of a
+single message (of unknown rate) after 5 s.
+"""
 _RATED = 100
 """Messages from which the rate is computed."""
 _PAUSE_NS, _PAUSE_STEPS = 500_000_000, 4
@@ -80,7 +81,9 @@ class Leap:
 
 @dataclass(frozen=True, slots=True)
 class Bursts:
-    """Messages that arrive in bursts: `pause_ns` is the pause between two bursts, `count` about how many are in one."""
+    """Messages that arrive in bursts: `pause_ns` is the pause between two bursts, `count` about how many messages are
+    in a burst.
+    """
 
     pause_ns: int
     count: int
@@ -97,7 +100,7 @@ class _Steps:
 
 
 class Edge:
-    """All received transforms of one frame: `moving` ones by stamp, and `static` ones by parent.
+    """All received transforms of one frame: `moving` transforms by stamp, and `static` transforms by parent.
 
     `received` counts the moving ones; `repeated` those among them whose stamp was received before, which tf2 ignores,
     too; and `unstamped` those with stamp 0, of which the last is valid for all times, like a static one.
@@ -149,7 +152,7 @@ class Edge:
 
     @property
     def parents(self) -> list[str]:
-        """Every parent in the transforms that are kept, except those whose publisher has ended; the newest last."""
+        """Every parent in the transforms that are kept, except parents whose publisher has ended; the newest last."""
         moving = dict.fromkeys(_still_told((told.parent, told.received_ns) for told in self.moving[-_LOOKED_BACK:]))
         return list({**dict.fromkeys(self.static), **moving})
 
@@ -230,7 +233,7 @@ class Edge:
 
     @property
     def received_hz(self) -> float | None:
-        """Rate of messages in Hz, by the times of receipt; None for a static transform, or a single one."""
+        """Rate of messages in Hz, by the times of receipt; None for a static or a single transform."""
         if not self.moving and self.on_static:
             return None
         if len(self._times) < 2:
@@ -304,7 +307,7 @@ class Edge:
         return Told(first.parent, pose, at_ns, second.received_ns, second.writer)
 
     def add_static(self, told: Told) -> None:
-        """Add a transform that is valid for all times; it replaces the last one of the same publisher."""
+        """Add a transform that is valid for all times; it replaces the last transform of the same publisher."""
         for parent, former in list(self.static.items()):
             if parent != told.parent and told.writer and former.writer == told.writer:
                 del self.static[parent]
@@ -394,7 +397,9 @@ class Edge:
         steps.told, steps.before, steps.speed = told, steps.speed or (0.0, 0.0), speed
 
     def forget(self, keep: int, around_ns: int | None, kept_ns: int = KEPT_NS) -> None:
-        """Drop the oldest transforms beyond `keep` or `kept_ns`; with `around_ns` those farthest from that time."""
+        """Drop the oldest transforms beyond `keep` or `kept_ns`; with `around_ns` the transforms farthest from that
+        time.
+        """
         if around_ns is None:
             gone = max(len(self.moving) - keep, bisect_left(self.stamps, self.stamps[-1] - kept_ns), 0)
             del self.moving[:gone], self.stamps[:gone]
@@ -405,7 +410,7 @@ class Edge:
 
 
 def _still_told(values: Iterable[tuple[_Value, int]]) -> list[_Value]:
-    """Return the values without those that have ended: not received for longer than they ever paused."""
+    """Return the values without the values that have ended: not received for longer than they ever paused."""
     told = list(values)
     times: dict[_Value, list[int]] = {}
     for value, received_ns in told:

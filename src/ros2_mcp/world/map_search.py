@@ -36,7 +36,7 @@ _FAR = 0.8
 _SPOTS = 200
 """Poses of the coarse search that are refined."""
 _APART_M, _APART_RAD = 0.4, math.radians(20)
-"""Poses nearer to each other than that are one."""
+"""Poses nearer to each other than that count as one pose."""
 _WIDE_M, _SHARP_M = 0.5, 0.08
 """Distance from a beam's end to the nearest occupied cell at which it counts nothing while a pose is refined, and the
 standard deviation in the last steps."""
@@ -77,7 +77,7 @@ class MapSearch:
 
 @dataclass(frozen=True, slots=True)
 class Area:
-    """The part of the map to search: within `radius_m` of a point, and within `turn_rad` of a heading if one is
+    """The part of the map to search: within `radius_m` of a point, and within `turn_rad` of a heading if a heading is
     given.
     """
 
@@ -155,7 +155,7 @@ class _Field:
         return poses[:, 0:1] + sin * x + cos * y, poses[:, 1:2] + cos * x - sin * y
 
     def at(self, values: NDArray[Any], rows: Any, columns: Any, outside: Any) -> Any:
-        """Return the values of cells, and `outside` for those beside the map."""
+        """Return the values of cells, and `outside` for cells beside the map."""
         r, c = np.floor(rows).astype(np.int32), np.floor(columns).astype(np.int32)
         height, width = values.shape
         inside = (r >= 0) & (r < height) & (c >= 0) & (c < width)
@@ -210,7 +210,7 @@ def _coarse(field: _Field, hits: Any, yaws: Any, deadline: float) -> tuple[Any, 
 
 
 def _phases(field: _Field, top: int, left: int, size: tuple[int, int], reach: int, step: int) -> Any:
-    """Return which cells are near an occupied one from anywhere in a square, split by the place in the square: step ×
+    """Return which cells are near an occupied cell from anywhere in a square, split by the place in the square: step ×
     step × rows × columns. So the ends of one beam for all squares are a slice of contiguous rows.
     """
     near = (field.distance <= NEAR_M).astype(np.uint8)
@@ -237,7 +237,7 @@ def _any_in_squares(cells: Any, height: int, width: int, step: int) -> Any:
 
 
 def _is_peak(score: Any) -> Any:
-    """Return which values are not less than those around them."""
+    """Return which values are not less than the values around them."""
     most = score
     for axis in (0, 1):
         room = [(1, 1) if axis == along else (0, 0) for along in (0, 1)]
@@ -318,7 +318,7 @@ def _through(field: _Field, pose: Any, hits: Any) -> float:
 
 
 def _distances(occupied: Any, most: int) -> Any:
-    """Return the distance in cells from each cell to the nearest occupied one, at most `most`."""
+    """Return the distance in cells from each cell to the nearest occupied cell, at most `most`."""
     within: Any = np.where(occupied, 0, most).astype(np.float32)
     for axis in (0, 1):
         square: Any = within**2

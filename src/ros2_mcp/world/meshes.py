@@ -19,7 +19,7 @@ Vertices: TypeAlias = NDArray[np.float64]
 Triangles: TypeAlias = NDArray[np.int64]
 
 MOST_BYTES = 30_000_000
-"""Size of one file; the largest ones of known robots have 10 MB."""
+"""Size of one file; the largest meshes of known robots have 10 MB."""
 _MOST_TRIANGLES = 1_000_000
 _DEEPEST = 50
 """Nesting depth of the nodes of a COLLADA scene."""

@@ -152,7 +152,9 @@ def _two_trees(tree: FrameTree, target: str, frame: str) -> NoTransform:
 
 
 def alike(tree: FrameTree, target: str, frame: str) -> tuple[str, str] | None:
-    """Return two frames of different trees whose names suggest that they are one; one is the root of either tree."""
+    """Return two frames of different trees whose names suggest that they are the same frame; one of the two is the root
+    of its tree.
+    """
     roots = {name: tree.root_of(name) for name in tree.frames}
     for root in dict.fromkeys((roots[frame], roots[target])):
         others = [name for name, top in roots.items() if top != root and may_be_one(root, name)]
@@ -189,7 +191,7 @@ def _missing_edge(tree: FrameTree, target: str, frame: str) -> str:
 
 
 def _no_common_time(tree: FrameTree, edges: Iterable[Edge], lacking: Sequence[Edge], common_ns: int) -> NoTransform:
-    """Explain that edges have no time in common: one of them has ended, or is stamped by another clock."""
+    """Explain that edges have no time in common: an edge has ended, or is stamped by another clock."""
     moving = [edge for edge in edges if edge.moving]
     oldest = min(moving, key=lambda edge: edge.stamps[-1])
     newest = max(moving, key=lambda edge: edge.stamps[-1])

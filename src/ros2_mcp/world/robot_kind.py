@@ -38,7 +38,7 @@ _UPRIGHT = 0.9
 
 
 def wheels_of(urdf: Urdf) -> list[Joint]:
-    """Return the joints of wheels: those that turn without limit, and are named so or have a round link.
+    """Return the joints of wheels: joints that turn without limit, and are named like wheels or have a round link.
 
     The link of an unnamed wheel must hold no moving joint. Rollers on a wheel are excluded.
     """
@@ -173,7 +173,7 @@ def _mechanism(urdf: Urdf | None) -> str:
 
 
 def _is_tracked(urdf: Urdf) -> bool:
-    """Return whether it has tracks on two sides; a single or sliding one is a rail on which an arm is mounted."""
+    """Return whether it has tracks on two sides; a single or sliding track is a rail on which an arm is mounted."""
     tracks = [joint for joint in urdf.joints.values() if _TRACK.search(joint.child) and joint.kind != "prismatic"]
     return len(tracks) > 1
 
@@ -215,7 +215,7 @@ def _is_lift(urdf: Urdf, joint: Joint) -> bool:
 
 
 def _is_swivel(urdf: Urdf, joint: Joint) -> bool:
-    """Return whether the joint turns about an upright axis and holds a wheel that turns about another one."""
+    """Return whether the joint turns about an upright axis and holds a wheel that turns about another axis."""
     body = urdf.fixed_to(joint.child)
     holds = any(other.kind == "continuous" and urdf.fixed_to(other.parent) == body for other in urdf.moving)
     return holds and _is_upright(joint)

@@ -103,7 +103,7 @@ def _usable(points: NDArray[np.float64]) -> NDArray[np.float64]:
 def _steps(
     middle: tuple[float, float, float], metres: tuple[float, float], angles: tuple[float, float]
 ) -> list[tuple[float, float, float]]:
-    """Return the motions around one of them: up to so many metres and rad away, in such steps."""
+    """Return the motions around a motion: up to so many metres and rad away, in such steps."""
     most_m, step_m = metres
     most_rad, step_rad = angles
     along = [step_m * number for number in range(-round(most_m / step_m), round(most_m / step_m) + 1)]

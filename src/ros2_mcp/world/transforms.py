@@ -47,7 +47,7 @@ _PARTS = (*(f"translation.{axis}" for axis in "xyz"), *(f"rotation.{axis}" for a
 
 @dataclass(frozen=True, slots=True)
 class Located:
-    """The pose of a frame in another one at `stamp_ns` (None: all edges between them are static, so at any time).
+    """The pose of a frame in another frame at `stamp_ns` (None: all edges between them are static, so at any time).
 
     `chain` are the frames from the located one to the target; `edges` those between them, in this order.
     """
@@ -88,7 +88,8 @@ class FrameTree:
         self._writers = {True: Writers(by_frames=True), False: Writers()}
 
     def decoded(self, codec: Codec, samples: Iterable[Sample]) -> list[tuple[Any, Sample]]:
-        """Decode TFMessages; those that cannot be decoded are counted in `damaged`, with the last error in `trouble`.
+        """Decode TFMessages; messages that cannot be decoded are counted in `damaged`, with the last error in
+        `trouble`.
 
         This may run in another thread while the tree is queried; `add` must not.
         """
@@ -304,7 +305,7 @@ class FrameTree:
 
     @property
     def base(self) -> str:
-        """The frame of the robot's body; empty if there is none, or several robots have one."""
+        """The frame of the robot's body; empty if there is no body, or several robots have a body."""
         for base in BASES:
             found = [base] if base in self.frames else [name for name in self.frames if name.rpartition("/")[2] == base]
             if len(found) == 1:
@@ -336,7 +337,7 @@ class FrameTree:
 
 @dataclass(frozen=True, slots=True)
 class _Chain:
-    """The edges from a frame up to the common ancestor, and those from the target up to it."""
+    """The edges from a frame up to the common ancestor, and the edges from the target up to it."""
 
     up: Sequence[tuple[Edge, Told]]
     down: Sequence[tuple[Edge, Told]]

@@ -148,7 +148,7 @@ class Urdf:
         return next((joint for joint in self.joints.values() if joint.child == link), None)
 
     def mount(self, link: str, within: str = "", positions: Mapping[str, float] = NO_POSITIONS) -> Mount | None:
-        """Return the pose of a link in another one above it (default: the root); None if it is not below that link.
+        """Return the pose of a link in another link above it (default: the root); None if it is not below that link.
 
         `positions` are those of joints by name, in their units; every other joint is at 0 (see `moved_by`).
         """
@@ -178,7 +178,7 @@ class Urdf:
         return self._way(link, "") or ()
 
     def _way(self, link: str, within: str) -> list[Joint] | None:
-        """Return the joints from a link up to another one (default: the root); None if the link is not below it."""
+        """Return the joints from a link up to another link (default: the root); None if the link is not below it."""
         way: list[Joint] = []
         for _ in range(_DEEPEST):
             joint = self.above(link)
@@ -191,7 +191,7 @@ class Urdf:
         return None
 
     def fixed_to(self, link: str) -> str:
-        """Return the link to which this one is rigidly attached: the highest one above it without a moving joint."""
+        """Return the link to which this link is rigidly attached: the highest link above it without a moving joint."""
         for _ in range(_DEEPEST):
             joint = self.above(link)
             if joint is None or joint.kind != "fixed":
@@ -258,7 +258,7 @@ def _link(element: ElementTree.Element, problems: list[str], colours: Mapping[st
 
 
 def _colour(visual: ElementTree.Element, colours: Mapping[str, Sequence[float]]) -> Sequence[float] | None:
-    """Return the colour of the visual's own material, or of the one that it names."""
+    """Return the colour of the visual's own material, or of the material that it names."""
     material = visual.find("material")
     return None if material is None else _rgba(material) or colours.get(material.get("name", ""))
 

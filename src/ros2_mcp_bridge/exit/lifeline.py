@@ -122,7 +122,7 @@ class _Stopper:
         return True
 
     def tell(self, key: Key, line: Mapping[str, object]) -> None:
-        """Send the stopper this line about a topic, unless it was the last one sent."""
+        """Send the stopper this line about a topic, unless it was the last line sent."""
         if self.child and self.told.get(key) != line:
             self.told[key] = line
             self.write(json.dumps(line).encode() + b"\n")
@@ -325,7 +325,7 @@ class Lifeline:
                 stopper.write(json.dumps({"call": number}).encode() + b"\n")
 
     def _start(self) -> None:
-        """Start the stoppers that do not run, and send each new one the calls that are left to be made."""
+        """Start the stoppers that do not run, and send each new stopper the calls that are left to be made."""
         for stopper in self._stoppers:
             if stopper.start():
                 self._waited_for.clear()

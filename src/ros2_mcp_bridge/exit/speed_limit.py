@@ -1,4 +1,4 @@
-"""Nav2's own speed limit: the controller is told how fast the policy lets goals drive, before one of them leaves.
+"""Nav2's own speed limit: the controller is told how fast the policy lets goals drive, before a goal is sent.
 
 It only makes the robot slower, so the policy need not allow it. Whether the robot obeys is judged by what it measures
 (`goals` in a policy's `feedback`).
@@ -30,7 +30,7 @@ POLL_S = 0.005
 
 
 class SpeedLimits:
-    """The publishers of speed limits by topic, one for each namespace with a controller."""
+    """The publishers of speed limits by topic, a publisher for each namespace with a controller."""
 
     def __init__(self, node: Node, graph: Graph, limiter: Limiter) -> None:
         self._node = node

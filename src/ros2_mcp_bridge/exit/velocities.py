@@ -63,8 +63,8 @@ class Exit(Protocol):
         ...
 
     def acknowledged(self) -> bool | None:
-        """Return whether all subscribers have acknowledged everything, or None if one of them (best
-        effort) never acknowledges.
+        """Return whether all subscribers have acknowledged everything, or None if a subscriber (best effort) never
+        acknowledges.
         """
         ...
 
@@ -230,7 +230,7 @@ class VelocityTopic:
             yield POLL_S
 
     def stamped(self, message: Any) -> bytes:
-        """Return the message as CDR, with the current time of the robot in its header if it has one."""
+        """Return the message as CDR, with the current time of the robot in its header if it has a header."""
         if self.is_stamped:
             stamp = message.header.stamp
             stamp.sec, stamp.nanosec = divmod(self._clock.now_ns(self.name, self.matched), NS_PER_S)
@@ -302,8 +302,8 @@ class VelocityTopic:
             self._lifeline.tell(self)
 
     def matched(self) -> int:
-        """Return the number of matched subscribers of the publisher that has the most, since
-        several may match the same one.
+        """Return the number of matched subscribers of the publisher that has the most, since several publishers may
+        match the same subscriber.
         """
         return max((publisher.matched() for publisher in list(self.publishers)), default=0)
 
@@ -396,7 +396,7 @@ class Zero:
 
 
 class Velocities:
-    """All velocity topics that have a publisher here or are driven; `make` constructs one."""
+    """All velocity topics that have a publisher here or are driven; `make` constructs such a topic."""
 
     def __init__(
         self,
@@ -489,14 +489,14 @@ class Velocities:
             topic.look_for_rest()
 
     def send_zeros(self) -> None:
-        """Send zeros on all driven topics that need one. Thread-safe."""
+        """Send zeros on all driven topics that need zeros. Thread-safe."""
         for topic in self.driven():
             if topic.needs_zero:
                 topic.send_zero()
 
     def send_missed_zeros(self) -> None:
-        """Send zeros again where one is not acknowledged: the middleware itself takes seconds
-        to resend a lost message.
+        """Send zeros again where a zero is not acknowledged: the middleware itself takes seconds to resend a lost
+        message.
         """
         for topic in self.driven():
             if topic.needs_zero and not all(publisher.done() for publisher in topic.publishers):

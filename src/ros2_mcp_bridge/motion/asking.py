@@ -49,8 +49,8 @@ class Asking:
         return self.is_met
 
     def report(self) -> Mapping[str, object]:
-        """Return as JSON how many messages were evaluated, and the values of the last one, which is
-        the one that met it, if any. `from_before_s` is its age if it was sent before the subscription.
+        """Return as JSON how many messages were evaluated, and the values of the last message: the message that met the
+        condition, if any did. `from_before_s` is its age if it was sent before the subscription.
         """
         return {
             "met": self.is_met,

@@ -272,7 +272,7 @@ class Guard:
         self._clearances[role].hear(message, now, along)
 
     def sees(self, bearing: float) -> bool:
-        """Return whether the sensors cover that direction (rad) and those around it."""
+        """Return whether the sensors cover that direction (rad) and the directions around it."""
         middle = _sector(bearing)
         around = [(middle + step) % SECTORS for step in range(-SEEN_SECTORS, SEEN_SECTORS + 1)]
         return all(any(one.shows(sector) for one in self._clearances.values()) for sector in around)

@@ -117,8 +117,8 @@ class Beat:
 
 
 def late_in_s(beats: Iterable[Beat], now: float) -> float:
-    """Return in how many seconds the next topic becomes late, of those that are not late yet;
-    infinite if there is none.
+    """Return in how many seconds the next topic becomes late, among topics that are not late yet; infinite if all are
+    late.
     """
     return min((-late_s for beat in beats if (late_s := beat.late_s(now)) <= 0), default=math.inf)
 

@@ -76,7 +76,7 @@ class Ear:
         self._old: NewestOfOld[Sample] | None = None
 
     def hear(self, take_in: Callable[[Any], None]) -> None:
-        """Pass the waiting messages, decoded, to `take_in`; of those that a latched topic replays, only the newest.
+        """Pass the waiting messages, decoded, to `take_in`; of messages that a latched topic replays, only the newest.
 
         A message that cannot be decoded or used is ignored: then the topic becomes stale, and the watchdog goes on.
         """

@@ -105,7 +105,7 @@ def _new_node(node_name: str) -> Node:
 
 @contextmanager
 def _receiving_after_sending() -> Generator[None, None, None]:
-    """A context manager in which newly started threads run only while this one waits: they share its
+    """A context manager in which newly started threads run only while the present thread waits: they share its
     processor at lower priority.
 
     A new participant of Fast DDS 2.14 announces itself a moment before it processes what its threads receive, so it

@@ -183,7 +183,9 @@ class Graph:
         )
 
     def count(self, topic: str) -> tuple[int, int]:
-        """Return the numbers of publishers and subscribers of a topic, including those of stoppers."""
+        """Return the numbers of publishers and subscribers of a topic, including the publishers and subscribers of
+        stoppers.
+        """
         return rcl.count_publishers(self._node, topic), rcl.count_subscribers(self._node, topic)
 
     def publishers(self, topic: str) -> list[TopicEndpointInfo]:

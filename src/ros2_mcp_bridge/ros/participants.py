@@ -45,7 +45,7 @@ def on_this_machine(domain_id: int) -> int:
 
 
 def ports_of(domain_id: int) -> range:
-    """Return the ports of the participants of a domain: even ones for discovery, odd ones for data."""
+    """Return the ports of the participants of a domain: even ports for discovery, odd ports for data."""
     first = FIRST_PORT + PORTS_PER_DOMAIN * domain_id
     return range(first + FIRST_UNICAST, first + PORTS_PER_DOMAIN)
 

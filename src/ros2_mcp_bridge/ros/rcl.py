@@ -1,4 +1,5 @@
-"""Typed access to parts of rclpy that have no types or lie below its public classes: only this module uses those parts.
+"""Typed access to parts of rclpy that have no types or lie below its public classes: only this module uses these parts
+of rclpy.
 
 The endpoints are those of rclpy's C++ part. They belong to no executor, so that publishing and receiving run no Python
 code of rclpy; see decision 7.
@@ -78,7 +79,9 @@ def subscription(node: Node, interface: Any, topic: str, profile: QoSProfile) ->
 
 
 def destroy_endpoints() -> None:
-    """Destroy all remaining publishers and subscriptions: those of work that was under way until the end."""
+    """Destroy all remaining publishers and subscriptions: the publishers and subscriptions of work that was under way
+    until the end.
+    """
     for raw in list(_endpoints):
         raw.destroy_when_not_in_use()
 

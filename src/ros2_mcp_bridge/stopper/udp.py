@@ -94,8 +94,8 @@ def alone() -> Generator[None, None, None]:
 
 
 def alone_if_memory_is_full() -> AbstractContextManager[None]:
-    """Return the context of `alone` if /dev/shm has no room for another participant, otherwise
-    one that changes nothing.
+    """Return the context of `alone` if /dev/shm has no room for another participant, otherwise a context that changes
+    nothing.
 
     Fast DDS itself would go on without shared memory, but would leave an empty file there each time.
     """

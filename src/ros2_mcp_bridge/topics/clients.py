@@ -53,7 +53,7 @@ ServiceKey = tuple[str, str]
 
 
 class Clients:
-    """Pooled clients of services, including those of actions."""
+    """Pooled clients of services, including the services of actions."""
 
     def __init__(
         self, node: Node, failsafes: FailSafes, limiter: Limiter, lifeline: Lifeline, speed_limits: SpeedLimits

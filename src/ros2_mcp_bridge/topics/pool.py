@@ -1,5 +1,5 @@
-"""Entities that are kept for the next request that needs the same one: their number is
-bounded, idle ones are destroyed.
+"""Entities that are kept for the next request that needs the same entity: their number is bounded, idle entities are
+destroyed.
 """
 
 from __future__ import annotations

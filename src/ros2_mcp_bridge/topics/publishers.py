@@ -215,7 +215,7 @@ class Publisher:
         return is_acked
 
     def acknowledged(self) -> bool | None:
-        """Return whether all subscribers have acknowledged everything, or None if one of them never acknowledges.
+        """Return whether all subscribers have acknowledged everything, or None if a subscriber never acknowledges.
 
         False as long as a reliable subscriber has not: then it is worth waiting.
         """
@@ -262,7 +262,7 @@ class Publisher:
 
 
 class Repeat:
-    """Repeated publishing of one message; `send_event` reports to the server that the first one was sent."""
+    """Repeated publishing of one message; `send_event` reports to the server that the first message was sent."""
 
     def __init__(self, request: Request, send_event: Callable[[RepeatBegun], None]) -> None:
         self._request = request

@@ -156,7 +156,7 @@ class Relay:
             self.passed += 1
 
     def wait_first_ack(self) -> Steps[None]:
-        """Steps that wait until the first message is acknowledged, if the queue has no room for a second one.
+        """Steps that wait until the first message is acknowledged, if the queue has no room for a second message.
 
         A subscriber discovers a new publisher a little later than the publisher discovers the subscriber.
         """

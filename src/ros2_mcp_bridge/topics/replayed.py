@@ -1,4 +1,5 @@
-"""The newest of the messages that a latched topic replays to a new subscriber; older ones are dropped. Needs no ROS.
+"""The newest of the messages that a latched topic replays to a new subscriber; older messages are dropped. Needs no
+ROS.
 
 A transient_local publisher with a depth above 1 sends a new subscriber the messages that it kept, oldest first. A
 condition evaluated on them would be true of the past.
@@ -29,8 +30,8 @@ S = TypeVar("S", bound=_Stamped)
 
 
 class NewestOfOld(Generic[S]):
-    """Passes samples on, but of those sent before `opened_ns` (Unix time by the publisher's clock)
-    only the newest of a burst.
+    """Passes samples on, but of samples sent before `opened_ns` (Unix time by the publisher's clock) only the newest of
+    a burst.
 
     `left_out` counts the others. `opened_at` and all `now` are monotonic, in s.
     """
@@ -43,8 +44,8 @@ class NewestOfOld(Generic[S]):
         self.left_out = 0
 
     def passed(self, sample: S, now: float) -> Sequence[S]:
-        """Return the samples to pass on after this one was received: this one alone, the held-back one and this one, or
-        none.
+        """Return the samples to pass on after this sample was received: this sample alone, the held-back sample and
+        this sample, or none.
         """
         self._has_come = True
         if not 0 < sample.source_ns < self._opened_ns:

@@ -55,7 +55,7 @@ class RawSubscription:
         self._raw = rcl.subscription(node, interface, topic, profile)
 
     def publisher_count(self) -> int:
-        """Return the number of matched publishers, without those of stoppers, which publish nothing.
+        """Return the number of matched publishers, without the stoppers' publishers, which publish nothing.
 
         Where rclpy does not report matches (Humble), it is the number of publishers in the graph.
         """
@@ -100,8 +100,8 @@ class RawSubscription:
             yield Sample(received_ns, info.get("source_timestamp") or 0, sequence, data, self.lost)
 
     def _lost_before(self, sequence: int | None, lost: int) -> int | None:
-        """Return how many messages were lost up to this one, if `lost` were up to the last
-        one; None if it is not known.
+        """Return how many messages were lost up to this message, if `lost` were lost up to the last message; None if it
+        is not known.
         """
         if sequence is None:
             return None

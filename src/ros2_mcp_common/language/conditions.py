@@ -105,7 +105,7 @@ class Condition:
             return None
 
     def values(self, message: object) -> dict[str, float | str | None]:
-        """Return the computed values of a message by their text, as JSON; None for one that cannot be computed."""
+        """Return the computed values of a message by their text, as JSON; None for a value that cannot be computed."""
         found: dict[str, float | str | None] = {}
         for text, evaluate in self.computed.items():
             try:

@@ -39,7 +39,7 @@ class PathError(ValueError):
 
 @dataclass(frozen=True)
 class Where:
-    """Selects those elements of a list of messages whose value at `path` equals `value`."""
+    """Selects the elements of a list of messages whose value at `path` equals `value`."""
 
     path: FieldPath
     value: str | int
@@ -68,7 +68,7 @@ class Step:
 
     @property
     def is_several(self) -> bool:
-        """Whether the step selects several values; a part of a text counts as one."""
+        """Whether the step selects several values; a part of a text counts as one value."""
         return isinstance(self.pick, (slice, Where)) and self.field.type.arity != "single"
 
 
@@ -284,7 +284,7 @@ def _integers(value: Any) -> Any:
 
 
 def _nearest(name: str, known: Sequence[str]) -> str:
-    """Return the known name most similar to this one, or ""."""
+    """Return the known name most similar to this name, or ""."""
     by_folded = {candidate.lower(): candidate for candidate in known}
     # 0.6 is the default of difflib.
     close = difflib.get_close_matches(name.lower(), list(by_folded), n=1, cutoff=0.6)

@@ -165,12 +165,14 @@ def _is_same(found: Any, allowed: Any) -> bool:
 
 
 def _shown(value: Any) -> str:
-    """Return a value for a sentence: ASCII, strings in quotes, at most 60 characters."""
+    """Return a value as text to put into a sentence: strings in quotes and escaped to ASCII, cut with … above 60
+    characters.
+    """
     return ascii(value) if len(ascii(value)) <= 60 else f"{ascii(value)[:57]}…"
 
 
 def outside(position: Any, frame_id: str, zone: Zone) -> str:
-    """Return why a position (a point, a pose, or a stamped one of them) is not in the zone; "" if it is."""
+    """Return why a position (a point, a pose, or either with a stamp) is not in the zone; "" if it is."""
     if frame_id != zone.frame_id:
         return f"is in the frame {_shown(frame_id)}, only {_shown(zone.frame_id)} can be judged"
     for step in ("pose", "point", "position"):
@@ -251,9 +253,7 @@ def _put(value: Any, name: str, changed: Any) -> None:
 
 
 def _scale(checks: Checks, value: Any) -> None:
-    """Scale every vector with a `norm` by one factor, which brings all of them, and the ranges
-    below them, within limits.
-    """
+    """Scale every vector with a `norm` by one factor that brings all vectors, and ranges below them, within limits."""
     factor = 1.0
     for path, most in checks.norm.items():
         for _, found in at(value, path):

@@ -80,7 +80,8 @@ class SpeedRule:
 
 @dataclass(frozen=True)
 class PoseRule:
-    """Where the robot reports its pose, the zone that it may not leave while it is driven, and those it may not enter.
+    """Where the robot reports its pose, the zone that it may not leave while it is driven, and the zones that it may
+    not enter.
 
     `brake_mps2` and `brake_radps2` are the decelerations with which it brakes. With a `base`, the topic has transforms,
     and those from `frame_id` to `base` are the pose; `path` is then not used.
@@ -490,7 +491,7 @@ def _way_to_stop(speed: float, wait_s: float, brake: float, still: float) -> flo
 
 
 def _numbers(message: Any, path: str, names: str) -> tuple[float, ...]:
-    """Return the numbers with these names below a path; all NaN if one is missing."""
+    """Return the numbers with these names below a path; all NaN if a number is missing."""
     found = message
     try:
         for step in path.split("."):

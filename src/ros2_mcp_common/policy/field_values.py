@@ -50,7 +50,7 @@ def with_frame_ids(value: Any, path: str) -> Iterator[tuple[str, Any, str]]:
 
 
 def _after(shown: str, value: Any, frame_id: str, step: str) -> Iterator[tuple[str, Any, str]]:
-    """Yield what one step of a path leads to: path, value and frame."""
+    """Follow one step of a path (a field, or `[]`): yield path, value and frame id of each field that it reaches."""
     if step == "[]":
         if not is_list(value):
             raise Unfit(f"{shown} is no list, and its elements have a limit")

@@ -24,8 +24,8 @@ def reader(names: Sequence[str]) -> Numbers:
 # Only few types of a robot are commands, and an entry holds only some names.
 @lru_cache(maxsize=64)
 def floats_of(message_class: Any) -> tuple[tuple[str, ...], Numbers]:
-    """Return the names of all floating-point fields of a message class, nested ones included but
-    not lists, and their reader.
+    """Return the names of all floating-point fields of a message class, nested fields included but not lists, and their
+    reader.
     """
     names = tuple(_floats(message_class()))
     return names, reader(names)
@@ -86,7 +86,7 @@ class QuickCheck:
 
     @classmethod
     def of(cls, checks: Sequence[Checks], message: Any) -> QuickCheck | None:
-        """Return the quick check for messages like this one, or None if there is none."""
+        """Return the quick check for messages like this message, or None if no quick check exists."""
         if any(each.one_of or each.count or each.zone or each.pace or each.curve or each.keep_out for each in checks):
             return None
         try:

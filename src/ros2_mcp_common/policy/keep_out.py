@@ -1,4 +1,4 @@
-"""Keep-out zones: whether the robot's outline enters one at a pose, on a path, or before the robot can stop.
+"""Keep-out zones: whether the robot's outline enters a zone at a pose, on a path, or before the robot can stop.
 
 Needs no ROS. Server and bridge judge goals, paths and motions by the same functions. Every judgement is conservative:
 between two poses the outline counts as clear only if the distance that its points travel proves it.
@@ -223,7 +223,8 @@ def standing(pose: Pose) -> Way:
 
 
 def along(poses: Sequence[Pose], reach_m: float) -> Way:
-    """Return the way over these poses: straight from one to the next, while the heading turns the shorter way round.
+    """Return the way over these poses: straight from one pose to the next, while the heading turns the shorter way
+    round.
 
     `reach_m` is how far the outline swings out as it turns.
     """

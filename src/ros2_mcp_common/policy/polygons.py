@@ -100,7 +100,7 @@ def _cross(edge: tuple[Point, Point], other: tuple[Point, Point]) -> bool:
 
 
 def _side(one: Point, other: Point, point: Point) -> float:
-    """Return a number above 0 if the point lies left of the line from one to the other, below 0 if right of it."""
+    """Return a number above 0 if the point lies left of the line from `one` to `other`, below 0 if right."""
     return (other[0] - one[0]) * (point[1] - one[1]) - (other[1] - one[1]) * (point[0] - one[0])
 
 

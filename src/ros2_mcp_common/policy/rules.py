@@ -281,8 +281,8 @@ class Ruling:
 
     @property
     def hold_s(self) -> float | None:
-        """The shortest hold time in s, after which the zero is sent if no new command comes;
-        None if no rule sets one.
+        """The shortest hold time in s, after which the zero is sent if no new command comes; None if no rule sets a
+        hold time.
         """
         return min((limit.hold_s for limit in self.limits if limit.hold_s is not None), default=None)
 

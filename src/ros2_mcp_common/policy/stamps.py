@@ -35,7 +35,7 @@ def trajectories_in(value: Any, shown: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def acting_stamps(value: Any) -> Iterator[tuple[str, Any]]:
-    """Yield the stamps in a value that say when a trajectory begins, each with its path; also those that are zero."""
+    """Yield the stamps in a value that say when a trajectory begins, each with its path; also stamps that are zero."""
     for shown, trajectory in trajectories_in(value):
         header = get(trajectory, "header")
         if "stamp" in fields_of(header):

@@ -1,4 +1,6 @@
-"""A robot's pose from the transforms on `/tf`: those from one frame down to the base, in the plane. Needs no ROS."""
+"""A robot's pose from the transforms on `/tf`: the transforms from one frame down to the base, in the plane. Needs no
+ROS.
+"""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ READING_TYPES = frozenset(
         "wisevision_msgs/srv/InfluxGetMessages",
     }
 )
-"""The service types defined to read and to change nothing; the last two are those of the Data Black Box."""
+"""The service types defined to read and to change nothing; the last two belong to the Data Black Box."""
 
 META_TYPES: Sequence[str] = (
     "composition_interfaces/**",

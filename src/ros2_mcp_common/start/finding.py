@@ -349,7 +349,7 @@ def release_order(distro: str) -> tuple[int, str]:
 
 
 def conda(search: Search, env: Mapping[str, str]) -> Found | None:
-    """Return the ROS 2 in an environment of conda or pixi: the active one, or the newest in the usual places."""
+    """Return the ROS 2 of a conda or pixi environment: the active environment, else the newest in the usual places."""
     own = [Path(env["CONDA_PREFIX"])] if env.get("CONDA_PREFIX") else []
     pixi = [folder for workspace in search.workspaces for folder in _places(f"{workspace}/.pixi/envs/*", env)]
     places = [*own, *pixi, *(folder for pattern in _ENVIRONMENTS_OF_CONDA for folder in _places(pattern, env))]
@@ -546,8 +546,8 @@ def own_workspace(found: Found) -> list[Path]:
 
 
 def environment_for(search: Search, env: Mapping[str, str], *, keep_sourced: bool) -> dict[str, str]:
-    """Return a copy of an environment with the requested settings, and with those of setup
-    files only if `keep_sourced`.
+    """Return a copy of an environment with the requested settings, and with the settings of setup files only if
+    `keep_sourced`.
     """
     clean = {name: value for name, value in env.items() if keep_sourced or name not in OF_A_SOURCED_SHELL}
     clean.update(search.env)

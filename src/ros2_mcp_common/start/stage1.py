@@ -132,7 +132,7 @@ def main() -> None:
 
 
 def _become_newer() -> None:
-    """Replace this process by a newer Python, if PATH has one; the alarm stays set."""
+    """Replace this process by a newer Python, if PATH has a newer Python; the alarm stays set."""
     own_text = globals().get("line")  # as received by the line of Python that executed this
     newer = _newer_python() if own_text else None
     if newer and own_text:

@@ -1,4 +1,4 @@
-"""Pieces and credit: how large packets share a slow link with small ones. Both sides of the stream use this module.
+"""Pieces and credit: how large packets share a slow link with small packets. Both sides of the stream use this module.
 
 A large packet is cut into pieces, and only a limited number of bytes may be under way without being acknowledged. So
 only little data waits in the link itself, however slow it is, and a small packet that is written next arrives soon.

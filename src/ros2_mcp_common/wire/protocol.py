@@ -326,7 +326,7 @@ class Guarded(TypedDict):
 
 
 class PublishReply(Guarded):
-    """The number of matched subscribers, the number of those that belong to this server (`ours`), and whether all
+    """The number of matched subscribers, the number of subscribers that belong to this server (`ours`), and whether all
     acknowledged (`acked`).
 
     `acked` is None if a subscriber does not acknowledge. `limited` is 1 if the values were reduced to the policy's
@@ -345,7 +345,9 @@ class PublishReply(Guarded):
 
 
 class RepeatReply(Ended, Guarded):
-    """The result of a repeat; `limited` counts the messages whose values were reduced to the policy's limits."""
+    """The result of publishing a message repeatedly; `limited` counts the messages whose values were reduced to the
+    policy's limits.
+    """
 
     sent: int
     matched: int

@@ -96,7 +96,7 @@ def test_a_condition_that_an_old_message_meets_tells_its_age(agent, robot) -> No
     ended = send(
         agent, robot.name("count"), f"{other}/_action/status: len(status_list) > 0", order=40, wait_for_result=True
     )
-    assert "was met on" in ended["note"] and "s old, from before; nothing newer came" in ended["note"]
+    assert "was met on" in ended["note"] and "s old, from before; no newer message came" in ended["note"]
 
 
 @pytest.mark.full

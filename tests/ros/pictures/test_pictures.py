@@ -104,7 +104,7 @@ def test_a_recording_shows_what_was_seen_live(agent: Agent) -> None:
     beside = np.hypot(across, along) > 13 + np.sqrt(2)
     assert not beside.all() and (now != then)[~beside].any() and not (now != then)[beside].any()
     assert shown_then["free"] == shown_now["free"] and shown_then["robot_x_m"] is None
-    assert shown_then["note"].startswith("Recorded at 20") and shown_then["seconds_in"] >= 0
+    assert shown_then["note"].startswith("Recorded at 20") and shown_then["seconds_from_start"] >= 0
     assert seen(agent, "ros2_get_pointcloud_as_bev", topic_name="/cloud", bag="run")[0]["frame_id"] == "room"
 
 

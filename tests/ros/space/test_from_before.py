@@ -114,7 +114,7 @@ def test_a_condition_that_only_an_old_message_meets_says_so(agent: Agent) -> Non
     waited = agent.call("ros2_wait_until", topic_name="/armed", condition="data == true", timeout=5.0)
     assert waited["met"] and OLD in waited["from_before"] and waited["waited"] >= 1.0
     said = told(agent, "ros2_wait_until", topic_name="/armed", condition="data == true", timeout=0.5)
-    assert OLD in said and "nothing newer came" in said
+    assert OLD in said and "no newer message came" in said
 
 
 def test_a_program_and_a_resource_get_the_newest_with_its_age(agent: Agent) -> None:

@@ -47,7 +47,7 @@ def test_the_scene_of_a_live_robot_has_map_scan_outline_and_pose(agent: Agent) -
     found = complete(agent, "grid", "scan", "footprint")
     assert found["frame_id"] == "map"
     assert (found["robot_x_m"], found["robot_y_m"]) == pytest.approx((0, 0), abs=0.1)
-    assert found["robot_age_s"] is not None and found["seconds_in"] is None
+    assert found["robot_age_s"] is not None and found["seconds_from_start"] is None
     assert found["x_min_m"] < -2 and found["x_max_m"] > 6
     scan = found["meaning"]["scan"]
     assert (scan["nearest_m"], scan["nearest_bearing_deg"]) == pytest.approx(PILLAR, abs=5), scan

@@ -77,7 +77,7 @@ async def test_of_a_recording_lines_also_count_from_its_beginning(window: Make) 
     for node in ("/left/arm", "left.arm", "arm", "/left"):
         asked = log.LogRequest(node=node, level="warn", limit=2)
         assert (await log.read_recorded(source, asked, 32_000)).lines == found.lines
-    assert [line.text for line in found.lines] == ["line 3", "line 5"] and found.seconds_in == [1.3, 1.5]
+    assert [line.text for line in found.lines] == ["line 3", "line 5"] and found.seconds_from_start == [1.3, 1.5]
     assert found.summary() == "6 lines in made, 3 matching, the newest 2 shown."
     for limit in (-1, 0):
         with pytest.raises(BadInput, match="limit"):

@@ -94,7 +94,9 @@ class StoppedRobots:
 
 
 async def states(members: Sequence[Member]) -> RobotStates:
-    """Return the state of all robots, after a short wait for those that are not connected yet. None delays another."""
+    """Return the state of all robots, after a short wait for robots that are not connected yet. No robot delays
+    another.
+    """
     return RobotStates(await asyncio.gather(*map(_state, members)))
 
 

@@ -137,8 +137,8 @@ class Fleet:
 
     @asynccontextmanager
     async def running(self) -> AsyncGenerator[None, None]:
-        """Within this context, the bridges run: that of the only robot from the beginning, those of several from their
-        first use. On exit, end all work on all robots at the same time.
+        """Within this context, the bridges run: the bridge of an only robot from the beginning, the bridges of several
+        robots from their first use. On exit, end all work on all robots at the same time.
         """
         if not self.has_several and not self.first.store.subject:
             await self.first.robot.attach()

@@ -120,7 +120,7 @@ def _lines(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, at_end: C
 
 
 async def _line(reader: asyncio.StreamReader) -> bytes:
-    """Return the next line; an empty one at the end, or after a line that is too long."""
+    """Return the next line; an empty line at the end, or after a line that is too long."""
     try:
         return await reader.readline()
     except ConnectionError:

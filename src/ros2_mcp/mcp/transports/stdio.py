@@ -1,4 +1,4 @@
-"""MCP over stdio: one message per line, and an answer to each request, even to one that cannot be read."""
+"""MCP over stdio: one message per line, and an answer to each request, even to a request that cannot be read."""
 
 from __future__ import annotations
 

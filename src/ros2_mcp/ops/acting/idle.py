@@ -66,7 +66,7 @@ async def with_reason(
 
 
 async def _nodes(robot: Robot, commands: str, feedback: str, action: str) -> set[str]:
-    """Return the nodes that receive the commands, and those that publish the feedback."""
+    """Return the nodes that receive the commands, and the nodes that publish the feedback."""
     found: set[str] = set()
     if commands:
         found |= {one.node for one in (await robot.graph.endpoints(commands)).subscribers if not one.ours}
@@ -115,8 +115,8 @@ async def _by_its_list(robot: Robot, host: str, nodes: set[str], services: set[s
 
 
 def _below(controllers: Mapping[str, Mapping[str, Any]], meant: Sequence[str]) -> Sequence[str]:
-    """Return these controllers and the chained ones below them. An interface of a chained
-    controller begins with its name.
+    """Return these controllers and the chained controllers below them. An interface of a chained controller begins with
+    its name.
     """
     found = list(meant)
     for name in found:  # grows during the iteration

@@ -58,7 +58,8 @@ async def cancel(
     stamp: Mapping[str, int] | None = None,
     timeout_s: float = 3.0,
 ) -> Cancellation:
-    """Ask the action server to cancel one goal, all goals, or all that were accepted up to a stamp.
+    """Ask the action server to cancel one goal, or all goals with `cancel_all`. With `stamp`: also the goals accepted
+    up to it; with `cancel_all`, only those goals.
 
     Raises:
         BadValue: if neither a goal id nor `cancel_all` is given, or the goal id is malformed.

@@ -12,7 +12,7 @@ from ros2_mcp.model.commands import Principal
 from ros2_mcp.model.errors import BadInput, RobotError, TimedOut
 from ros2_mcp.model.text import quoted
 from ros2_mcp.ops.results.results import told_values
-from ros2_mcp.ops.sources.from_before import FromBefore, told_as_met
+from ros2_mcp.ops.sources.from_before import FromBefore
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.goals import CANCELLED_S, CancelWhen, Goal, WhenMet
 from ros2_mcp.robot.jobs import Job
@@ -77,7 +77,8 @@ class ConditionalCancel(Job):
             return ""
         report = self.met.report
         shown = told_values(report["values"])
-        old = told_as_met(str(FromBefore.one(report["from_before_s"])), True)
+        age = FromBefore.one(report["from_before_s"])
+        old = f" by {age}; no newer message came" if age.count else ""
         was = "It was cancelled" if self.met.was_taken else "Its server refused to cancel it"
         return f"{was} when {self.asked.condition} was met on {self.asked.topic}{old} ({shown})."
 

@@ -56,8 +56,8 @@ async def running_goals(
     beside: Collection[str] = (),
     within_s: float = LATCHED_S,
 ) -> list[RunningGoal]:
-    """Return the running goals of these actions, or of all actions, that can move a robot, except
-    those whose ids are in `beside`.
+    """Return the running goals of these actions, or of all actions, that can move a robot, except goals whose ids are
+    in `beside`.
 
     Takes `within_s` if a server has had no goal yet; on a busy computer a status may come later than that. A dead
     server reports nothing. Raises the same errors as `Resolution.actions`.
@@ -88,8 +88,8 @@ def _is_ours(robot: Robot, action: str, goal_id: str) -> bool:
 
 
 def from_above(goals: Sequence[RunningGoal]) -> list[RunningGoal]:
-    """Return the goals without those that Nav2's servers carry out for another goal in the list. That goal names them
-    in `delegated_to`; ending it ends them, too.
+    """Return the goals without the goals that Nav2's servers carry out for another goal in the list. That goal names
+    them in `delegated_to`; ending it ends them, too.
     """
     carried: dict[str, list[str]] = {}
     for goal in goals:

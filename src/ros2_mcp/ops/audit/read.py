@@ -24,8 +24,9 @@ _LINES = 20
 """The most acts in a summary; the values have all."""
 _SHOWN = ("act", "waits", "refused", "goal ended")
 _MOST_LINES = 100_000
-"""The most lines of the audit that are searched for the acts of one client among those of
-others: they are read in a second."""
+"""The most lines of the audit that are searched for the acts of one client among the acts of others: they are read in a
+second.
+"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -50,7 +50,7 @@ class Definition:
 async def list_interfaces(
     robot: Robot, pattern: str = "", kind: str = "", package: str = "", limit: int = 200
 ) -> InterfaceList:
-    """Return the interfaces that are installed where the bridge runs; for a recording, those that it has."""
+    """Return the interfaces that are installed where the bridge runs; for a recording, the interfaces in it."""
     if kind and kind not in names.KINDS:
         raise BadName(f"{kind!r} is not a kind of interface.", f"Give one of {', '.join(names.KINDS)}.")
     installed = [name for name in await robot.graph.interfaces() if not names.is_derived(name)]

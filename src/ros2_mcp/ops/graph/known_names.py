@@ -19,7 +19,7 @@ _ACTION_SERVICE = "/_action/send_goal"
 
 
 async def live_names(robot: Robot, kind: str, within_s: float = PATIENCE_S) -> list[str]:
-    """Return the names of a kind, sorted: the robot's own names before those that every ROS system has.
+    """Return the names of a kind, sorted: the robot's own names before names that every ROS system has.
 
     Args:
         robot: the robot.

@@ -16,7 +16,7 @@ _LEAST_LETTERS = 3
 
 
 def led_nowhere(topics: Mapping[str, TopicEndpoints]) -> Mapping[str, TopicEndpoints]:
-    """By each awaited topic the one that was most likely meant for it; nothing where several may be."""
+    """For each awaited topic the topic that was most likely meant for it; nothing where several topics may be meant."""
     seen = [one for name, one in topics.items() if name not in OF_EVERY_NODE and not names.is_hidden(name)]
     unheard = [topic for topic in seen if topic.publishers and not topic.subscribers]
     found: dict[str, TopicEndpoints] = {}

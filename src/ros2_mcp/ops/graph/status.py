@@ -71,8 +71,8 @@ class Status:
 
 
 async def status(robot: Robot, limitations: Sequence[str] = ()) -> Status:
-    """Return the state of the server and its bridge; `limitations` are those of the server,
-    which the robot does not know.
+    """Return the state of the server and its bridge; `limitations` are limits of the server that the robot does not
+    know.
 
     Raises:
         LinkError: if there is no bridge; it says what is missing.

@@ -18,7 +18,7 @@ from ros2_mcp.model.errors import BadData, BadInput
 from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import counted, visible
-from ros2_mcp.model.times import seconds_in
+from ros2_mcp.model.times import seconds_from_start
 from ros2_mcp.ops.results.results import IF_ANY, SAID, beside, iso_time
 from ros2_mcp.ops.sources.selection import undecodable
 from ros2_mcp.ops.sources.source import Missing, Source
@@ -67,7 +67,7 @@ class Log:
 
     `matched` lines match the filters, `kept` lines are in this server's memory, `dropped` older ones no longer are.
     `subscribed_since` is when this server subscribed to /rosout; lines from a few seconds before may be included. For a
-    recording, `seconds_in` gives the receive time of each line as an offset from its start.
+    recording, `seconds_from_start` gives the receive time of each line as an offset from its start.
     """
 
     lines: Sequence[LogLine]
@@ -77,7 +77,7 @@ class Log:
     subscribed_since: str
     note: str = field(metadata=IF_ANY)
     source: str = "live"
-    seconds_in: Sequence[float] = field(default=(), metadata=beside("lines"))
+    seconds_from_start: Sequence[float] = field(default=(), metadata=beside("lines"))
 
     def summary(self) -> str:
         """Return the result in one line."""
@@ -199,7 +199,9 @@ async def read_recorded(source: Source, request: LogRequest, max_bytes: int) -> 
         subscribed_since=iso_time(capture.start_ns),
         note=" ".join(filter(None, (*notes, found.skipped))),
         source=source.words,
-        seconds_in=[seconds for at_ns in shown_ns if (seconds := seconds_in(at_ns, source.began_ns)) is not None],
+        seconds_from_start=[
+            seconds for at_ns in shown_ns if (seconds := seconds_from_start(at_ns, source.began_ns)) is not None
+        ],
     )
 
 

@@ -83,7 +83,7 @@ class Arrivals:
 
     @property
     def seen(self) -> int:
-        """The number of messages, including replayed ones."""
+        """The number of messages, replayed messages included."""
         return self.count + self.replayed
 
     @property
@@ -290,7 +290,7 @@ class Column:
         self._values.frombytes(numbers.tobytes())
 
     def kept_of(self, rows: Sequence[int], parts: Parts) -> int:
-        """Return how many numbers of the result of `read` are kept: for a list one, or all its elements with
+        """Return how many numbers of the result of `read` are kept: one number for a list, or all its elements with
         `whole_lists`.
         """
         is_list = self.path.is_list
@@ -324,7 +324,7 @@ class Column:
 
     @property
     def values(self) -> Numbers:
-        """The kept values: one for each row, or the elements of all lists one after the other."""
+        """The kept values: one for each row, or the elements of all lists in sequence."""
         return np.frombuffer(self._values) if self._values else flat([])
 
     @property
@@ -349,7 +349,8 @@ def _lengths(parts: Parts) -> NDArray[np.int32]:
 
 
 class Columns(Arrivals):
-    """The chosen fields of one topic's messages, including replayed ones. `read_ns` holds the times of the kept rows.
+    """The chosen fields of one topic's messages, including replayed messages. `read_ns` holds the times of the kept
+    rows.
 
     Times of lines and extremes are seconds from `origin_ns`, the receive time of the first message.
 
@@ -459,6 +460,6 @@ def value_of(path: FieldPath, message: object) -> Any:
 
 
 def seconds(times_ns: Times, start_ns: int) -> Numbers:
-    """Return times in seconds from the start of a capture; those of latched messages may be negative."""
+    """Return times in seconds from the start of a capture; times of latched messages may be negative."""
     result: Any = (times_ns - start_ns) / 1e9
     return result

@@ -146,7 +146,7 @@ def keeping(types: Sequence[str], fields: Sequence[str]) -> Callable[[Stream], P
 def common_fields(
     definitions: Definitions, types: Sequence[str], chosen: Sequence[str]
 ) -> list[tuple[FieldPath, FieldPath]]:
-    """Return the pairs of fields to compare: the chosen ones, or all numeric ones that both types have.
+    """Return the pairs of fields to compare: the chosen fields, or all numeric fields that both types have.
 
     Raises:
         BadInput: if there is none.
@@ -164,7 +164,7 @@ def common_fields(
 def evaluate(
     first: Capture[Paired], second: Capture[Paired], *, tolerance_percent: float = 0.1, by_stamp: bool = True
 ) -> Comparison:
-    """Compare two captures of the same fields; raises `BadData` if no message of one can be decoded."""
+    """Compare two captures of the same fields; raises `BadData` if no message of either capture can be decoded."""
     import numpy as np
 
     from ros2_mcp.ops.measure.differences import differences

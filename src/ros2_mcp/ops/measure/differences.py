@@ -113,8 +113,8 @@ class _Side:
 
 
 def _quaternions(type_name: str, paths: Sequence[FieldPath]) -> dict[str, list[int]]:
-    """Return the columns of x, y, z, w of each quaternion, by its name; the name is empty if the message itself is
-    one.
+    """Return the columns of x, y, z, w of each quaternion, by its name; the name is empty if the message itself is a
+    quaternion.
     """
     found: dict[str, dict[str, int]] = {}
     for at, path in enumerate(paths):

@@ -117,8 +117,8 @@ class Flow:
 
     @property
     def from_before(self) -> str:
-        """A note that all messages were sent before the measurement, in words; empty if there are newer ones, or
-        none.
+        """A note that all messages were sent before the measurement, in words; empty if there are newer messages, or no
+        messages.
         """
         return "" if self.count else str(FromBefore(self.replayed, self.replayed, self.replayed_s))
 
@@ -169,8 +169,8 @@ def nodes_of(endpoints: Sequence[Endpoint]) -> str:
 
 
 def only(nodes: Sequence[str]) -> str:
-    """Return the node's name if there is exactly one, and it is known; else empty. Findings with the same cause are
-    combined.
+    """Return the node's name if there is exactly one node, and its name is known; else empty. Findings with the same
+    cause are combined.
     """
     return nodes[0] if len(nodes) == 1 and nodes[0].startswith("/") else ""
 

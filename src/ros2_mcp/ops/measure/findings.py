@@ -25,11 +25,11 @@ class Finding:
     recommendation: str
     cause: str = field(default="", metadata=HIDDEN)
     covers: Sequence[str] = field(default=(), metadata=HIDDEN)
-    """Nodes and topics whose own findings are consequences of this one and are omitted."""
+    """Nodes and topics whose own findings are consequences of this finding and are omitted."""
 
 
 def joined(findings: Sequence[Finding]) -> list[Finding]:
-    """Return the findings, critical ones first; those with the same cause are combined."""
+    """Return the findings, critical findings first; findings with the same cause are combined."""
     covered = {name for finding in findings for name in finding.covers}
     findings = [one for one in findings if one.covers or not {one.cause, one.subject} & covered]
     by_cause: dict[str, list[Finding]] = {}

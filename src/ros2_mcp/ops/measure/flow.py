@@ -65,7 +65,7 @@ def over_holes(times_ns: Times, holes: Holes) -> NDArray[np.bool_]:
 
 
 def periods_s(times_ns: Times, holes: Holes = ()) -> NDArray[Any]:
-    """Return the periods between messages in s, without those that overlap holes."""
+    """Return the periods between messages in s, without periods that overlap holes."""
     import numpy as np
 
     return np.diff(times_ns)[~over_holes(times_ns, holes)] / 1e9
@@ -101,8 +101,8 @@ def burst_in_words(count: int, rate_hz: float) -> str:
 
 
 def gaps(times_ns: Times, holes: Holes = (), edges_ns: tuple[int, ...] = ()) -> list[Gap]:
-    """Return the periods longer than three usual ones; with both edges of the measured time in `edges_ns`, also those
-    before the first and after the last message.
+    """Return the periods longer than three usual periods; with both edges of the measured time in `edges_ns`, also the
+    times before the first and after the last message.
     """
     import numpy as np
 
@@ -116,7 +116,7 @@ def gaps(times_ns: Times, holes: Holes = (), edges_ns: tuple[int, ...] = ()) -> 
 
 
 def silence_in(times_ns: Times, end_ns: int, periods: float, least_s: float, holes: Holes = ()) -> Silence | None:
-    """Return the silence at the end, else the longest one, if it exceeds `periods` usual periods and `least_s`.
+    """Return the silence at the end, else the longest silence, if it exceeds `periods` usual periods and `least_s`.
 
     None if there are fewer than four messages.
     """

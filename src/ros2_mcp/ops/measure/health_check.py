@@ -310,7 +310,7 @@ def _presence(expected: Sequence[str], present: Collection[str] | None) -> dict[
 
 
 def to_measure(graph: GraphSnapshot, expected: Expectations) -> tuple[list[str], list[str]]:
-    """Return the topics to measure (expected ones first, then others within the limits), and those omitted."""
+    """Return the topics to measure (expected topics first, then others within the limits), and the omitted topics."""
 
     def is_measurable(topic: TopicEndpoints) -> bool:
         is_own = topic.topic in OF_EVERY_NODE or names.is_hidden(topic.topic)

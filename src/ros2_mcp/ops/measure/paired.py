@@ -1,4 +1,4 @@
-"""Columns of a topic that is compared with another one message by message.
+"""Columns of a topic that is compared with another topic message by message.
 
 Import it inside functions only: it needs NumPy.
 """

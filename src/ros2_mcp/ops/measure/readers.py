@@ -58,7 +58,7 @@ _logger = logging.getLogger(__name__)
 async def read(
     needs: Collection[Need], robot: Robot | None, source: Source, graph: GraphSnapshot
 ) -> tuple[Mapping[str, Any], Sequence[str]]:
-    """Return the parts of the evidence by their names, and descriptions of those that could not be read.
+    """Return the parts of the evidence by their names, and descriptions of the parts that could not be read.
 
     For a recording, or without a robot, only frames are read.
     """

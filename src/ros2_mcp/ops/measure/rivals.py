@@ -41,7 +41,7 @@ class Rivals:
         }
 
     def add(self, samples: Sequence[Sample]) -> None:
-        """Add messages, in the order of time, including replayed ones."""
+        """Add messages, in the order of time, including replayed messages."""
         for sample in samples:
             try:
                 message: Any = self._stream.codec.decode(self._stream.type, sample.data)

@@ -52,7 +52,7 @@ _ROUNDING_OF = {"float32": 1e-6, "float64": 1e-7}
 
 @dataclass(frozen=True, slots=True)
 class Jump:
-    """A step much larger than usual, from the value at `since_s` to the next one at `at_s`."""
+    """A step much larger than usual, from the value at `since_s` to the next value at `at_s`."""
 
     since_s: float
     at_s: float
@@ -149,7 +149,7 @@ def trend(times: Numbers, values: Numbers, rounded: float = 0.0) -> float | None
 
 
 def pairs(first: Numbers, second: Numbers) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the indices of paired times: each is the nearest one to the other, within a limit.
+    """Return the indices of paired times: each is the nearest time to the other, within a limit.
 
     The limit is half of the longer of the two median periods; there is none if one side has fewer than two times.
     """
@@ -225,7 +225,7 @@ def delay(
 
 
 def _shortest_peak(scores: Numbers, best: float, middle: int) -> int:
-    """Return the index of the highest score; of local maxima that are almost as high, the one with the shortest
+    """Return the index of the highest score; of local maxima that are almost as high, the maximum with the shortest
     delay.
     """
     padded = np.concatenate(([-np.inf], scores, [-np.inf]))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from ros2_mcp.model.errors import BadInput, BadValue, RobotError
 from ros2_mcp.model.text import counted, named
-from ros2_mcp.model.times import both_times, recorded_time, seconds_in
+from ros2_mcp.model.times import both_times, recorded_time, seconds_from_start
 from ros2_mcp.ops.measure.flow import burst_in_words, gaps, is_burst, periods_s
 from ros2_mcp.ops.results.results import Report, four_digits, iso_time, microseconds, silent
 from ros2_mcp.ops.sources.from_before import FromBefore
@@ -80,8 +80,8 @@ class TopicStatistics:
 
     `constants` holds the fields with the same value in every message, and that value; `fields` the others. `gaps`
     describes times without messages longer than three usual periods (four of five are not longer). `started_at` is ISO
-    8601; other times are absolute and in seconds from then, or from the start of a recording, which is `seconds_in`
-    seconds earlier.
+    8601; other times are absolute and in seconds from then, or from the start of a recording, which is
+    `seconds_from_start` seconds earlier.
     """
 
     topic_name: str
@@ -94,7 +94,7 @@ class TopicStatistics:
     fields: Sequence[FieldStatistics] = ()
     constants: Mapping[str, float | str] = field(default_factory=dict[str, "float | str"])
     started_at: str = ""
-    seconds_in: float | None = None
+    seconds_from_start: float | None = None
     duration: float = 0.0
     received: int = 0
     dropped: int = 0
@@ -104,7 +104,7 @@ class TopicStatistics:
     error: str = ""
 
     def summary(self) -> list[str]:
-        """Return one line for the topic, and one for each gap, anomaly, and range of the first fields."""
+        """Return one line for the topic, and one line for each gap, anomaly, and range of the first fields."""
         if self.error:
             return [f"{named(self.topic_name)}: {self.error}"]
         rate = "rate unknown" if self.rate_hz is None else f"{self.rate_hz:.2f} Hz"
@@ -138,7 +138,7 @@ async def measure(
     selection: Selection,
     report: Report = silent,
 ) -> Statistics:
-    """Measure the chosen fields of these topics, or all numeric ones.
+    """Measure the chosen fields of these topics, or all numeric fields.
 
     Raises:
         BadInput: if there are no topics, too many, or one twice.
@@ -174,7 +174,7 @@ async def measure(
 
 
 def measured_fields(stream: Stream, chosen: Sequence[str]) -> list[FieldPath]:
-    """Return the chosen fields, or all numeric ones; chosen fields that this type lacks are skipped."""
+    """Return the chosen fields, or all numeric fields; chosen fields that this type lacks are skipped."""
     from ros2_mcp.values.select import measurable
 
     if not chosen:
@@ -256,7 +256,7 @@ def evaluate(capture: Capture[Columns], most_fields: int = 80) -> TopicStatistic
         fields=[_field_statistics(column, capture) for column in varying[:most_fields]],
         constants={column.path.path: _constant(column) for column in constant},
         started_at=iso_time(capture.start_ns),
-        seconds_in=seconds_in(capture.start_ns, capture.began_ns),
+        seconds_from_start=seconds_from_start(capture.start_ns, capture.began_ns),
         duration=capture.duration_s,
         received=capture.received,
         dropped=capture.dropped,

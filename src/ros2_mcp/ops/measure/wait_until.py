@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any
 from ros2_mcp.model.errors import BadData, BadValue, NotFound
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import counted, in_quotes
-from ros2_mcp.model.times import recorded_time, seconds_in
+from ros2_mcp.model.times import recorded_time, seconds_from_start
 from ros2_mcp.model.values import NOT_FINITE
 from ros2_mcp.ops.results.results import HIDDEN, IF_ANY, SAID, Report, iso_time, reporting, silent
-from ros2_mcp.ops.sources.from_before import from_before, told_as_met
+from ros2_mcp.ops.sources.from_before import from_before, outcome_in_words
 from ros2_mcp.ops.sources.selection import undecodable
 from ros2_mcp.ops.sources.source import Source, Stream
 from ros2_mcp_common.finite import word_for
@@ -39,8 +39,8 @@ class Wait:
     `messages_checked` counts the messages for which the condition was evaluated; for `not_evaluable` of them it had no
     value (a list too short, a division by zero). `values` has the fields that the condition names, and the values of
     its functions. `dropped` messages arrived faster than they could be checked. `at` is when the message was received,
-    `seconds_in` the same as an offset from the start of the recording. `from_before` is set if the message had been
-    published before this call and no newer one was received; it gives the age.
+    `seconds_from_start` the same as an offset from the start of the recording. `from_before` is set if the message had
+    been published before this call and no newer one was received; it gives the age.
     """
 
     topic_name: str = field(metadata=SAID)
@@ -48,7 +48,7 @@ class Wait:
     condition: str = field(metadata=SAID)
     met: bool = field(metadata=SAID)
     at: str
-    seconds_in: float | None
+    seconds_from_start: float | None
     waited: float = field(metadata=SAID)
     messages_checked: int
     not_evaluable: int
@@ -65,14 +65,14 @@ class Wait:
 
     def summary(self) -> str:
         """Return one line with the outcome, the time and the values."""
-        outcome = "is met" if self.met else "was not met"
         seen = f", {'at' if self.met else 'last message at'} {self.when}" if self.when else ""
         when = f"after {self.waited:.3f} s" if self.is_live else f"in {self.source}{seen}"
         said = {path: self.odd.get(path) or in_quotes(value) for path, value in self.values.items()}
         values = ", ".join(f"{path} = {value}" for path, value in said.items())
-        when += told_as_met(self.from_before, self.met)
-        line = f"{self.topic_name}: {self.condition} {outcome} {when} ({values or 'no message'})."
-        return f"{line} {self.note}".rstrip()
+        outcome = outcome_in_words(
+            met=self.met, values=values or "no message", waited=when, from_before=self.from_before
+        )
+        return f"{self.topic_name}: {self.condition} {outcome}. {self.note}".rstrip()
 
 
 async def wait_until(
@@ -120,7 +120,8 @@ def _excerpts(stream: Stream, asked: Condition) -> ExcerptReader | None:
 
 @dataclass(slots=True)
 class _Search:
-    """The search in one stream, and its state: `last` is the latest message, or the one that met the condition (`met`).
+    """The search in one stream, and its state: `last` is the latest message, or the message that met the condition
+    (`met`).
 
     Decoding and evaluating run in threads: 200 messages may block the event loop for too long. With `excerpts`, only
     the message shown in the result is decoded.
@@ -218,7 +219,7 @@ class _Search:
             condition=self.condition.text,
             met=self.met,
             at=iso_time(at_ns) if self.last else "",
-            seconds_in=seconds_in(at_ns, source.began_ns) if self.last else None,
+            seconds_from_start=seconds_from_start(at_ns, source.began_ns) if self.last else None,
             waited=round(waited_s, 6),
             messages_checked=self.messages_checked,
             not_evaluable=self.not_evaluable,

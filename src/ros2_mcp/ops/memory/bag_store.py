@@ -257,7 +257,7 @@ class BagStore:
         return f"{f'Bags: {first}. ' if first else ''}ros2_bag_list lists what can be read."
 
     def opened_names(self) -> list[str]:
-        """Return the names of the open bags, as `reading` takes them, the last one first."""
+        """Return the names of the open bags, as `reading` takes them, the last bag first."""
         with self._looking_up:
             return [opened.name for opened in self._opened.values() if opened.bag][::-1]
 
@@ -283,8 +283,8 @@ class BagStore:
 
 
 def _below(root: Path) -> tuple[list[Path], list[Path]]:
-    """Return the folder itself and the readable folders below it, without hidden ones; and the folders whose subfolders
-    are too deep to be searched.
+    """Return the folder itself and the readable folders below it, without hidden folders; and the folders whose
+    subfolders are too deep to be searched.
     """
     searched: list[Path] = []
     deeper: list[Path] = []

@@ -91,7 +91,7 @@ class BagInfo:
     note: str = field(metadata=IF_ANY)
 
     def summary(self) -> list[str]:
-        """Return one line, and one for each problem."""
+        """Return one line, and one line for each problem."""
         line = f"{named(self.bag)}: {self.messages} messages of {len(self.topics)} topics in {self.duration_s:.3f} s"
         when = f", from {self.start} to {self.end}" if self.start else ""
         return [f"{line}{when}. {self.note}", *self.problems]
@@ -118,7 +118,7 @@ class BagMessages:
     meaning: Meaning | None = field(default=None, metadata={**ON_REQUEST, **SAID})
 
     def summary(self) -> list[str]:
-        """Return one line, and one for each problem."""
+        """Return one line, and one line for each problem."""
         said = f"{self.note} {self.meaning or ''}".strip()
         line = f"{named(self.bag)} {named(self.topic_name)}: {counted(self.count, 'message')}. {said}"
         return [line.rstrip(), *self.problems]
@@ -184,7 +184,7 @@ async def info(store: BagStore, bag: str) -> BagInfo:
 async def read(
     robot: Robot, store: BagStore, bag: str, topic: str, selection: Selection, start: str = "", end: str = ""
 ) -> BagMessages:
-    """Return messages of one topic of a bag: with a `start` the first ones from there on, else the last ones.
+    """Return messages of one topic of a bag: with a `start` the first messages from there on, else the last messages.
 
     Raises:
         NotFound: if there is no such bag or topic.

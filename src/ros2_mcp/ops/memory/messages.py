@@ -1,4 +1,4 @@
-"""Messages of the past: those of a topic, from the first source that has some."""
+"""Messages of the past: the messages of a topic, from the first source that has some."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ from ros2_mcp.model.graph import RelayCounts
 from ros2_mcp.model.qos import QoS
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import listed, named
-from ros2_mcp.model.times import seconds_in
+from ros2_mcp.model.times import seconds_from_start
 from ros2_mcp.ops.acting.endings import ended_by, guarded, held_back, limited, reason_of
 from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.results.results import IF_ANY, Report, iso_time, silent
@@ -37,8 +37,9 @@ _SHORTEST_LOOP_S = 0.1
 _MATCH_S = 1.0
 """How long the bridge waits for subscribers that discovery may still be matching with our new publishers."""
 _READY_S = 5.0
-"""Time for the bridge to create a publisher: it creates a hundred within a second; one that is
-not there by then will not come."""
+"""Time for the bridge to create a publisher: it creates a hundred within a second; a publisher that is not there by
+then will not come.
+"""
 _DEPTH = 100
 """Messages queued for a slow subscriber: a second of a topic at 100 Hz."""
 _ANSWERED_S = 0.5
@@ -83,7 +84,8 @@ class PlaybackState:
     """A playback. `state` is `playing`, `ended`, `stopped` or `failed`; `late_s` is how far it lags behind the recorded
     timing.
 
-    `at` is the playback position as a recorded time, `seconds_in` the same as an offset from the start of the bag.
+    `at` is the playback position as a recorded time, `seconds_from_start` the same as an offset from the start of the
+    bag.
     """
 
     playback_id: str
@@ -92,7 +94,7 @@ class PlaybackState:
     published: Mapping[str, int]
     progress: float
     at: str
-    seconds_in: float | None
+    seconds_from_start: float | None
     loops: int
     elapsed_s: float
     late_s: float
@@ -101,13 +103,13 @@ class PlaybackState:
     def summary(self) -> str:
         """Return the result in one line."""
         what = f"{sum(self.published.values())} messages, {self.progress:.0%} of {named(self.bag)}, at {self.at}"
-        what += f" ({self.seconds_in:g} s in)" if self.seconds_in is not None else ""
+        what += f" ({self.seconds_from_start:g} s in)" if self.seconds_from_start is not None else ""
         return f"{self.playback_id} {self.state}: {what}. {self.note}".rstrip()
 
 
 @dataclass(frozen=True, slots=True)
 class PlaybackStates:
-    """All running playbacks, and those that ended last."""
+    """All running playbacks, and the playbacks that ended last."""
 
     playbacks: Sequence[PlaybackState]
 
@@ -233,7 +235,7 @@ class Playback(Job):
             published={self._destinations[name]: count for name, count in published.items()},
             progress=round(self._progress, 4),
             at=iso_time(at_ns),
-            seconds_in=seconds_in(at_ns, self._began_ns),
+            seconds_from_start=seconds_from_start(at_ns, self._began_ns),
             loops=self._loops,
             elapsed_s=round(self.elapsed_s, 3),
             late_s=round(self._late_s, 3),
@@ -390,7 +392,7 @@ async def play(
 
 
 async def status(robot: Robot, playback_id: str = "") -> PlaybackStates:
-    """Return the state of playbacks: the one with that id, or all that run and the last that ended."""
+    """Return the state of playbacks: the playback with that id, or all running playbacks and the last that ended."""
     return PlaybackStates([playback.report() for playback in robot.jobs.chosen(Playback, playback_id)])
 
 

@@ -67,7 +67,7 @@ _WAITING_BYTES = 128_000_000
 """The most bytes that one topic may hold in memory while this server is busy: two bursts of
 large pictures (see `QUEUE_BYTES`)."""
 _TOLD = 3
-"""The most topics with an error that the summary names, which is one line; the list of topics has all."""
+"""The most topics with an error that the summary names in its one line; the list of topics has all."""
 _MOST_NOTES = 20
 """The most notes: each topic may fail in its own way, and hundreds of notes are not read."""
 CALLS = "/agent/calls"
@@ -163,7 +163,7 @@ class RecordingState:
 
 @dataclass(frozen=True, slots=True)
 class RecordingStates:
-    """All running recordings, and those that ended last."""
+    """All running recordings, and the recordings that ended last."""
 
     recordings: Sequence[RecordingState]
 
@@ -492,8 +492,8 @@ def drops_in_words(busy: int, slow: int, *, is_remote: bool = False) -> str:
 
 
 class BlackBox(Recording):
-    """The recording that the server starts by itself, in a ring of files: the oldest are
-    deleted to make room for new ones.
+    """The recording that the server starts by itself, in a ring of files: the oldest files are deleted to make room for
+    new files.
     """
 
     needs_no_id = False
@@ -535,7 +535,7 @@ async def start(robot: Robot, session: Session, store: BagStore, request: Record
 
 
 async def keep_black_box(robot: Robot, store: BagStore, settings: Settings) -> None:
-    """Start the black box, if the settings ask for one. Errors are logged."""
+    """Start the black box, if the settings ask for it. Errors are logged."""
     if settings.black_box is None or settings.read_only:
         return
     try:
@@ -549,7 +549,7 @@ async def keep_black_box(robot: Robot, store: BagStore, settings: Settings) -> N
 
 
 async def status(robot: Robot, recording_id: str = "") -> RecordingStates:
-    """Return the state of recordings: the one with that id, or all that run and the last that ended."""
+    """Return the state of recordings: the recording with that id, or all running recordings and the last that ended."""
     return RecordingStates([recording.report() for recording in robot.jobs.chosen(Recording, recording_id)])
 
 

@@ -40,9 +40,9 @@ class Body:
 
 
 async def body_of(robot: Robot, base_frame: str, beside: str = "") -> Body:
-    """Return the body around the frame `base_frame`, by the robot's description; if there are several, by the one in
-    the namespace of the topic `beside`. Without a usable description, return a circle of `ASSUMED_M`. Never raises a
-    `RobotError`.
+    """Return the body around the frame `base_frame`, by the robot's description; if there are several, by the
+    description in the namespace of the topic `beside`. Without a usable description, return a circle of `ASSUMED_M`.
+    Never raises a `RobotError`.
     """
     try:
         return await _described(robot, base_frame.lstrip("/"), beside)

@@ -40,8 +40,8 @@ class Controller:
 
 
 async def controller_for(robot: Robot, joints: Sequence[str], given: str = "") -> Controller:
-    """Return the controller that moves these joints: the one with the given name, topic or
-    action; else the only one that can.
+    """Return the controller that moves these joints: the controller with the given name, topic or action; else the only
+    controller that can.
 
     Raises:
         NotFound: if there is no controller of that name, or none at all.

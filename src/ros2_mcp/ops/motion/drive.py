@@ -56,7 +56,7 @@ class DriveRequest:
     """The settings of a drive: `distance_m` (negative: backwards) or `angle_deg` (positive: to the left), which with
     `radius_m` is a forward arc. `speed` is in m/s, or in °/s for a turn in place. `guard_m` is kept free ahead of the
     outline: `DEFAULT_GUARD_M` if it is None and the robot has a scan or a cloud; 0 uses no sensor. Topics that are not
-    given are found. `time_limit_s` is a shorter time limit than that of the course.
+    given are found. `time_limit_s` is a time limit shorter than the course's.
     """
 
     distance_m: float | None = None

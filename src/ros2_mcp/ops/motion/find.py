@@ -21,9 +21,11 @@ wheel base, which no topic reports."""
 ODOMETRY = "nav_msgs/msg/Odometry"
 _INPUTS = ("cmd_vel",)
 _ODOMETRIES = ("odometry/filtered", "odom", "odometry", "odometry/wheels")
-"""The usual names of these topics, the preferred ones first: fused odometry is that of robot_localization."""
+"""The usual names of these topics, the preferred names first: robot_localization publishes fused odometry."""
 _FIRST_S = 4.0
-"""Time for a first message: a publisher that missed our announcement is discovered with the next one, 3 s later."""
+"""Time for a first message: a publisher that missed our announcement is discovered with the next announcement, 3 s
+later.
+"""
 _MOST_NAMED = 6
 
 
@@ -41,7 +43,7 @@ class Found:
 
 
 async def command_input(robot: Robot, given: str = "") -> Destination:
-    """Return the topic for velocity commands: the given one, or else the one that has a subscriber.
+    """Return the topic for velocity commands: the given topic, or else the topic that has a subscriber.
 
     Raises:
         NotFound: if no topic of these types has a subscriber.
@@ -66,8 +68,8 @@ async def command_input(robot: Robot, given: str = "") -> Destination:
 
 
 async def odometry_of(robot: Robot, given: str = "", beside: str = "") -> Found:
-    """Return the odometry topic: the given one, or else the only one, or the one in the namespace
-    of the command input `beside`.
+    """Return the odometry topic: the given topic, or else the only topic, or the topic in the namespace of the command
+    input `beside`.
 
     Raises:
         NotFound: if there is none.
@@ -155,7 +157,7 @@ async def _published(
 
 
 def _only(what: str, argument: str, topics: Sequence[str], usual: Sequence[str]) -> str:
-    """Return the only topic, or the only one with a usual name. Raises `BadInput` if there is no such topic."""
+    """Return the only topic, or the only topic with a usual name. Raises `BadInput` if there is no such topic."""
     for name in usual:
         called = [topic for topic in topics if topic.endswith(f"/{name}")]
         if len(called) == 1:

@@ -22,7 +22,9 @@ _TAKE_S = 1.0
 _LOOK_S = 0.02
 """Seconds between two checks while waiting: joint states come at 10 to 1,000 Hz."""
 FIRST_S = 4.0
-"""Time for a first message: a publisher that missed our announcement is discovered with the next one, 3 s later."""
+"""Time for a first message: a publisher that missed our announcement is discovered with the next announcement, 3 s
+later.
+"""
 
 
 class At(NamedTuple):

@@ -88,8 +88,8 @@ _CODES: Mapping[int, str] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JointRequest:
-    """The targets of joints: in rad, in m for prismatic ones; with `relative`, from their present positions. `speed` is
-    the share of each joint's velocity limit; `duration_s` is the duration of the move instead.
+    """The targets of joints: in rad, in m for prismatic joints; with `relative`, from their present positions. `speed`
+    is the share of each joint's velocity limit; `duration_s` is the duration of the move instead.
     """
 
     joints: Mapping[str, float]
@@ -405,7 +405,7 @@ class JointMotion(Job):
             self.why = f"{self.why} {why_not}".rstrip()
 
     async def _note_rivals(self, action: str) -> None:
-        """Note the goals of other clients that this goal replaces: a controller follows one at a time."""
+        """Note the goals of other clients that this goal replaces: a controller follows one goal at a time."""
         for state in await states_now(self._robot, action, _RIVALS_S):
             if state.status_code in _GOING and not self._robot.jobs.get(Goal, state.goal_id):
                 self.notes.append(f"It replaced goal {state.goal_id} of another client, which was {state.status}.")

@@ -20,7 +20,7 @@ from ros2_mcp.ops.motion.find import Found, base_frame_of, command_input, first_
 from ros2_mcp.ops.motion.held import others_on, why_it_stands
 from ros2_mcp.ops.motion.job import run_motion
 from ros2_mcp.ops.results.results import SAID, Report, silent, told_values
-from ros2_mcp.ops.sources.from_before import FromBefore, told_as_met
+from ros2_mcp.ops.sources.from_before import FromBefore, outcome_in_words
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.session import Session
 from ros2_mcp_common.language.scans import LASER_SCAN
@@ -29,7 +29,7 @@ from ros2_mcp_common.wire.limits import MAX_DURATION_S
 _RATE_HZ = 20.0
 """The rate of commands that velocity controllers expect. The zero at the end is sent at once."""
 _TURNED_DEG = 5.0
-"""A smaller rotation is inaccurate mounting; a larger one is intended."""
+"""A smaller rotation is inaccurate mounting; a larger rotation is intended."""
 _STOOD_M = 0.01
 """A motion over a shorter distance did not move the robot: odometry is that noisy."""
 _ANGLES = re.compile(r"\b(nearest|range_at)\s*\(")
@@ -98,10 +98,14 @@ class MovedUntil:
         way = (
             ""
             if self.distance_m is None
-            else f" The robot moved {self.distance_m:.2f} m by {named(self.odometry_topic)}."
+            else f" According to {named(self.odometry_topic)} the robot moved {self.distance_m:.2f} m."
         )
-        outcome = f"{'is met' if self.met else 'was not met'} after {self.elapsed:.2f} s"
-        outcome += f"{told_as_met(self.from_before, self.met)} ({told_values(self.values)})"
+        outcome = outcome_in_words(
+            met=self.met,
+            values=told_values(self.values),
+            waited=f"after {self.elapsed:.2f} s",
+            from_before=self.from_before,
+        )
         return f"{named(self.topic_name)}: {self.condition} {outcome}.{way} {self.note}".rstrip()
 
 

@@ -1,4 +1,4 @@
-"""The name of Nav2's action of a type: the given one, or the only one."""
+"""The name of Nav2's action of a type: the given name, or the name of the only action."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ros2_mcp.robot import Robot
 
 
 async def action_of(robot: Robot, kind: str, given: str = "") -> str:
-    """Return the name of an action of this type: the given one, or the only one.
+    """Return the name of an action of this type: the given name, or the name of the only action.
 
     Raises:
         NotFound: if there is none; names the others, or says that there is no robot.

@@ -120,8 +120,9 @@ async def _answers(robot: Robot, node: str) -> bool:
 
 
 class _Ending:
-    """Cancels the goals of these kinds in the namespace of `action`, those of Nav2's servers below it. A goal that the
-    policy refuses to cancel is not asked for again."""
+    """Cancels the goals of these kinds in the namespace of `action`, the goals of Nav2's servers below it. A goal that
+    the policy refuses to cancel is not asked for again.
+    """
 
     def __init__(self, robot: Robot, session: Session, action: str, kinds: Set[str]) -> None:
         self._robot, self._session, self._action, self._kinds = robot, session, action, kinds
@@ -179,7 +180,7 @@ async def settle(
     most_s: float = MOST_S,
     kinds: Set[str] = BELOW,
 ) -> Below:
-    """Cancel the goals below a navigator, those of these kinds, and wait until the robot stands and no goal is running.
+    """Cancel the goals of these kinds below a navigator, and wait until the robot stands and no goal is running.
 
     The wait ends after `most_s`, or 30 s after the robot came to a stop. `tell` gets a sentence on the state in each
     round. Raises no `RobotError`.

@@ -9,7 +9,7 @@ from typing import Literal
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.model.nav2 import COSTMAPS
 from ros2_mcp.model.text import counted, named
-from ros2_mcp.ops.navigation.checks import NEEDS, nav_findings_in, not_looked_at
+from ros2_mcp.ops.navigation.checks import NEEDS, nav_findings_in, not_checked
 from ros2_mcp.ops.navigation.checks.command_chain import chain_of
 from ros2_mcp.ops.navigation.checks.fit import deviation_m
 from ros2_mcp.ops.navigation.evidence import ODOMETRY, SCAN, NavEvidence, NavFinding
@@ -27,15 +27,16 @@ _VERDICTS: dict[str, Verdict] = {
     "makes it worse": "IMPAIRED",
 }
 _MOST = 8
-"""Number of findings that are reported in full; a user with more begins with the first ones."""
+"""Number of findings that are reported in full; a user with more begins with the first of them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NavChecked:
     """What keeps the robot from navigating, the worst first; each with its cause, its proof and a remedy.
 
-    `FINE` means that nothing was found, and that what this needs was read; `NOT KNOWN` that it was not: `unread` says
-    what, and why. `seen` has the figures on which it stands, `not_read` the checks that could not be run.
+    `FINE` means that nothing was found, and that all evidence for this was read; `NOT KNOWN` that some was not:
+    `unread` says which, and why. `seen` has the figures behind the verdict, `not_checked` the checks that could not be
+    run.
     """
 
     verdict: Verdict = field(metadata=SAID)
@@ -43,7 +44,7 @@ class NavChecked:
     servers: str = field(metadata=SAID)
     seen: Sequence[str] = field(metadata=SAID)
     unread: Sequence[str] = field(metadata={**IF_ANY, **SAID})
-    not_read: Sequence[str] = field(metadata={**IF_ANY, **SAID})
+    not_checked: Sequence[str] = field(metadata={**IF_ANY, **SAID})
 
     def summary(self) -> list[str]:
         """Return the verdict, one line per finding, and the measured figures."""
@@ -55,8 +56,8 @@ class NavChecked:
         lines.append(" ".join([f"{self.servers}.", *(f"{line}." for line in self.seen)]))
         if self.unread and self.verdict != "NOT KNOWN":
             lines.append(f"{missing[:1].upper()}{missing[1:]}.")
-        if self.not_read:
-            lines.append(f"Not looked at: {', '.join(self.not_read)}.")
+        if self.not_checked:
+            lines.append(f"Not checked: {', '.join(self.not_checked)}.")
         return lines
 
 
@@ -72,14 +73,14 @@ async def check_navigation(robot: Robot, to: object = None, action: str = "") ->
     if to is not None:
         targets = targets_of(to, places_of(robot))
         if len(targets) != 1:
-            raise BadInput("ros2_nav_check looks at one place.", "Give one.")
+            raise BadInput("ros2_nav_check checks one goal, not several.", "Give one.")
         target = targets[0]
     robot.log.start()
     evidence, missed = await read_evidence(robot, NEEDS, target, action)
     if not evidence.is_nav2:
         raise await robot.graph.missing(
             "There is no Nav2: no bt_navigator, planner_server, controller_server or lifecycle manager is seen.",
-            "Start Nav2; ros2_list_nodes shows what runs.",
+            "Start Nav2; ros2_node_list shows what runs.",
         )
     return judged(evidence, missed)
 
@@ -95,7 +96,7 @@ def judged(evidence: NavEvidence, missed: Mapping[str, str] | None = None) -> Na
         servers=servers_in_words(evidence),
         seen=_seen(evidence),
         unread=unread,
-        not_read=sorted(not_looked_at(evidence)),
+        not_checked=sorted(not_checked(evidence)),
     )
 
 

@@ -98,7 +98,7 @@ async def costmap_now(
 
 
 async def costmap_recorded(source: Source, topic: str, type_name: str, updates_topic: str) -> Costmap:
-    """Return the costmap at the end of the selected span of a recording: the last full one with all later updates.
+    """Return the costmap at the end of the selected span of a recording: the last full costmap with all later updates.
 
     Raises:
         RobotError: as `next_message`, and `BadData` if it does not fit its size.

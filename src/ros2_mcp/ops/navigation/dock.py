@@ -113,7 +113,7 @@ class NavDocked:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DockRequest:
-    """At which dock: the name of one that the server knows, or `at` its pose, with its type. Or `undock`."""
+    """The dock: a name that the server knows, or `at` its pose, with its type. Or `undock`."""
 
     dock: str = ""
     at: object = None

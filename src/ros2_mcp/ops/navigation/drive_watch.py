@@ -88,7 +88,7 @@ class DriveWatch:
         self._controller, self._wanted_hz = topic, hz
 
     def counted(self, topic: str, received: int, at: float) -> None:
-        """Take the number of commands received on a topic so far, and the time of the last one, in s of any clock.
+        """Take the number of commands received on a topic so far, and the time of the last command, in s of any clock.
 
         Call it after `commanded`: only the time in which the controller drives counts.
         """

@@ -249,7 +249,7 @@ class NavEvidence:
         return [topic for _, topic in sorted(self.graph.topics.items()) if not set(types).isdisjoint(topic.types)]
 
     def topic(self, name: str) -> TopicEndpoints:
-        """Return a topic by name; one without endpoints if it does not exist."""
+        """Return a topic by name; a topic without endpoints if it does not exist."""
         return self.graph.topics.get(name) or TopicEndpoints(name, (), ())
 
     def of(self, *types: str) -> list[Heard]:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from ros2_mcp.world.costmap import CostGrid
 
 _MOST_LINES = 6
-"""Number of log lines in an answer: the last ones of the nodes that failed."""
+"""Number of log lines in an answer: the last lines of the nodes that failed."""
 _TF_CODES = {102, 202, 302, 401, 702, 712, 722, 732, 9002, 9102}
 _PLANNING = {203, 204, 205, 206, 208, 303, 304, 305, 306, 308}
 """Codes of planning: the planner judged the start, the goal or the path, so causes on the costmap precede causes at the
@@ -186,8 +186,9 @@ def error_in_words(code: int, text: str) -> str:
 
 
 def _checked(found: _Findings, situation: Situation, *, before: int) -> None:
-    """Add the findings of the checks: those that stop everything are causes if their place is before `before`; findings
-    of a lower rank, except those on the goal, are added to `beside`."""
+    """Add the findings of the checks: findings that stop everything are causes if their place is before `before`;
+    findings of a lower rank, except findings on the goal, are added to `beside`.
+    """
     for finding in situation.findings:
         if finding.rank != RANKS[0]:
             if finding.place != GOAL and str(finding) not in found.beside:

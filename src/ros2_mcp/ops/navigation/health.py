@@ -23,7 +23,7 @@ _FINDINGS_S = 4.5
 _OLD_COSTMAP_S = 5.0
 """Nav2 publishes the costmap once a second, some robots once in two seconds."""
 _LONGEST_AGE_S = 1e6
-"""A larger difference between a stamp and now means that one of the two is simulated time."""
+"""A larger difference between a stamp and now means that either the stamp or now is simulated time."""
 
 
 async def health_of(robot: Robot, action: str) -> list[str]:

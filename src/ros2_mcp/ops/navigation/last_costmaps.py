@@ -30,7 +30,7 @@ that receiving it has a cost."""
 _TURN_S = 5.0
 """Period of checking whether the subscription is still needed if no message arrives."""
 _MOST = 4
-"""Number of costmaps that are kept: a robot has a global and a local one."""
+"""Number of costmaps that are kept: a robot has a global and a local costmap."""
 _MOST_RECENT = 4
 """Number of updates kept in case they arrive before the full costmap that they belong to."""
 _logger = logging.getLogger(__name__)

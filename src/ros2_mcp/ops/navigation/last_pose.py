@@ -56,7 +56,7 @@ class MapMark:
         return cls(topic, width, height, round(grid.resolution_m, 6), at_x, at_y, digest)
 
     def difference(self, other: MapMark) -> str:
-        """Say how another map, the present one, differs from this one; "" if it is the same."""
+        """Say how the present map differs from this map; "" if it is the same."""
         if self.digest == other.digest and (self.x_m, self.y_m) == (other.x_m, other.y_m):
             return ""
         before, now = (f"{one.width} × {one.height} cells of {one.resolution_m:g} m" for one in (self, other))

@@ -164,13 +164,19 @@ async def localize(robot: Robot, session: Session, request: LocalizeRequest, rep
 def _target(robot: Robot, request: LocalizeRequest) -> Target | None:
     """Return the pose or the guess that was given, if any; raises for arguments that contradict each other."""
     if request.radius_m is not None and not (request.search and request.at is not None):
-        raise BadInput("radius_m is how far around a guess to search.", "Give search=true and at, too.")
+        raise BadInput("radius_m is how far around a guess to search.", "Give search=true and `at` as well.")
     if request.last and (request.search or request.at is not None):
-        raise BadInput("last takes the pose that was kept: it goes with neither at nor search.", "Give one of them.")
+        raise BadInput(
+            "`last` uses the pose that was stored: it goes neither with `at` nor with `search`.",
+            "Give one of the three.",
+        )
     if request.at is None:
         if request.search or request.last:
             return None
-        raise BadInput("at, where the robot is, is not given.", "Give a pose or a place, or search=true, or last=true.")
+        raise BadInput(
+            "`at` is missing: it says where the robot is.",
+            "Give at=<a pose or a place>, search=true or last=true.",
+        )
     (target, *more) = targets_of(request.at, places_of(robot))
     if more:
         raise BadInput("The robot is at one place.", "Give one pose, or the name of one place.")

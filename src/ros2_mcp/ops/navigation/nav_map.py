@@ -153,7 +153,7 @@ async def nav_map(robot: Robot, session: Session, request: MapRequest, report: R
     if request.what == "show":
         return await _shown(robot)
     if not request.path.strip():
-        raise BadInput("path is not given.", "A path on the robot's computer, such as /maps/floor1.")
+        raise BadInput("`path` is missing.", "Give a path on the robot's computer, such as /maps/floor1.")
     if request.at is not None and not (request.what == "load" and request.pose_graph):
         raise BadInput("at says where slam_toolbox goes on in a pose graph.", "Leave it out; see ros2_nav_localize.")
     service, kind = await _service(robot, request)
@@ -294,7 +294,7 @@ _Known = tuple[MapSeen, MapMark, int]
 
 
 async def _map(robot: Robot, topic: str) -> _Known | None:
-    """Return the map that a topic has now; None if there is no message, or no valid one."""
+    """Return the map that a topic has now; None if there is no message, or no valid map."""
     with suppress(RobotError):
         async with robot.listen(topic, OCCUPANCY_GRID, keep="latest") as listening:
             if samples := await listening.take(_MAP_S):

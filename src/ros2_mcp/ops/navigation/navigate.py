@@ -102,7 +102,7 @@ class Navigation(Job):
         self.watch = DriveWatch(began_at=monotonic())
 
     async def run(self) -> None:
-        """Send each goal after the one before has been reached."""
+        """Send each goal after the goal before it has been reached."""
         robot = self._robot
         robot.log.start()  # the log from now on helps to explain a failure
         where, _ = await asyncio.gather(whereabouts(robot, MAP_FRAME), hear_plans(robot))
@@ -138,7 +138,7 @@ class Navigation(Job):
         return self.plan.route(self.id, () if self.has_begun or not is_list else goals)
 
     async def _visit(self, target: Target, route: Route) -> bool:
-        """Drive to a place, and wait there; return whether to go on with the next one."""
+        """Drive to a place, and wait there; return whether to go on with the next place."""
         if self.has_begun and (reason := await self._taken_over()):
             self.ending, self._final = reason, "canceled"
             return False
@@ -533,7 +533,7 @@ def known_job(robot: Robot, to: object, job_id: str) -> Navigation:
         NotFound: for an unknown id.
     """
     if not job_id:
-        raise BadInput("to, the place to go to, is not given.", "Give a place, a pose, or a list of them.")
+        raise BadInput("`to` is missing: it says where to go.", "Give a place, a pose, or a list of them.")
     if to is not None:
         raise BadInput("job_id waits for a navigation under way: it takes no new place.", "Give one of both.")
     return robot.jobs.find(Navigation, job_id)

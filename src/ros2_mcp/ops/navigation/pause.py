@@ -26,10 +26,12 @@ _MOST_NAMED = 8
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NavPaused:
-    """The state of the navigation, whether the robot was observed to stand, and what is left to drive.
+    """The state of the navigation. `stands`: whether the robot was measured to stand still; null if not known. `left`
+    has the places that are left to drive to.
 
-    After a pause, `moved_m` and `turned_deg` say how far the robot is from where it was paused, by its transforms;
-    `odometry_m` by odometry. `is_moved`: it was moved, or is localised elsewhere.
+    After resuming, `moved_m` and `turned_deg` are the robot's distance and turn from where it was paused, in the map by
+    TF; `odometry_m` is the distance by odometry. `is_moved`: whether these exceed what a robot that stands shows; it
+    was moved, or its localisation jumped.
     """
 
     state: PauseState = field(metadata=SAID)

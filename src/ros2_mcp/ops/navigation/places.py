@@ -39,7 +39,7 @@ class PlaceEntry:
 
 @dataclass(frozen=True, slots=True)
 class PlaceList:
-    """The places that are kept, and the file, if there is one."""
+    """The places that are kept, and the file, if it exists."""
 
     places: Sequence[PlaceEntry]
     kept_in: str

@@ -23,7 +23,8 @@ _WATCHED = "The bridge ends the drive before a keep-out zone."
 
 
 def check_places(policy: Policy, targets: Sequence[Target]) -> None:
-    """Raise `Refused` if a place is in a keep-out zone or too near to one, before the first of them is driven to.
+    """Raise `Refused` if a place is in a keep-out zone or too near to a zone, before the robot drives to the first
+    place.
 
     Places with any heading, and those in other frames, are judged when their goal is sent.
     """

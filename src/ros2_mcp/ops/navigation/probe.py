@@ -245,7 +245,7 @@ class _Record:
         return [topic for topic, type_name in self._types.items() if type_name == kind]
 
     def _ends(self, topic: str, since_ns: int) -> tuple[Sample, Sample] | None:
-        """Return the last message before a motion, and the last one of all."""
+        """Return the last message before a motion, and the last message of all."""
         before = [one for one in self._samples[topic] if one.received_ns <= since_ns]
         return (before[-1], self._samples[topic][-1]) if before else None
 

@@ -65,8 +65,9 @@ _MOST_OF_TYPE: Mapping[str, int] = {SCAN: 4, ODOMETRY: 4, POSE: 3, "nav2_msgs/ms
 _MOST_VELOCITIES, _MOST_CLOUDS = 14, 4
 _MOST_MAPS = 6
 _MOST_MESSAGES = 12
-"""Number of scans and the like that are decoded, the first and the last ones; velocities and odometry are all
-decoded."""
+"""Number of scans and the like that are decoded, from the beginning and the end; velocities and odometry are all
+decoded.
+"""
 _FRAMES_S = 1.8
 _LOG_S, _LOG_LINES, _LOG_BYTES = 900.0, 300, 60_000
 """The log of the bring-up may explain a failure, as far back as it is kept."""
@@ -119,8 +120,9 @@ async def read_evidence(
 
 @dataclass(slots=True)
 class _Kept:
-    """The messages of one topic: `new` ones with the numbers of their publishers, and `old` ones from before the
-    subscription."""
+    """The messages of one topic: `new` messages with the numbers of their publishers, and `old` messages from before
+    the subscription.
+    """
 
     stream: Stream
     new: list[tuple[Sample, int]] = field(default_factory=list[tuple[Sample, int]])
@@ -213,7 +215,7 @@ def _decoded(capture: Capture[_Kept]) -> Heard:
 
 
 async def _parameters(robot: Robot, graph: GraphSnapshot) -> Mapping[str, Mapping[str, Any]]:
-    """Read all parameters of Nav2's nodes and of those related to them; of other nodes only use_sim_time."""
+    """Read all parameters of Nav2's nodes and of related nodes; of other nodes only use_sim_time."""
     found: dict[str, Mapping[str, Any]] = {}
     limit = asyncio.Semaphore(_AT_A_TIME)
     evidence = NavEvidence(graph=graph)
@@ -254,8 +256,9 @@ async def values_of(robot: Robot, node: str, wanted: Sequence[str]) -> Mapping[s
 
 
 async def _states(robot: Robot, graph: GraphSnapshot) -> States:
-    """Read the lifecycle states of all nodes that have one, "" for nodes that do not answer; each node is asked
-    twice."""
+    """Read the lifecycle states of all nodes that have such a state, "" for nodes that do not answer; each node is
+    asked twice.
+    """
     nodes = [name.rpartition("/")[0] for name, types in (graph.services or {}).items() if _GET_STATE in types]
     limit = asyncio.Semaphore(_AT_A_TIME)
     states, answered_s = dict[str, str](), dict[str, float]()

@@ -225,7 +225,9 @@ async def _command_stack(robot: Robot, session: Session, command: str, node: str
 
 
 def _chosen(stacks: Sequence[Stack], node: str) -> Stack:
-    """Return the stack of the lifecycle manager `node`; without a name the one with the controller, or the only one."""
+    """Return the stack of the lifecycle manager `node`; without a name the stack with the controller, or the only
+    stack.
+    """
     hosts = ", ".join(stack.host for stack in stacks)
     if node:
         wanted = node if node.startswith("/") else f"/{node}"

@@ -1,4 +1,4 @@
-"""`ros2_nav_route`: places in order, in loops, with waits, and going on after a missed one."""
+"""`ros2_nav_route`: places in order, in loops, with waits, and going on after a missed place."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ OnMissed = Literal["stop", "go_on"]
 RouteState = Literal["under way", "paused", "done", "failed", "canceled"]
 PlaceState = Literal["reached", "missed", "under way", "paused", "canceled", "not begun"]
 _MOST_SAID = 12
-"""Places in the first line; of a longer list it names only those that are not just reached."""
+"""Places in the first line; of a longer list it names only places with another result than reached."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

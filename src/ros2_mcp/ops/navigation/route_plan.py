@@ -52,7 +52,8 @@ class Visits:
 
 
 def headed(targets: Sequence[Target], start: tuple[float, float] | None, frame: str, loops: int) -> list[Target]:
-    """Return the targets with the headings of arrival of those that allow any: each seen from the one before.
+    """Return the targets with the headings of arrival of targets that allow any heading: each seen from the target
+    before.
 
     The first is seen from `start` (m in `frame`), or in several loops from the last, so that all loops are alike.
     """
@@ -68,8 +69,9 @@ def headed(targets: Sequence[Target], start: tuple[float, float] | None, frame: 
 
 @dataclass
 class PendingRoutes(Kept):
-    """Routes that wait for a person's approval, with the headings that were asked for: those of a repeated call must be
-    the same, though the robot's estimated pose varies."""
+    """Routes that wait for a person's approval, with the headings that were asked for: the headings of a repeated call
+    must be the same, though the robot's estimated pose varies.
+    """
 
     _pending: dict[tuple[Any, ...], list[Target]] = field(default_factory=dict[tuple[Any, ...], list[Target]])
 

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from ros2_mcp.world.costmap import CostGrid
 
 COSTMAP_S = 3.0
-"""Nav2 publishes a costmap once a second, and the last one is latched; a publisher may be discovered late."""
+"""Nav2 publishes a costmap once a second, and the last costmap is latched; a publisher may be discovered late."""
 _SENSORS_S = 1.5
 """The slowest scanners scan five times a second, and Nav2 publishes a costmap once; matching takes up to 0.2 s."""
 _LOG_BEFORE_S = 1.0
@@ -160,7 +160,9 @@ async def costmap_of(
 
 
 async def local_of(robot: Robot, topics: Sequence[TopicRow], action: str = "") -> Local | None:
-    """Return the surroundings on the local costmap; None without one, or if the robot's pose on it is unknown."""
+    """Return the surroundings on the local costmap; None without a local costmap, or if the robot's pose on it is
+    unknown.
+    """
     grids = [name for name in _grids(topics) if "local_costmap" in name]
     namespace = action.rpartition("/")[0]
     own = sorted([name for name in grids if name.startswith(f"{namespace}/")] or grids, key=len)
@@ -239,8 +241,9 @@ async def inactive_servers(robot: Robot) -> list[str]:
 
 
 async def sensors_of(robot: Robot, topics: Sequence[TopicRow]) -> list[str]:
-    """Return the topics of sensors and odometry that are silent, without those that Nav2 publishes to draw its
-    costmaps."""
+    """Return the topics of sensors and odometry that are silent, without the topics that Nav2 publishes to draw its
+    costmaps.
+    """
     known = [row.name for row in topics if row.publishers and set(row.types) & set(_SENSOR_TYPES)]
     present = await asyncio.gather(*map(robot.graph.endpoints, known[:_MOST_SENSORS]))
     known = [one.topic for one in present if not is_drawn_by_nav2(one)]
@@ -266,7 +269,7 @@ async def _log(robot: Robot, since_s: float) -> Log:
 
 
 def _different(lines: Sequence[LogLine]) -> list[LogLine]:
-    """Return the lines without repetitions; of equal lines of a node the last one stays."""
+    """Return the lines without repetitions; of equal lines of a node the last line stays."""
     return list({(line.node, line.text): line for line in reversed(lines)}.values())[::-1]
 
 

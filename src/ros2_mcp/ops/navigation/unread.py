@@ -34,7 +34,7 @@ def unread_in(evidence: NavEvidence, why: Mapping[str, str] | None = None) -> li
 
 
 def servers_of(evidence: NavEvidence) -> list[str]:
-    """Nav2's servers that are there: those that a manager brings up, and those that say in which state they are."""
+    """Nav2's servers that are there: servers that a manager brings up, and servers that report their state."""
     managed = [node for supervisor in evidence.supervisors for node in evidence.managed(supervisor)]
     known = [*managed, *(node for node in evidence.robots_nodes if _offers(evidence, node, _GET_STATE))]
     return [node for node in dict.fromkeys(known) if node in evidence.nodes]

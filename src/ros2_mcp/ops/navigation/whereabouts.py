@@ -87,7 +87,7 @@ async def in_frame(robot: Robot, frame: str, x_m: float, y_m: float, within: str
 
 
 async def why_not_in_frame(robot: Robot, frame: str, within: str) -> str:
-    """Say why there is no transform between two frames; "" if there is one."""
+    """Say why there is no transform between two frames; "" if there is a transform."""
     from ros2_mcp.ops.space.frames import pose_in
 
     try:

@@ -1,4 +1,4 @@
-"""Lifecycle nodes: read their states and the transitions possible now, and make one, as `ros2 lifecycle` does."""
+"""Lifecycle nodes: read their states and possible transitions, and make a transition, as `ros2 lifecycle` does."""
 
 from __future__ import annotations
 
@@ -79,7 +79,9 @@ class Transition:
 
 
 async def states(robot: Robot, nodes: Sequence[str] = ()) -> LifecycleStates:
-    """Return the states of the named nodes, or of every lifecycle node; the `error` of one does not stop the others."""
+    """Return the states of the named nodes, or of every lifecycle node; the `error` of one node does not stop the
+    others.
+    """
     chosen = [names.absolute(node, "node") for node in nodes] or await _lifecycle_nodes(robot)
     asking = [or_error(_state(robot, node), partial(LifecycleState, node, "unknown", ())) for node in chosen]
     stacks, found = await asyncio.gather(stacks_of(robot), asyncio.gather(*asking))

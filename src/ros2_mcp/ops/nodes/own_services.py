@@ -14,7 +14,7 @@ from ros2_mcp.robot import Robot
 Ask = Callable[[Sequence[str]], Awaitable[Sequence[Any]]]
 """Requests something about parameters with these names; the answer has one entry for each, or fewer."""
 TIMEOUT_S = 5.0
-"""Time-out of a call: a node that spins answers within milliseconds, and one that is starting within seconds."""
+"""Time-out of a call: a node that spins answers within milliseconds, and a node that is starting within seconds."""
 APPEAR_S = 1.0
 """Time to discover a service of a node that has just started."""
 

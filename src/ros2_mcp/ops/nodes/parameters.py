@@ -28,7 +28,7 @@ _SHORT_BYTES = 1000
 """As JSON. A value up to this size is always shown: there are hundreds of them at most. Of longer
 values, as many are shown as fit."""
 _MAX_NAMED = 5
-"""Parameters that are named in a summary, which is one line."""
+"""Parameters that are named in the one line of a summary."""
 _LONG_HINT = (
     "omitted gives the length; ros2_parameter_get with its name and whole=true returns it if it fits in an answer, "
     "or a part of it,"
@@ -162,7 +162,7 @@ class SetResult:
     note: str = ""
 
     def summary(self) -> list[str]:
-        """Return one line, and one for each refusal."""
+        """Return one line, and one line for each refusal."""
         taken = [one for one in self.parameters if one.successful]
         changes = [
             f"{named(one.name)} = {one.omitted or in_quotes(one.value)} (was {_before(one.before)})" for one in taken
@@ -268,14 +268,14 @@ async def all_of(robot: Robot, node: str) -> Sequence[Parameter]:
 
 
 def _is_usual(parameter: Parameter) -> bool:
-    """Return whether a parameter is a standard one that says nothing about its node."""
+    """Return whether a parameter is a standard parameter that says nothing about its node."""
     is_default = parameter.name in _OF_EVERY_NODE and parameter.value is _OF_EVERY_NODE[parameter.name]
     return is_default or parameter.name.startswith(_OVERRIDES)
 
 
 async def dump(robot: Robot, node: str, asked: Sequence[str] | None = None, *, whole: bool = False) -> Dump:
-    """Return parameters of a node, the requested ones or all, in a form that can be set
-    back; long values only if `whole`.
+    """Return parameters of a node, the requested parameters or all, in a form that can be set back; long values only if
+    `whole`.
 
     Raises:
         NotFound: if the node does not exist, or a parameter is not declared.

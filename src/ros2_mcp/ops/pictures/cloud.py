@@ -9,7 +9,7 @@ from typing import Any
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model.aside import load
 from ros2_mcp.model.pictures import POINT_CLOUD, BirdEyeOptions
-from ros2_mcp.model.times import seconds_in
+from ros2_mcp.model.times import seconds_from_start
 from ros2_mcp.ops.pictures.next_message import next_message
 from ros2_mcp.ops.pictures.robot_place import robot_place
 from ros2_mcp.ops.pictures.upright import upright_of
@@ -26,8 +26,8 @@ class CloudPicture(WithPictures):
     Pixel (`left_px` + column, `top_px` + row) has its corner at x = `x_min_m` + column · `metres_per_pixel`, y =
     `y_max_m` - row · `metres_per_pixel`; outside are the axes. Of all `points`, `not_finite` have no position, and
     `shown` lie within the requested limits (without limits: all except far outliers). The robot's pose is null if
-    unknown. `color_low` and `color_high` are the values at the ends of the colour scale; null for rgb. `seconds_in` is
-    the receive time as an offset from the start of a recording.
+    unknown. `color_low` and `color_high` are the values at the ends of the colour scale; null for rgb.
+    `seconds_from_start` is the receive time as an offset from the start of a recording.
     """
 
     topic_name: str = field(metadata=SAID)
@@ -52,7 +52,7 @@ class CloudPicture(WithPictures):
     robot_y_m: float | None
     robot_yaw_rad: float | None
     received_at: str
-    seconds_in: float | None
+    seconds_from_start: float | None
     source: str
     note: str = field(metadata=IF_ANY)
 
@@ -62,7 +62,7 @@ class CloudPicture(WithPictures):
 
 
 async def cloud_picture(source: Source, topic: str, options: BirdEyeOptions, report: Report = silent) -> CloudPicture:
-    """Draw the next point cloud of a topic from above; without a topic, of the only one with clouds.
+    """Draw the next point cloud of a topic from above; without a topic, of the only topic with clouds.
 
     Raises:
         NotFound: if the topic is not there, or there is no cloud.
@@ -100,7 +100,7 @@ async def cloud_picture(source: Source, topic: str, options: BirdEyeOptions, rep
         robot_y_m=place and place.y_m,
         robot_yaw_rad=place and place.yaw_rad,
         received_at=iso_time(found.sample.received_ns),
-        seconds_in=seconds_in(found.sample.received_ns, source.began_ns),
+        seconds_from_start=seconds_from_start(found.sample.received_ns, source.began_ns),
         source=found.source,
         pictures=facts([seen.picture]),
         images=[seen.picture],

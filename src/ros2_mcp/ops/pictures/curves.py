@@ -59,7 +59,7 @@ def drawn_fields(definitions: Definitions, type_name: str, path: str, most: int 
 
 
 def values_of(capture: Capture[Columns], fields: Sequence[FieldPath]) -> Iterator[FieldValues]:
-    """Yield the values of each field; for a list, those of each of its first elements."""
+    """Yield the values of each field; for a list, the values of each of its first elements."""
     kept = capture.kept
     times = np.maximum(seconds(kept.read_ns, capture.start_ns), 0.0)
     by_path = {column.path.path: column for column in kept.columns}

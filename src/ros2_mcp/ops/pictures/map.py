@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from ros2_mcp.model.aside import load
 from ros2_mcp.model.nav2 import COSTMAP_UPDATE, GRID_UPDATE
 from ros2_mcp.model.pictures import BOUNDS, OCCUPANCY_GRID
-from ros2_mcp.model.times import seconds_in
+from ros2_mcp.model.times import seconds_from_start
 from ros2_mcp.ops.navigation.costmaps import costmap_of, updates_of
 from ros2_mcp.ops.pictures.next_message import Next, next_message
 from ros2_mcp.ops.pictures.robot_place import robot_place
@@ -28,8 +28,8 @@ class MapPicture(WithPictures):
     of the picture; null if it is not finite. `free`, `occupied` (50 % and more) and `unknown` are shares of all cells.
 
     The upper left pixel of the map is at `left_px`, `top_px`, and a pixel is `metres_per_pixel` wide; outside are the
-    axes. The robot's pose in `frame_id` is null if unknown. `seconds_in` is the receive time as an offset from the
-    start of a recording.
+    axes. The robot's pose in `frame_id` is null if unknown. `seconds_from_start` is the receive time as an offset from
+    the start of a recording.
     """
 
     topic_name: str = field(metadata=SAID)
@@ -50,18 +50,19 @@ class MapPicture(WithPictures):
     robot_y_m: float | None
     robot_yaw_rad: float | None
     received_at: str
-    seconds_in: float | None
+    seconds_from_start: float | None
     source: str
     note: str = field(metadata=IF_ANY)
 
     def summary(self) -> str:
         """Return one line with the notes on the map."""
-        return f"{self.topic_name}: {self.pictures[0].note} {self.note}".rstrip()
+        begins = f"The map begins at pixel ({self.left_px}, {self.top_px}) of the picture."
+        return f"{self.topic_name}: {self.pictures[0].note} {begins} {self.note}".rstrip()
 
 
 async def map_picture(robot: Robot, source: Source, topic: str, report: Report = silent) -> MapPicture:
-    """Draw the map of a topic; without a topic, of the only one with maps. Its later updates are included live, and for
-    a recording without a start time, as of its end.
+    """Draw the map of a topic; without a topic, of the only topic with maps. Its later updates are included live, and
+    for a recording without a start time, as of its end.
 
     Raises:
         NotFound: if the topic is not there, or there is no map.
@@ -96,7 +97,7 @@ async def map_picture(robot: Robot, source: Source, topic: str, report: Report =
         robot_y_m=place and place.y_m,
         robot_yaw_rad=place and place.yaw_rad,
         received_at=iso_time(found.sample.received_ns),
-        seconds_in=seconds_in(found.sample.received_ns, source.began_ns),
+        seconds_from_start=seconds_from_start(found.sample.received_ns, source.began_ns),
         source=found.source,
         note=" ".join(filter(None, (unplaced, found.note, chosen))),
         pictures=facts([picture]),

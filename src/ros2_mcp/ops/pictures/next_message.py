@@ -16,7 +16,7 @@ from ros2_mcp.ops.sources.selection import undecodable
 from ros2_mcp.ops.sources.source import Source
 
 _TRIED = 32
-"""The most messages of a recording that are tried until one can be decoded; damaged ones are rare."""
+"""The most messages of a recording that are tried until one can be decoded; damaged messages are rare."""
 
 
 @dataclass(frozen=True, slots=True)

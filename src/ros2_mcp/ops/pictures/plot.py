@@ -12,7 +12,7 @@ from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model.errors import BadInput, BadName, NotFound
 from ros2_mcp.model.pictures import MAX_SIDE
 from ros2_mcp.model.text import counted
-from ros2_mcp.model.times import seconds_in
+from ros2_mcp.model.times import seconds_from_start
 from ros2_mcp.ops.results.results import IF_ANY, SAID, Report, WithPictures, facts, iso_time, silent
 from ros2_mcp.ops.sources.from_before import FromBefore
 from ros2_mcp.ops.sources.source import Capture, Missing, Source, Stream
@@ -66,19 +66,19 @@ class Series:
 class Plot(WithPictures):
     """The plotted series. Times are receive times; `note` lists what is not shown, and why.
 
-    `seconds_in` is `started_at` as an offset from the start of a recording.
+    `seconds_from_start` is `started_at` as an offset from the start of a recording.
     """
 
     source: str = field(metadata=SAID)
     kind: str
     started_at: str
-    seconds_in: float | None
+    seconds_from_start: float | None
     duration: float
     series: Sequence[Series]
     note: str = field(metadata=IF_ANY)
 
     def summary(self) -> list[str]:
-        """Return a line for the plot and one for each series."""
+        """Return a line for the plot and a line for each series."""
         lines = [
             f"{one.name}: {counted(one.count, 'value')}, {_number(one.min)} to {_number(one.max)}, "
             f"mean {_number(one.mean)}, last {_number(one.last)} {one.unit}".rstrip()
@@ -212,7 +212,7 @@ def _drawn(title: str, found: Sequence[tuple[Capture[Columns], str]], request: P
         source=title,
         kind=request.kind,
         started_at=iso_time(first.start_ns),
-        seconds_in=seconds_in(first.start_ns, first.began_ns),
+        seconds_from_start=seconds_from_start(first.start_ns, first.began_ns),
         duration=first.duration_s,
         series=series,
         note=" ".join(notes),

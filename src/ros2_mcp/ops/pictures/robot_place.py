@@ -18,7 +18,8 @@ from ros2_mcp.world.transforms import FrameTree, Located, pose_of
 
 _LISTEN_S = 0.6
 """Time to wait for a transform or a pose: matching takes up to 0.2 s, moving frames are published at 5 Hz or more,
-static ones are latched."""
+static frames are latched.
+"""
 _BEFORE_NS, _AFTER_NS = 10_000_000_000, 200_000_000
 """The part of a recording that is read around a time, in ns: as much as tf2 keeps, and one more message of a slow
 publisher."""

@@ -40,7 +40,9 @@ _ARM_SPEED, _SLIDE_SPEED, _ARM_SHARE = 0.3, 0.05, 0.3
 """The speed limits of joints: in rad/s, in m/s, and as a share of the velocity limit in the URDF; the least applies.
 Slow enough to be watched."""
 _MOST = 40
-"""The most services that are listed as comments: those of a small robot. A large one has hundreds, too many to read."""
+"""The most services that are listed as comments: the services of a small robot. A large robot has hundreds, too many to
+read.
+"""
 _HEAD = """\
 # A draft of a policy, made by `ros2-mcp policy init` from the robot in ROS domain {domain}. Read each line, and delete
 # what the agent does not need: what no rule allows is refused. Lines behind a # are what else was found.
@@ -86,7 +88,7 @@ _NO_OUTLINE = "radius_m: 0.3 # or footprint: [[x, y], …]: the robot's outline,
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Arm:
     """A joint trajectory controller: its action and topic ("" if it has none), and the joints that it moves, each with
-    its description if the robot has one.
+    its description if the robot has a URDF.
     """
 
     name: str

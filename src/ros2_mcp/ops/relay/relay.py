@@ -49,7 +49,7 @@ _APPEARS_S = 1.0
 _LOOK_EVERY_S = 0.02
 """Seconds between two checks of whether a relay has begun, which takes a few milliseconds."""
 _SILENT_S = 1.0
-"""After this long without a message, the publishers are looked up again: a new one may need another QoS."""
+"""After this long without a message, the publishers are looked up again: a new publisher may need another QoS."""
 _LATCHED_DEPTH = 10
 """The depth assumed for a publisher whose depth is unknown; `/tf_static` with ten broadcasters fits."""
 _DEPTH = 100
@@ -119,7 +119,7 @@ class RelayState:
 
 @dataclass(frozen=True, slots=True)
 class RelayList:
-    """All running relays, and those that ended last."""
+    """All running relays, and the relays that ended last."""
 
     relays: Sequence[RelayState]
     running: int
@@ -163,7 +163,7 @@ class Relay(Job):
         self._pass = self._make_transform()
         self._choose_qos(source, destination)
         self.counts = RelayCounts()
-        """The bridge's last counts; those of the server's own part follow below."""
+        """The bridge's last counts; the counts of the server's own part follow below."""
         self._held_back = 0
         self._failed = 0
         self._last_error = ""
@@ -206,7 +206,7 @@ class Relay(Job):
         self.stop_reason = self.stop_reason or reason_of(self._robot, self.counts.ended_by)
 
     async def wind_down(self) -> None:
-        """Make the bridge send the zero, if there is one, and answer with its last counts."""
+        """Make the bridge send the zero, if the relay has a zero, and answer with its last counts."""
         await self._robot.end_relay(self.id)
 
     def report(self) -> RelayState:
@@ -370,7 +370,9 @@ async def start(robot: Robot, session: Session, request: RelayRequest) -> RelayS
     Raises:
         Refused: if this server is read-only, or too many relays run.
         BadInput: if it would feed itself, runs already, or its options do not fit the types.
-        NotFound, TypeConflict: if there is no source topic and no type is given, or the types differ.
+        NotFound: if the source has no type and none is given, or with a mapping the destination has none.
+        TypeConflict: if the source has several types and none is given, or not the given type; or if the destination
+            has another type and no mapping is given, or with a mapping another than `destination_type`.
     """
     source, destination = names.absolute(request.source_topic), names.absolute(request.destination_topic)
     if request.transform not in TRANSFORMS:

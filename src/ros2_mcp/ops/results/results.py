@@ -25,7 +25,7 @@ OneOfSeveral = TypeVar("OneOfSeveral", bound="Outcome")
 _MAX_IN_WORDS = 12
 _SCALARS = frozenset({str, int, float, bool, type(None)})
 _TICK_S = 1.0
-"""Seconds between two lines of progress: as often as a person reads a new one."""
+"""Seconds between two lines of progress: as often as a person reads a new line."""
 _TIME = {"sec", "nanosec"}
 """The fields of a time or a duration."""
 
@@ -126,7 +126,7 @@ def unless_all_failed(results: Sequence[OneOfSeveral]) -> Sequence[OneOfSeveral]
 
 
 def lines_of(summary: str | list[str]) -> list[str]:
-    """Return the lines of a summary, which is one line or a list of lines."""
+    """Return the lines of a summary (a line, or a list of lines)."""
     return [summary] if isinstance(summary, str) else summary
 
 
@@ -190,7 +190,7 @@ def facts(pictures: Sequence[Picture]) -> list[PictureFacts]:
 
 
 def may_be_absent(declared: Field[Any]) -> bool:
-    """Return whether structured content omits a field of a result if it is empty: one that is empty by default,
+    """Return whether structured content omits a field of a result if it is empty: a field that is empty by default,
     `IF_ANY` or `ON_REQUEST`.
     """
     if "on_request" in declared.metadata or "if_any" in declared.metadata:
@@ -235,15 +235,15 @@ def _shown_fields(kind: type[Any]) -> tuple[tuple[str, bool, bool], ...]:
 
 
 def exact_time(unix_ns: int) -> str:
-    """Return a time as `iso_time` does, with nanoseconds: as an argument it separates a
-    message from the one before it.
+    """Return a time as `iso_time` does, with nanoseconds: as an argument it separates a message from the message before
+    it.
     """
     return f"{iso_time(unix_ns)[:-1]}{unix_ns % 1000:03d}Z"
 
 
 def in_words(values: Mapping[str, Any]) -> str:
     """Return the values of a message as one readable line: nested values by their paths, stamps and durations in
-    seconds; texts are quoted, and long ones cut.
+    seconds; texts are quoted, and long texts cut.
     """
     shallow = {name: value for name, value in values.items() if not isinstance(value, (dict, list))}
     nested = {name: value for name, value in values.items() if name not in shallow}

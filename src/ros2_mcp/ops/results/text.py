@@ -19,7 +19,7 @@ from ros2_mcp.model.values import DIAGONAL, DIAGONAL_EXPLAINED
 from ros2_mcp.ops.results.results import PictureFacts, as_json, lines_of
 
 MOST_CHARACTERS = 12_000
-"""The most characters of one text: a leading client cuts longer ones in the middle (measured, decision 58)."""
+"""The most characters of one text: a leading client cuts longer texts in the middle (measured, decision 58)."""
 _MOST_COLUMNS = 12
 """If messages differ in more places than these, a reader loses count: then each value has its path beside it."""
 _ACCOUNT = 300
@@ -31,7 +31,8 @@ _OURS = frozenset(
         *("note", "notes", "error", "problem", "problems", "recommendation", "reasons", "mismatches", "limitations"),
         *("footprint", "place", "command_inputs", "sensors", "joints", "controllers", "stacks", "frames", "unhealthy"),
         *("other_actions", "topics_without_publisher", "command_services", "state_topics"),
-        *("not_read", "allowed", "limits", "forbidden", "held", "cause", "helps", "hint", "health", "log"),
+        *("not_read", "not_checked", "allowed", "limits", "forbidden", "held", "cause", "helps", "hint", "health"),
+        "log",
     }
 )
 """Fields whose texts this server has written, with the robot's texts quoted already: shown unchanged."""

@@ -15,7 +15,9 @@ from ros2_mcp.robot import Robot
 from ros2_mcp.robot.resolution import is_infrastructure
 
 _FEW_LIFECYCLE = 20
-"""The most lifecycle services that are listed unasked: those of four nodes. Nav2 has seven to ten lifecycle nodes."""
+"""The most lifecycle services that are listed unasked: the services of four nodes. Nav2 has seven to ten lifecycle
+nodes.
+"""
 
 
 @dataclass(frozen=True, slots=True)

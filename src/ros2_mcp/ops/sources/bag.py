@@ -1,4 +1,6 @@
-"""A bag as a source of samples: the same operations measure the robot and a recording of it, even one in progress."""
+"""A bag as a source of samples: the same operations measure the robot and a recording of it, even a recording in
+progress.
+"""
 
 from __future__ import annotations
 
@@ -417,7 +419,8 @@ class Bags(SourceKind):
     async def kept(
         self, robot: Robot, store: BagStore, request: SourceRequest
     ) -> Sequence[Callable[[], Awaitable[Source]]]:
-        """Return functions that open this server's recordings, the robot's recording, and opened bags, last ones first.
+        """Return functions that open this server's recordings, the robot's recording, and opened bags, the last opened
+        first.
 
         The black box comes first while it is recorded. Recordings of former servers are not included.
         """
@@ -558,7 +561,9 @@ def end_note(source: Source, *texts: str) -> str:
 
 
 def _taken(samples: Iterable[Sample], limit: int, every_n: int) -> tuple[list[Sample], int, Sample | None]:
-    """Return every n-th sample up to limit and `MAX_BYTES`, at least one; the number read; and the next one, if any."""
+    """Return every n-th sample up to limit and `MAX_BYTES`, at least one sample; the number of samples read; and the
+    next sample, if any.
+    """
     found: list[Sample] = []
     size = passed = 0
     for passed, sample in enumerate(samples):

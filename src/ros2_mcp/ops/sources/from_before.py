@@ -32,7 +32,9 @@ class FromBefore:
 
     @classmethod
     def one(cls, age_s: float | None) -> FromBefore:
-        """Return a value for one message of that age; for None, which is not from before, for none."""
+        """Return the count and age of one message that is from before; for an age of None (the message is live), a
+        count of 0.
+        """
         return cls() if age_s is None else cls(1, 1, age_s)
 
     @property
@@ -70,11 +72,16 @@ def from_before(source: Source, stream: Stream, samples: Sequence[Sample]) -> Fr
     return FromBefore(len(old), len(samples), age_s)
 
 
-def told_as_met(from_before: str, met: bool) -> str:
-    """Return which message met a condition, or was the last one, if it is from before; to follow the time."""
+def outcome_in_words(*, met: bool, values: str, waited: str, from_before: str) -> str:
+    """Return whether a condition was met, with its values and the time, to follow the condition; and the age of the
+    message if it was sent before this call.
+    """
+    outcome = f"{'is met' if met else 'was not met'} {waited} ({values})"
     if not from_before:
-        return ""
-    return f" by {from_before}; nothing newer came" if met else f"; the last: {from_before}"
+        return outcome
+    if met:
+        return f"{outcome} by {from_before} this call; no newer message came"
+    return f"{outcome}; the last message: {from_before} this call"
 
 
 def _seconds(age_s: float) -> str:

@@ -49,15 +49,16 @@ _BURST_NS = 1_000_000_000
 """The messages that publishers keep for late subscribers come at once when they match;
 even large maps within a second."""
 _STREAM_MESSAGES, _STREAM_NS = 5, 1_500_000_000
-"""A topic with so many messages over such a time is a stream, whose silence later in the session is
-reported; one press of a button is not."""
+"""A topic with so many messages over such a time is a stream, whose silence later in the session is reported; a single
+press of a button is not.
+"""
 _TURN_S = 1.0
 """The longest single wait for samples; the empty batch after it shows that the stream is alive."""
 _APPEARING_S = 1.0
 """Time for a topic without a similar name in the graph, which may be starting; discovery on one machine takes less."""
 _QUESTION = "rcl_interfaces/srv/GetParameterTypes"
 _ANSWER_S = 1.0
-"""Time-out of a question to a node: one that spins answers within milliseconds, also over a wireless network."""
+"""Time-out of a question to a node: a node that spins answers within milliseconds, also over a wireless network."""
 _REPAIRED_S = 4.0
 """Discovery repairs within 3 s what it lost of a node that has just started, its answer and its
 messages; then the bridge asks again."""
@@ -409,8 +410,8 @@ class Live(Source):
         )
 
     async def hung(self, nodes: Sequence[str]) -> Sequence[str]:
-        """Return some of these nodes if not one of them answers: the graph shows killed or
-        disconnected nodes for another 20 s.
+        """Return some of these nodes if none of these nodes answers: the graph shows killed or disconnected nodes for
+        another 20 s.
         """
         offered = {row.name for row in await self._robot.graph.services()}
         asked = [node for node in dict.fromkeys(nodes) if is_of_robot(node) and service_of(node, _QUESTION) in offered]

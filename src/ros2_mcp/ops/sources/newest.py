@@ -20,13 +20,13 @@ if TYPE_CHECKING:
     from ros2_mcp.values.cdr import Codec
 
 _FIRST_S = 0.3
-"""Time for the first message of a topic: a later one is shown with the next read, and delays nothing else."""
+"""Time for the first message of a topic: a later message is shown with the next read, and delays nothing else."""
 _LISTED_S = 1.0
 """Age at which the list of topics is read again: a person can wait a second for a new topic."""
 
 
 class NewestOfRobot(Source):
-    """A source that gives only the newest message of each topic, at once if one has arrived before."""
+    """A source that gives only the newest message of each topic, at once if a message has arrived before."""
 
     title = "the robot"
     words = "live"

@@ -47,7 +47,7 @@ class Newest:
     counted: list[tuple[float, int]] = field(default_factory=list[tuple[float, int]])
 
     async def newer(self, than: Sample | None, timeout_s: float) -> Sample | None:
-        """Return a sample other than `than`, as soon as there is one; None if none came in time."""
+        """Return a sample other than `than`, as soon as it is there; None if no such sample came in time."""
         self.looked_at = monotonic()
         deadline = monotonic() + timeout_s
         while self.sample is None or self.sample is than:
@@ -74,7 +74,7 @@ class Newest:
 
 
 class NewestSamples(Kept):
-    """The newest message of each topic, subscribed from the first read until `_IDLE_S` after the last one."""
+    """The newest message of each topic, subscribed from the first read until `_IDLE_S` after the last read."""
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot

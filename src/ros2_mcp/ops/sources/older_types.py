@@ -1,5 +1,5 @@
-"""Read messages whose definition has changed: a recording without definitions is read with those of
-the distribution that wrote it.
+"""Read messages whose definition has changed: a recording without definitions is read with the definitions of the
+distribution that wrote it.
 
 Range, Marker and SolidPrimitive have more fields since Humble or Iron; the definitions are those of `rosbags`.
 """
@@ -28,8 +28,8 @@ _OLDER = ("jazzy", "iron", "humble", "galactic", "foxy", "eloquent", "dashing")
 
 
 def take(opened: OpenedBag, codec: Codec, topic: StoredTopic) -> None:
-    """If the newest distribution's definition does not fit the first messages of a topic, take the newest older one
-    that does. Do nothing if none fits, or the type never changed.
+    """If the newest distribution's definition does not fit the first messages of a topic, take the newest older
+    definition that fits. Do nothing if no definition fits, or the type never changed.
     """
     from ros2_mcp.values.cdr import Codec  # with numpy: not before it is needed
     from ros2_mcp.values.definitions import Definitions
@@ -65,7 +65,7 @@ def _fits(codec: Codec, type_name: str, messages: Sequence[bytes]) -> bool:
 
 
 def _definitions(type_name: str) -> Iterator[tuple[str, dict[str, DefinitionText]]]:
-    """Yield each distribution whose definition differs from the next newer one."""
+    """Yield each distribution whose definition differs from the next newer distribution's."""
     from rosbags.typesys import Stores, TypesysError, get_typestore
 
     last = ""

@@ -1,4 +1,4 @@
-"""Choose the topic if a caller names none: the only one of a type."""
+"""Choose the topic if a caller names none: the only topic of a type."""
 
 from __future__ import annotations
 

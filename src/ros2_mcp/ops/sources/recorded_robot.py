@@ -60,7 +60,7 @@ class RecordedGraph(Graph):
         return ""
 
     async def interfaces(self, within_s: float = REQUEST_S) -> list[str]:  # noqa: ARG002 - a file answers at once
-        """Return the types of the recorded topics, with those that they refer to."""
+        """Return the types of the recorded topics, and the types that these refer to."""
         return sorted(await recorded_definitions(self._store))
 
     async def name_of(self, topic: str) -> str:
@@ -96,7 +96,7 @@ class RecordedValues(Values):
 
 
 async def recorded_definitions(store: BagStore) -> dict[str, DefinitionText]:
-    """Return every known definition of the types of the recorded topics, with those that they refer to."""
+    """Return every known definition of the types of the recorded topics and of the types that these refer to."""
 
     def read() -> list[StoredTopic]:
         with store.reading(store.subject_name) as bag:

@@ -75,15 +75,15 @@ class Selection:
             bounded("message_limit", self.message_limit, 1, MAX_MESSAGES, "messages")
 
     def check_fields(self, definitions: Definitions, type_name: str) -> None:
-        """Raise `BadValue` if the type has no such field; it names the nearest one."""
+        """Raise `BadValue` if the type has no such field; the error names the nearest field."""
         if self.fields:
             from ros2_mcp.values.select import parse_fields
 
             parse_fields(definitions, type_name, self.fields)
 
     def fitting(self, definitions: Definitions, type_name: str) -> tuple[Selection, str]:
-        """Return the selection with those of its shared fields that the type has, and a
-        sentence on the fields that it lacks.
+        """Return the selection with only the shared fields that the type has, and a sentence on the fields that it
+        lacks.
 
         Raises:
             BadValue: for a field that the type does not have; for shared fields only if it has none of them.
@@ -287,7 +287,7 @@ def undecodable(count: int, trouble: str = "") -> str:
 
 
 def spread_indices(count: int, most: int) -> list[int]:
-    """Return at most `most` of `count` indices, evenly spread, with the first and the last; for one, the last."""
+    """Return at most `most` of `count` indices, evenly spread, with the first and the last; for `most` 1, the last."""
     if count <= most:
         return list(range(count))
     if most == 1:

@@ -132,8 +132,8 @@ class Stream:
 
     @property
     def mixed(self) -> str:
-        """A sentence on the publishers whose messages are mixed although one is expected;
-        only live streams know publishers.
+        """A sentence on the publishers whose messages are mixed although one publisher is expected; only live streams
+        know publishers.
         """
         return ""
 
@@ -345,7 +345,7 @@ class Source(ABC):
         return sorted(name for name, found in topics.items() if any(one.type in types for one in found.publishers))
 
     async def absence(self) -> str:
-        """Return a sentence if no robot is there; empty if there is one, and for recordings."""
+        """Return a sentence if no robot is there; empty if there is a robot, and for recordings."""
         return ""
 
     def words_after(self, took_s: float) -> str:  # noqa: ARG002 - what was kept is read in no time
@@ -388,7 +388,7 @@ class Source(ABC):
 
 
 class SourceKind:
-    """A kind of source, which finds its sources. A kind overrides one method or both."""
+    """A kind of source, which finds its sources. A subclass overrides one method or both."""
 
     async def named(self, robot: Robot, store: BagStore, request: SourceRequest) -> Source | None:  # noqa: ARG002
         """Return the requested source, or None if it is not of this kind."""

@@ -147,7 +147,7 @@ def _at(pose: Pose, frame: str, *, is_camera: bool) -> str:
 
 
 def _turned(pose: Pose) -> str:
-    """Return the rotation in whole degrees: roll, pitch and yaw, those below 0.5° omitted; only yaw if the frame is
+    """Return the rotation in whole degrees: roll, pitch and yaw, angles below 0.5° omitted; only yaw if the frame is
     level.
     """
     angles_deg = [math.degrees(angle) for angle in pose.roll_pitch_yaw_rad]

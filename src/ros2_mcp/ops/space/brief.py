@@ -110,7 +110,7 @@ def _lines(whole: RobotInBrief) -> dict[str, Sequence[str]]:
 
 
 def _with_first(head: RobotInBrief, lines: Mapping[str, Sequence[str]], kept: Mapping[str, int]) -> RobotInBrief:
-    """Return `head` with the first `kept` lines of each part, and a line that counts the omitted ones."""
+    """Return `head` with the first `kept` lines of each part, and a line that counts the omitted lines."""
     parts: dict[str, Sequence[str]] = {}
     omitted = 0
     for part, all_of in lines.items():

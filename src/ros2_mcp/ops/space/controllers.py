@@ -1,4 +1,6 @@
-"""The ros2_control controllers of a robot: those that command joints first; inactive ones are marked as such."""
+"""The ros2_control controllers of a robot: first the controllers that command joints; inactive controllers are marked
+as such.
+"""
 
 from __future__ import annotations
 
@@ -76,8 +78,8 @@ async def listed_controllers(robot: Robot, graph: GraphSnapshot) -> Mapping[str,
 def controllers_of(
     graph: GraphSnapshot, managed: Mapping[str, Sequence[Mapping[str, Any]]], *, is_controlled: bool
 ) -> list[Controller]:
-    """Return the controllers, those that command joints first. Without an answer of a manager, they are found in the
-    graph.
+    """Return the controllers, first the controllers that command joints. Without an answer of a manager, they are found
+    in the graph.
     """
     moved = {name for name in _movers(graph) if graph.nodes is None or name in graph.nodes}
     if not managed:

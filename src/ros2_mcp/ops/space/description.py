@@ -49,7 +49,9 @@ async def description_text(robot: Robot, topic: str = "") -> str:
 
 
 async def _parameter(robot: Robot) -> str:
-    """Return the description held as a parameter by the first state publisher that has one; empty if none has."""
+    """Return the description held as a parameter by the first state publisher that has a description; empty if none
+    has.
+    """
     nodes = [row.name for row in await robot.graph.nodes() if row.name.rpartition("/")[2] == _PUBLISHER]
     found = await asyncio.gather(*(parameter_of(robot, node, DESCRIPTION) for node in nodes[:4]))
     return next((text for text in found if isinstance(text, str) and text), "")

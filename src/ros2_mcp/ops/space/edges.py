@@ -209,7 +209,7 @@ def _how_told(edge: Edge, at_ns: int, publisher: str) -> list[str]:
 
 def _first_of(received_ns: Sequence[int], what: str, at_ns: int) -> str:
     """Return the number of events and the age of the first, to be put after the age of the last; empty if there is only
-    one.
+    one event.
     """
     if len(received_ns) < 2:
         return ""
@@ -218,7 +218,7 @@ def _first_of(received_ns: Sequence[int], what: str, at_ns: int) -> str:
 
 
 def _is_refused_since(edge: Edge) -> bool:
-    """Return whether every message since the last valid one was refused."""
+    """Return whether every message since the last valid message was refused."""
     return edge.refused_ns >= edge.last_received_ns
 
 
@@ -292,7 +292,7 @@ def _when_told(tree: FrameTree, edge: Edge, at_ns: int, publisher: str, *, is_ot
 
 
 def _other_clock(tree: FrameTree, edge: Edge, publisher: str) -> str:
-    """Describe which clock the edge's stamps come from, unlike those of the other edges, and the likely cause."""
+    """Describe which clock the edge's stamps come from, unlike the other edges' stamps, and the likely cause."""
     away = f"{seconds_in_words(edge.lag_ns)} {'behind' if edge.lag_ns > 0 else 'ahead of'} the robot's clock"
     if tree.clock_ns and abs(edge.lag_ns) < OTHER_CLOCK_NS:
         others = "simulated time" if tree.has_clock else "another time (simulated, or a bag that is played)"

@@ -31,8 +31,8 @@ async def frames_heard(listener: TransformListener, published: Sequence[str], de
 
 
 def _is_heard(tree: FrameTree, published: Sequence[str]) -> bool:
-    """Return whether transforms were received, also such as are refused; if /tf has a publisher, the latched ones of
-    /tf_static are not enough.
+    """Return whether transforms were received, also such as are refused; if /tf has a publisher, the latched transforms
+    of /tf_static are not enough.
     """
     if any(topic.endswith(TF) for topic in published):
         return tree.messages[TF] > 0

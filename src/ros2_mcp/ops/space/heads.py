@@ -29,8 +29,8 @@ _RECENT_NS = 5_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class Head:
-    """The head of one topic: the number of messages received, the rate (None: too few messages), the `frame_id` of the
-    newest one, and whether the only message received implies a rate below 2 Hz.
+    """The head of one topic: the number of messages received, the rate (None: too few messages), the newest message's
+    `frame_id`, and whether the only message received implies a rate below 2 Hz.
     """
 
     count: int

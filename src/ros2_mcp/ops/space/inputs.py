@@ -96,8 +96,8 @@ class CommandInput:
 
 
 def command_inputs(graph: GraphSnapshot, managed: Mapping[str, Sequence[Mapping[str, Any]]]) -> Sequence[CommandInput]:
-    """Return the command inputs of a graph: active ones first; among these velocities before goals before low-level
-    commands; then those with the shortest namespace.
+    """Return the command inputs of a graph: active inputs first; among these velocities before goals before low-level
+    commands; then the shortest namespace first.
 
     The topic of a trajectory controller that also has an action is listed with the action. `managed`: the controllers
     listed by each controller manager, by the manager's node.
@@ -114,7 +114,7 @@ def command_inputs(graph: GraphSnapshot, managed: Mapping[str, Sequence[Mapping[
 
 
 def other_actions(graph: GraphSnapshot, inputs: Sequence[CommandInput]) -> list[Named]:
-    """Return the actions that are no command inputs; those of Nav2 and MoveIt last."""
+    """Return the actions that are no command inputs; the actions of Nav2 and MoveIt last."""
     told = {one.topic for one in inputs}
     found = [one for one in _actions(graph) if one[0] not in told and not _GOALS.fullmatch(one[1])]
     found.sort(key=lambda one: one[1].partition("/")[0] in _STACKS)

@@ -90,7 +90,7 @@ def _span_in_words(lower: float, upper: float) -> str:
 
 
 def _inwards(limit: float, rounded: Callable[[float], int]) -> str:
-    """Round a limit to 3 decimals in the given direction; one that is practically infinite is not rounded."""
+    """Round a limit to 3 decimals in the given direction; a practically infinite limit is not rounded."""
     return f"{rounded(limit * 10**_DECIMALS) / 10**_DECIMALS:g}" if abs(limit) < _FAR else f"{limit:.3g}"
 
 

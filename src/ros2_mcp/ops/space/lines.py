@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from ros2_mcp.model.text import named
 
 _MOST_NODES = 3
-"""The most nodes named in one line; further ones are only counted."""
+"""The most nodes named in one line; further nodes are only counted."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ from ros2_mcp.world.urdf import Mount, Urdf
 from ros2_mcp_common.finite import not_finite
 
 _OLD_S = 2.0
-"""A pose older than this is not the current one."""
+"""A pose older than this is not the current pose."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,7 +27,7 @@ _SUBSCRIBED_S = 0.5
 """The longest wait for subscriptions: each takes milliseconds, over a network some hundred; the caller must not wait
 longer."""
 _MOST = 6
-"""The most topics subscribed to: a planner has one, its smoother another, and some nodes publish goals."""
+"""The most topics subscribed to: a planner has one topic, its smoother another, and some nodes publish goals."""
 _logger = logging.getLogger(__name__)
 
 
@@ -43,8 +43,8 @@ class LastPlans(Kept):
         self._asked_at = 0.0
 
     async def hear(self, topics: Sequence[str]) -> None:
-        """Subscribe to the plan and goal topics among `topics`, at most six, without those of local planners, which are
-        published all the time. Wait for the subscriptions, at most `_SUBSCRIBED_S`.
+        """Subscribe to the plan and goal topics among `topics`, at most six, without the topics of local planners,
+        where messages come all the time. Wait for the subscriptions, at most `_SUBSCRIBED_S`.
         """
         self._asked_at = monotonic()
         lasts = {name: name.rpartition("/")[2] for name in topics if "local" not in name}

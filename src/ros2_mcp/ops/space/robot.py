@@ -70,8 +70,9 @@ _ANSWERED_S, _GIVEN_UP_S = 1.4, 1.7
 """Limits in s after the call: for the wait for messages, all at the same time, and for each part as a whole. The result
 is due within two seconds, with a margin for a busy machine."""
 _TURNS_NS = 150_000_000
-"""Time after the first joint states in which those of other joints arrive: drivers that alternate publish at 10 Hz or
-more."""
+"""Time after the first joint states in which the states of other joints arrive: drivers that alternate publish at 10 Hz
+or more.
+"""
 _JOINTS_NS = 1_000_000_000
 """The part at the end of a recording in which joint states are read."""
 _LEAST_S = 0.4
@@ -159,8 +160,8 @@ async def in_brief(robot: Robot, source: Source, *, part: Part = "", whole: bool
 
 
 async def unhealthy_besides(robot: Robot, source: Source) -> Sequence[str]:
-    """Return the faults that `in_brief` calls unhealthy, in sentences, without those that a health check finds itself:
-    frames, silent topics, diagnostics, controllers. Raises as `in_brief`.
+    """Return the faults that `in_brief` calls unhealthy, in sentences, without the faults that a health check finds
+    itself: frames, silent topics, diagnostics, controllers. Raises as `in_brief`.
     """
     seen = await _gathered(robot, source, _MOST_SENSORS)
     unsure = "" if seen.tree.frames else _NO_DESCRIPTION  # without frames it may be no robot, and needs no description

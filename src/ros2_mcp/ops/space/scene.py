@@ -16,7 +16,7 @@ from ros2_mcp.model.nav2 import COSTMAP, PATH
 from ros2_mcp.model.pictures import BOUNDS, LASER_SCAN, OCCUPANCY_GRID, Picture, Place, RobotPlace
 from ros2_mcp.model.poses import Pose, planar
 from ros2_mcp.model.text import listed, named
-from ros2_mcp.model.times import recorded_time, seconds_in
+from ros2_mcp.model.times import recorded_time, seconds_from_start
 from ros2_mcp.ops.navigation.costmaps import Costmap, chosen_costmaps, costmap_of
 from ros2_mcp.ops.navigation.known_places import NamedPlace, places_of
 from ros2_mcp.ops.navigation.navigate import Navigation
@@ -46,9 +46,9 @@ POSE_STAMPED, POLYGON, STRING = (
 _GRID_S = 4.0
 """Time to wait for a map: it is latched, but its publisher may be discovered up to 3 s late."""
 _LAYER_S = 1.2
-"""Time to wait for other layers: they are published at 1 Hz or more; one that is silent must not delay the picture."""
+"""Time to wait for other layers: they are published at 1 Hz or more; a silent layer must not delay the picture."""
 _FRAMES_S = 1.0
-"""Time to wait for frames not used before: transforms are published at 10 Hz, static ones are latched."""
+"""Time to wait for frames not used before: transforms are published at 10 Hz, static transforms are latched."""
 _BEFORE_NS = 10_000_000_000
 """The part of a recording before the time shown in which transforms are read: as much as tf2 keeps."""
 _MOST_SCANS, _MOST_PATHS, _MOST_GOALS = 3, 4, 4
@@ -56,7 +56,7 @@ _MOST_SCANS, _MOST_PATHS, _MOST_GOALS = 3, 4, 4
 _MOST_PLACES, _MOST_POINTS = 40, 2_000
 """The most named places, and points of a path: more than the picture has pixels across."""
 _OLD_S = 3.0
-"""A scan or pose older than this is not the current one: every driver publishes both several times a second."""
+"""A scan or pose older than this is not current: every driver publishes both several times a second."""
 _LATE_S = 0.5
 """Age from which a scan's directions are in doubt: a robot that turns at 1 rad/s faces elsewhere by then."""
 _COSTMAP, _DESCRIPTION = "costmap", "description"
@@ -157,7 +157,8 @@ class Gathered:
         return [*await asyncio.gather(*(self._read_layer(*layer) for layer in layers))]
 
     async def _read_layer(self, layer: str, topic: str, type_name: str) -> Next | RobotError:
-        """Return the next message; for a path or goal, which are published once, live the latest one received, if any.
+        """Return the next message; for a path or goal, which are published once, live the latest message received, if
+        any.
 
         A topic that has been subscribed to since an earlier call is not waited for again.
         """
@@ -497,7 +498,7 @@ async def _picture(gathered: Gathered, request: SceneRequest) -> ScenePicture:
         meaning=meaning,
         missing=gathered.missing,
         at=iso_time(now_ns) if source.is_live else recorded_time(now_ns, source.began_ns),
-        seconds_in=seconds_in(now_ns, source.began_ns),
+        seconds_from_start=seconds_from_start(now_ns, source.began_ns),
         source=source.title,
         pictures=facts([picture]),
         images=[picture],
@@ -536,7 +537,7 @@ def _drawn(gathered: Gathered, request: SceneRequest) -> tuple[SceneDrawing, Sce
 
 
 def _chosen_grid(asked: str, grids: Sequence[str]) -> str:
-    """Return the topic of the grid: the requested one, else a map, else a costmap; empty if there is none.
+    """Return the topic of the grid: the requested one, else a map, else a costmap; empty if there is no such topic.
 
     Raises:
         NotFound: if `costmap` is requested and none is published.

@@ -15,7 +15,8 @@ _FLAT_M = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Way:
-    """A path that no topic publishes, such as a planned one: points (x, y) in m in `frame`; its end is drawn as a goal.
+    """A path that no topic publishes, such as a planned path: points (x, y) in m in `frame`; its end is drawn as a
+    goal.
 
     `marks` (name, x, y) are notable places along the path.
     """
@@ -86,7 +87,7 @@ class ScenePicture(WithPictures):
     meaning: Meaning | None = field(metadata=SAID)
     missing: Sequence[str] = field(metadata=SAID)
     at: str
-    seconds_in: float | None
+    seconds_from_start: float | None
     source: str
 
     def summary(self) -> list[str]:

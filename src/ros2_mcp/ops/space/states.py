@@ -31,7 +31,7 @@ _NO_FAULT = re.compile(r"(^|_)(NO|NOT|NON|NONE|OK|CLEAR(ED)?|RELEASED|RESET|RECO
 
 async def states_of(source: Source, topics: Mapping[str, str]) -> tuple[dict[str, str], list[str]]:
     """Return the value of each topic (name: type) that has a single value and was received, in words: the name of the
-    type's constant with that value, if it has one. Also return sentences for values named as faults.
+    type's constant with that value, if such a constant exists. Also return sentences for values named as faults.
     """
     found = await asyncio.gather(*(_state(source, topic, kind) for topic, kind in topics.items()))
     told = {topic: (said, f" ({age})" if age else "") for topic, (said, age) in zip(topics, found, strict=True) if said}

@@ -29,7 +29,7 @@ _CALLED = {
     "odometry": re.compile(r"odom|diff|drive|base|ekf|ukf|state_estimat|wheel|kobuki|vio"),
     "description": re.compile(r"state_publisher|description|joint"),
 }
-"""Usual names of nodes by role: those of Nav2, slam_toolbox, robot_localization, ros2_control and others."""
+"""Usual names of nodes by role: the names of Nav2, slam_toolbox, robot_localization, ros2_control and others."""
 _LOCALISATION = "localisation"
 GONE = ", which is gone"
 _AS = {"placing": "localisation"}
@@ -129,10 +129,11 @@ class Tellers:
         )
 
     def is_missed(self, names: Sequence[str]) -> bool:
-        """Return whether an edge is missing that these silent nodes may have to publish: the frames are not one tree,
-        or the base in odom, or odom in a map, is not published, which by their names is the task of one of them.
+        """Return whether a transform is missing that one of these silent nodes may have to publish.
 
-        A controller whose odometry transform is disabled still has a publisher on /tf.
+        It is missing if the frames are not one tree; if a node is named like a localisation, and neither odom nor a
+        moving frame has a map as its parent; or if a node is named like an odometry source, and the base has no parent.
+        Silence alone proves nothing: a controller whose odometry transform is disabled still has a publisher on /tf.
         """
         tree, roles = self._tree, {_role_of_name(name) for name in names}
         if len(tree.roots) != 1 or (_LOCALISATION in roles and not self.has_localisation):

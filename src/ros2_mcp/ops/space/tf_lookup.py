@@ -131,7 +131,7 @@ class Lookup:
     note: str = ""
 
     def summary(self) -> list[str]:
-        """Return a line with the pose, lines with spread and transformed points, and one with the edges of the
+        """Return a line with the pose, lines with spread and transformed points, and a line with the edges of the
         chain.
         """
         at = self.translation
@@ -183,7 +183,7 @@ async def tf_lookup(source: Source, request: LookupRequest, report: Report = sil
         at_ns = found.stamp_ns if not request.time and found.stamp_ns else None
         notes += [found.note] if found.note else []
     if not frame:
-        raise BadInput("source, the frame to look up, is not given.", "Give source, such as base_link.")
+        raise BadInput("`source` is missing: it is the frame to look up.", "Give source, such as base_link.")
     target = request.target.strip().lstrip("/")
     slashed = [name for name in (request.target.strip(), request.frame.strip()) if name.startswith("/")]
     if slashed:
@@ -302,7 +302,7 @@ async def _more_of(source: Source, error: NoTransform, tree: FrameTree, names: S
 
 
 def _who_tells(tree: FrameTree, names: Sequence[str], tellers: Tellers, reason: str) -> list[str]:
-    """Return the publishers of the edges behind an error; for a frame with two parents, those of each."""
+    """Return the publishers of the edges behind an error; for a frame with two parents, of both edges."""
     steps = {edge.child: edge for name in names if name in tree.frames for edge in tree.way_up(name)}
     roots = [tree.edges.get(tree.root_of(name)) for name in names if name in tree.frames]
     steps |= {edge.child: edge for edge in roots if edge and edge.refused}

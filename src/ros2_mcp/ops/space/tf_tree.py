@@ -31,8 +31,9 @@ _AGAIN_NS = 4_000_000_000
 publisher, which may be discovered late."""
 
 _LEAST_GAP_NS, _GAP_PERIODS = 2_000_000_000, 10
-"""A gap in a recording is reported from this length and number of usual periods on: a busy machine causes shorter ones,
-and an edge published irregularly has many."""
+"""A gap in a recording is reported from this length and number of usual periods on: a busy machine causes shorter gaps,
+and an edge published irregularly has many.
+"""
 
 _LOOK_S = 0.2
 """Interval at which silent publishers are checked again."""

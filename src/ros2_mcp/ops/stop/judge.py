@@ -155,7 +155,7 @@ class BaseJudge:
         self._problem = NOTHING_CAME
 
     def hear(self, reading: Reading) -> None:
-        """Add a reading; one without a finite velocity shows nothing."""
+        """Add a reading; a reading without a finite velocity shows nothing."""
         if reading.velocity is None or not all(map(math.isfinite, reading.velocity)):
             self._problem = "it did not report the robot's speed"
             return
@@ -271,7 +271,7 @@ class JointJudge:
 
     @property
     def names(self) -> Sequence[str]:
-        """All joints that the topic has reported, and the expected ones."""
+        """All joints that the topic has reported, and the expected joints."""
         return list(self._joints)
 
     @staticmethod
@@ -285,14 +285,14 @@ class JointJudge:
 
 
 def distance_m(one: Sequence[float] | None, other: Sequence[float] | None) -> float:
-    """Return the distance between two positions; 0 if one of them is missing or not finite."""
+    """Return the distance between two positions; 0 if either position is missing or not finite."""
     if one is None or other is None or not all(map(math.isfinite, (*one, *other))):
         return 0.0
     return math.dist(one, other)
 
 
 def angle_rad(one: Sequence[float] | None, other: Sequence[float] | None) -> float:
-    """Return the angle between two quaternions of any length; 0 if one of them is missing, not finite, or zero."""
+    """Return the angle between two quaternions of any length; 0 if either is missing, not finite, or zero."""
     if one is None or other is None or not all(map(math.isfinite, (*one, *other))):
         return 0.0
     (ax, ay, az, aw), (bx, by, bz, bw) = one, other

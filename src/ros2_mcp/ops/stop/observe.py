@@ -95,7 +95,7 @@ class _Source:
 
 async def observe_still(robot: Robot, *, hovers: bool = False) -> Observation:
     """Read all topics that report motion until they show that the robot is stationary: at most for the time that it has
-    to come to rest, or for 2.5 s if one of them shows nothing. Never raises a `RobotError`.
+    to come to rest, or for 2.5 s if a topic shows nothing. Never raises a `RobotError`.
 
     A vehicle that `hovers` gets time to brake, and may sway in place.
     """
@@ -160,7 +160,7 @@ def _base_source(feedback: Feedback, hovers: bool) -> _Source:
 
 
 async def _published(robot: Robot, topics: Sequence[str], kind: str) -> Sequence[str]:
-    """Return, sorted, the topics that a node of the robot publishes, and not only this server or another one."""
+    """Return, sorted, the topics that a node of the robot publishes, and not only this server or another server."""
     found = await asyncio.gather(*(robot.graph.endpoints(topic, _FOUND_S) for topic in topics))
     return sorted(
         present.topic
@@ -253,7 +253,7 @@ def _at(message: Any, path: str) -> Any:
 
 
 def _numbers(of: Any, fields: str) -> Sequence[float] | None:
-    """Return these fields as numbers; None if one is missing or not a number."""
+    """Return these fields as numbers; None if a field is missing or not a number."""
     if not isinstance(of, Mapping):
         return None
     try:

@@ -36,8 +36,9 @@ ENDED_S = 3.0
 period; the stop must answer soon.
 """
 _BRIDGE_S = 5.0
-"""Time for a bridge that is starting, and again for the successor of a lost one: the stop must
-answer soon, confirmed or not."""
+"""Time for a bridge that is starting, and again for the successor of a lost bridge: the stop must answer soon,
+confirmed or not.
+"""
 _OTHERS_S = 1.0
 """Time to look up other publishers and running goals: the bridge has them at once,
 unless discovery is still under way.
@@ -54,8 +55,9 @@ that its latch is written by then."""
 _LOOK_S = 0.05
 """Seconds between two checks of whether a robot is out of reach."""
 _LATCH_S = 0.2
-"""Time that the bridge gets before the latch is written: a live one has ended what moves, and sent its
-zeros, within a tenth of that."""
+"""Time that the bridge gets before the latch is written: a live bridge has ended what moves, and sent its zeros, within
+a tenth of that.
+"""
 _UNANSWERED_S = 0.5
 """Time-out for an action server that did not answer the last stop, so that a dead one does
 not cost each stop the full time."""

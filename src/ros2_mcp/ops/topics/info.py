@@ -47,7 +47,7 @@ class TopicInfo:
     mismatches: Sequence[str] = field(metadata=SAID)
 
     def summary(self) -> list[str]:
-        """Return one line, and one for each mismatch."""
+        """Return one line, and one line for each mismatch."""
         publishers, subscribers = (
             f"{counted(len(side), what)}{_own_count(side)}"
             for side, what in ((self.publishers, "publisher"), (self.subscribers, "subscriber"))

@@ -65,7 +65,7 @@ def is_internal(name: str, types: Sequence[str]) -> bool:
 async def list_topics(
     robot: Robot, pattern: str = "", include_hidden: bool = False, limit: int = 200, *, with_fields: bool = False
 ) -> TopicList:
-    """Return the topics whose names or types match the pattern (a glob, or any part of one), sorted by name."""
+    """Return the topics whose names or types match the pattern (a glob, or any part of a name), sorted by name."""
     found, absence = await robot.graph.topics_and_absence(count_most=limit)
     visible = {row.name: row for row in found if include_hidden or not names.is_hidden(row.name)}
     chosen = names.matching(sorted(visible), pattern, lambda name: visible[name].types)

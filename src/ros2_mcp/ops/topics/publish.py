@@ -87,7 +87,7 @@ class PublishedSeveral:
 
 
 async def publish(robot: Robot, session: Session, request: PublishRequest, report: Report = silent) -> Published:
-    """Publish a message, after checking every value against its definition; nothing is sent if one does not fit.
+    """Publish a message, after checking every value against its definition; nothing is sent if a value does not fit.
 
     Raises:
         BadValue: if a value does not fit, with its path, or a limit is out of range.
@@ -149,7 +149,7 @@ async def publish(robot: Robot, session: Session, request: PublishRequest, repor
 async def publish_several(
     robot: Robot, session: Session, requests: Sequence[PublishRequest], report: Report = silent
 ) -> PublishedSeveral:
-    """Publish on several topics at the same time; the `error` of one does not stop the others.
+    """Publish on several topics at the same time; the `error` of one topic does not stop the others.
 
     Raises:
         BadInput: if there are no topics.
@@ -172,8 +172,9 @@ class Repetition(Job):
 
     kind = "repeat"
     most_running = 256
-    """More topics than a client publishes on at once; `ros2_publish_multiple_topics`
-    counts one for each of its topics."""
+    """More topics than a client publishes on at once; `ros2_publish_multiple_topics` counts once for each of its
+    topics.
+    """
     patience_s = 1.0
     """`ros2_stop` ends repeats in the bridge first and the jobs afterwards; the
     bridge's answer is on its way by then."""

@@ -56,7 +56,7 @@ _MAX_NODES = 3
 _IRREGULAR = 2.0
 """A longest period of more than this many usual periods is reported: a message was missing there or came very late."""
 _LEAST_S = 1e-3
-"""A recording, or part of one, that is shorter has no byte rate: it is a single moment."""
+"""A recording, or a part of a recording, that is shorter has no byte rate: it is a single moment."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -130,8 +130,8 @@ class Stats:
     is_live: bool = field(default=True, metadata=HIDDEN)
 
     def summary(self) -> list[str]:
-        """Return a line for each topic, after one that names the recording; and one that
-        names the least regular topic.
+        """Return a line for each topic, after a line that names the recording; and a line that names the least regular
+        topic.
         """
         lines = [*(topic.summary() for topic in self.topics), *([self.note] if self.note else [])]
         worst = max(self.topics, key=lambda topic: topic.irregularity, default=None)
@@ -143,7 +143,7 @@ class Stats:
 
 
 async def measure(source: Source, topics: Sequence[str] | None = None, report: Report = silent) -> Stats:
-    """Measure several topics at once; the `error` of one does not stop the others.
+    """Measure several topics at once; the `error` of one topic does not stop the others.
 
     Without `topics`, all published topics are measured, except hidden ones and those that every node has: the first
     `MAX_TOPICS` by name, pictures and clouds before all others.
@@ -173,8 +173,8 @@ async def measure(source: Source, topics: Sequence[str] | None = None, report: R
 def _with_publishers(
     results: Sequence[TopicStats], full: Mapping[str, str], graph: GraphSnapshot
 ) -> Sequence[TopicStats]:
-    """Return the results; those with an error get the topic's types and publishers, which may explain
-    it, for instance several types.
+    """Return the results; results with an error get the topic's types and publishers, which may explain it, for
+    instance several types.
     """
 
     def known(found: TopicStats) -> TopicStats:
@@ -188,7 +188,7 @@ def _with_publishers(
 
 
 async def _published(source: Source) -> tuple[list[str], str]:
-    """Return the topics to measure if none is named, and a sentence on those beyond the limit."""
+    """Return the topics to measure if none is named, and a sentence on the topics beyond the limit."""
     graph = await source.graph()
     published = [topic for topic in graph.topics.values() if topic.publishers]
     published = [row for row in published if not is_hidden(row.topic) and row.topic not in OF_EVERY_NODE]

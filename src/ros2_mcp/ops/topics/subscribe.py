@@ -19,7 +19,7 @@ from ros2_mcp.model.meanings import Meaning
 from ros2_mcp.model.pictures import COMPRESSED_IMAGE, IMAGE, Picture
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import counted, named
-from ros2_mcp.model.times import seconds_in
+from ros2_mcp.model.times import seconds_from_start
 from ros2_mcp.model.values import summarised
 from ros2_mcp.ops.results.results import (
     ALWAYS,
@@ -57,7 +57,7 @@ if TYPE_CHECKING:
 MAX_PICTURES = 4
 """The most pictures of one topic: clients count a picture as some 1500 tokens, and two usually show what moved."""
 _TRIED = 32
-"""How many messages of a recording are tried to find one that can be decoded; undecodable ones are rare."""
+"""How many messages of a recording are tried to find a message that can be decoded; undecodable messages are rare."""
 _LEAST_BYTES = 1000
 """The least bytes of the result for one of several topics: two messages at the 500 bytes
 below which a message says nothing."""
@@ -126,8 +126,8 @@ class Echo(WithPictures):
     """The next message of a topic; `received` is false if there was none, and `note` says why. `waited` is the waiting
     time in seconds.
 
-    `seconds_in` is the receive time as an offset from the start of the recording; null for live messages and the black
-    box. `from_before` is set if the message had been published before this call, and gives its age.
+    `seconds_from_start` is the receive time as an offset from the start of the recording; null for live messages and
+    the black box. `from_before` is set if the message had been published before this call, and gives its age.
     """
 
     topic_name: str = field(metadata=SAID)
@@ -135,7 +135,7 @@ class Echo(WithPictures):
     received: bool = field(metadata=SAID)
     message: dict[str, Any] | None
     received_at: str
-    seconds_in: float | None
+    seconds_from_start: float | None
     waited: float = field(metadata=SAID)
     publishers: Sequence[str]
     truncated: Sequence[str] = field(metadata={**IF_ANY, **SAID})
@@ -292,8 +292,8 @@ async def read(source: Source, topic: str, type_name: str, selection: Selection,
 async def read_several(
     source: Source, topics: Sequence[tuple[str, str, Selection]], report: Report = silent
 ) -> Readings:
-    """Return messages of several topics (name, type or "", selection), read at the same time; the `error`
-    of one does not stop the others.
+    """Return messages of several topics (name, type or "", selection), read at the same time; the `error` of one topic
+    does not stop the others.
 
     Raises:
         BadInput: if there are no topics.
@@ -336,7 +336,7 @@ async def echo(source: Source, topic: str, topic_type: str, selection: Selection
         received=bool(reading.messages),
         message=reading.messages[0] if reading.messages else None,
         received_at=iso_time(reading.received_ns[0]) if reading.received_ns else "",
-        seconds_in=seconds_in(reading.received_ns[0], source.began_ns) if reading.received_ns else None,
+        seconds_from_start=seconds_from_start(reading.received_ns[0], source.began_ns) if reading.received_ns else None,
         waited=round(monotonic() - started, 6),
         publishers=reading.publishers,
         truncated=reading.truncated,
@@ -351,7 +351,7 @@ async def echo(source: Source, topic: str, topic_type: str, selection: Selection
 
 
 def _told(reading: Reading, *, as_asked: bool) -> Reading:
-    """Return the reading, with a note if another topic was read than the requested one."""
+    """Return the reading, with a note if another topic was read than the requested topic."""
     if as_asked:
         return reading
     why = f"The robot is reached over a network, so the compressed pictures on {named(reading.topic_name)} were read."
@@ -360,8 +360,8 @@ def _told(reading: Reading, *, as_asked: bool) -> Reading:
 
 
 def _first_readable(collected: Collected) -> tuple[Sample | None, str]:
-    """Return the first sample that can be decoded (the last, if the last ones were requested),
-    and a note on the skipped ones.
+    """Return the first sample that can be decoded (the last, if the last messages were requested), and a note on the
+    skipped samples.
     """
     stream, trouble = collected.stream, ""
     ordered = collected.samples[::-1] if stream.from_end else collected.samples
@@ -434,8 +434,8 @@ async def _shown(source: Source, collected: Collected, selection: Selection) -> 
 
 
 def pictures_of(type_name: str, fitted: Fitted) -> tuple[list[Picture], str]:
-    """Return pictures of the shown messages, from the decoded ones, and a note on which messages
-    they show, or why there are none.
+    """Return pictures of the shown messages, from the decoded messages, and a note on which messages they show, or why
+    there are no pictures.
     """
     from ros2_mcp.pictures.messages import picture_of  # numpy: not at the start of the server
 

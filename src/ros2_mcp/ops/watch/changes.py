@@ -61,7 +61,7 @@ class TopicSamples:
     topic: str
 
     async def changes(self, robot: Robot) -> AsyncGenerator[Seen | None, None]:
-        """Yield the newest sample (None at first, if there is none), then each newer one."""
+        """Yield the newest sample (None at first, if there is no sample), then each newer sample."""
         async with aclosing(_samples(robot, self.topic, "latest")) as arrivals:
             type_name, samples, is_old = await anext(arrivals)
             yield Seen(type_name, samples[-1], is_old(samples[-1])) if samples else None
@@ -150,7 +150,7 @@ class ParametersOf:
 
 @dataclass(frozen=True, slots=True)
 class LogLines:
-    """The lines of /rosout from a level on, of one node or of all; the fields are those of `ops.log.LogRequest`."""
+    """The lines of /rosout from a level on, of one node or of all; with the fields of `ops.log.LogRequest`."""
 
     level: str = ""
     node: str = ""

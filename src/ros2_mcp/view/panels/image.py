@@ -20,7 +20,7 @@ from ros2_mcp.view.look import Content, Look, PageContext, Panel, Shown, when
 _BOUNDS = Bounds(max_side=800, max_bytes=120_000)
 """A panel is some 600 pixels wide, and a chat host passes 130 kB on; a JPEG of 640 × 480 has 40 to 90 kB."""
 _MOST_DEPTHS = 15
-"""Depth images of the last second, kept for a box that the user picks in one of them."""
+"""Depth images of the last second, kept for a box that the user picks in an image."""
 
 
 class ImagePanel(Panel):
@@ -39,7 +39,7 @@ class ImagePanel(Panel):
         """Topic, time and message of the last depth images shown."""
 
     async def show(self, look: Look) -> Content | None:
-        """Return the newest image of the chosen camera, or of the first one."""
+        """Return the newest image of the chosen camera, or of the first camera."""
         topics = await look.source.publishing(IMAGE, COMPRESSED_IMAGE)
         topic = look.chosen or _preferred(topics)
         if not topic:

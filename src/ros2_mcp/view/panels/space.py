@@ -207,7 +207,7 @@ async def _next(source: Source, topic: str, kind: str, missing: list[str]) -> Ne
 
 
 def _frame_of(tree: FrameTree, of_messages: Sequence[str]) -> str:
-    """Return the frame in which everything is shown: a world frame if there is one."""
+    """Return the frame in which everything is shown: a world frame if it exists."""
     standard = [name for name in WORLDS if name in tree.frames]
     top = tree.root_of(tree.base) if tree.base else next(iter(tree.roots), "")
     return next(iter([*standard, *filter(None, [top]), *(name.lstrip("/") for name in of_messages)]), "")
@@ -260,7 +260,7 @@ def _scan(message: Any, topic: str, missing: list[str]) -> str:
 
 
 def _named_meshes(urdf: Urdf) -> list[str]:
-    """Return the meshes of visual shapes, or of collision shapes for links without visual ones."""
+    """Return the meshes of visual shapes, or of collision shapes for links without visual shapes."""
     return [one.mesh for link in urdf.links.values() for one in (link.visuals or link.collisions) if one.kind == "mesh"]
 
 

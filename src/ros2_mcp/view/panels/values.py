@@ -30,7 +30,7 @@ class ValuesPanel(Panel):
         self._shown = Shown()
 
     async def show(self, look: Look) -> Content | None:
-        """Return the newest message of the chosen topic, or of one that shows how the robot moves."""
+        """Return the newest message of the chosen topic, or of a topic that shows how the robot moves."""
         from ros2_mcp.values.render import RenderOptions  # imports numpy, only when needed
 
         topic = look.chosen or await first_topic(look.source)

@@ -278,7 +278,7 @@ def test_of_a_recording_times_count_from_its_beginning(window: Make) -> None:
         lambda stream: Columns(CODEC, FLOAT, statistics.measured_fields(stream, ()), Room())
     )
     found = statistics.evaluate(replace(capture, began_ns=START_NS - 60_000_000_000))
-    assert found.seconds_in == 60.0
+    assert found.seconds_from_start == 60.0
     assert found.fields[0].max_at == "62.000 s (2023-11-14T22:13:22.000Z)"
 
 

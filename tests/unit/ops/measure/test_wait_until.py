@@ -113,7 +113,7 @@ async def test_a_time_in_a_recording_also_counts_from_its_beginning(window: Make
     source = ramp(window)
     source.began_ns = START_NS - 2_000_000_000
     found = await wait_until(source, "/x", "data > 400")
-    assert found.seconds_in == 2.401
+    assert found.seconds_from_start == 2.401
     assert "is met in made, at 2023-11-14T22:13:20.401000Z (2.401 s in) (data = 401)." in found.summary()
     assert (
         "last message at 2023-11-14T22:13:20.999000Z (2.999 s in)"

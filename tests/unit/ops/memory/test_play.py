@@ -59,8 +59,8 @@ async def test_a_loop_lasts_as_long_as_the_bag_even_if_its_topic_has_one_message
 ) -> None:
     begun = asyncio.get_running_loop().time()
     state = await play(PlayRequest(bag="run", rate=2.0, topics=["/goal"], loop=True), 0.75)
-    assert state.at.startswith("2023-11-14T22:13:20.") and 0 <= (state.seconds_in or 0) <= 0.6
-    assert f"of run, at {state.at} ({state.seconds_in:g} s in)." in state.summary()
+    assert state.at.startswith("2023-11-14T22:13:20.") and 0 <= (state.seconds_from_start or 0) <= 0.6
+    assert f"of run, at {state.at} ({state.seconds_from_start:g} s in)." in state.summary()
     assert state.state == "playing" and len(times_of(bridge)) >= 2
     assert all(at >= begun + loop * 0.3 for loop, at in enumerate(times_of(bridge))), "no loop is shorter"
 

@@ -21,16 +21,16 @@ def test_a_scanner_that_is_turned_on_the_robot_is_told_of(degrees: float, says: 
 
 def test_a_condition_that_an_old_message_meets_tells_its_age_in_the_line() -> None:
     moved = until_of(met=True, sent=0, elapsed=0.0, distance_m=None, from_before="1 message, 8.2 s old, from before")
-    assert "is met after 0.00 s by 1 message, 8.2 s old, from before; nothing newer came (" in moved.summary()
+    assert ") by 1 message, 8.2 s old, from before this call; no newer message came." in moved.summary()
     moved = until_of(met=False, elapsed=2.0, from_before="1 message, 8.2 s old, from before")
-    assert "was not met after 2.00 s; the last: 1 message, 8.2 s old, from before (" in moved.summary()
+    assert "); the last message: 1 message, 8.2 s old, from before this call." in moved.summary()
 
 
 def test_one_line_says_what_ended_it_and_how_far_it_came() -> None:
     moved = until_of(met=True, sent=60, elapsed=3.0, distance_m=0.58, note="A zero command was sent at the end.")
     assert moved.summary() == (
-        "/scan: nearest(-20, 20) < 0.6 is met after 3.00 s (nearest(-20, 20) = 0.59). The robot moved 0.58 m by /odom. "
-        "A zero command was sent at the end."
+        "/scan: nearest(-20, 20) < 0.6 is met after 3.00 s (nearest(-20, 20) = 0.59). According to /odom the robot "
+        "moved 0.58 m. A zero command was sent at the end."
     )
 
 

@@ -210,10 +210,10 @@ async def test_answers_about_a_bag_give_times_and_seconds_from_its_beginning(sto
     early = await open_bag(store, "run", "2020-01-01")
     assert early.words.endswith("(0 s in) on (the recording begins after start)")
     drawn = await plot(source, PlotRequest(["/count:data"]))
-    assert (drawn.started_at, drawn.seconds_in) == ("2023-11-14T22:13:22.000000Z", 2.0)
+    assert (drawn.started_at, drawn.seconds_from_start) == ("2023-11-14T22:13:22.000000Z", 2.0)
     met = await wait_until(source, "/count", "data == 33")
-    assert (met.at, met.seconds_in) == ("2023-11-14T22:13:23.300000Z", 3.3)
-    assert (await read_of(store, "/count", Selection(message_limit=1), f"{met.seconds_in} s in"))[0] == [33]
+    assert (met.at, met.seconds_from_start) == ("2023-11-14T22:13:23.300000Z", 3.3)
+    assert (await read_of(store, "/count", Selection(message_limit=1), f"{met.seconds_from_start} s in"))[0] == [33]
     with pytest.raises(BadValue, match=r"2023-11-14T22:13:30\.000000Z \(10 s in\)\."):
         await open_bag(store, "run", "11 s in")
 

@@ -76,7 +76,7 @@ async def test_times_count_from_the_recordings_beginning_which_is_said_once(bag:
     last = await reading.read(bag, "/pose", "", Selection(message_limit=2))
     assert (last.start, last.times_s) == ("2023-11-14T22:13:20.000000Z", [2.0, 2.5])
     echoed = await reading.echo(bag, "/pose", "", Selection())
-    assert (echoed.received_at, echoed.seconds_in) == ("2023-11-14T22:13:22.500000Z", 2.5)
+    assert (echoed.received_at, echoed.seconds_from_start) == ("2023-11-14T22:13:22.500000Z", 2.5)
 
 
 def test_a_live_read_says_how_long_it_took_and_the_bound_apart() -> None:

@@ -283,8 +283,8 @@ class _Readable:
     async def _pass_on(
         self, message: JSONRPCMessage | list[Refusal], session: str, scope: Scope, replay: Receive, send: Send
     ) -> None:
-        """Pass a request to the transport unless an unanswered one has the same id; answer other messages that cannot
-        be read.
+        """Pass a request to the transport unless an unanswered request has the same id; answer other messages that
+        cannot be read.
         """
         if isinstance(message, JSONRPCRequest) and session:
             key = _key(session, message.id)

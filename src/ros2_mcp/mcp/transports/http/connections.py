@@ -153,7 +153,9 @@ class Connections:
             self._end(next(strangers, None) or self._of_the_most(connection), "there are too many connections")
 
     def _of_the_most(self, newest: Any) -> Any:
-        """Return the oldest connection of the login that has the most, preferably one without a running request."""
+        """Return the oldest connection of the login that has the most, preferably a connection without a running
+        request.
+        """
         number = Counter(each.login for each in self._open if each is not newest)
         most = max(number, key=lambda login: number[login])
         own = [each for each in self._open if each.login == most and each is not newest]

@@ -35,7 +35,7 @@ _FULL = (
     "ended."
 )
 _NO_SESSION = (404, 503)
-"""The HTTP statuses with which the SDK refuses an unknown session, or one that cannot be begun."""
+"""The HTTP statuses with which the SDK refuses an unknown session, or a session that cannot be begun."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,7 +148,7 @@ class Sessions:
                 self._beginning[login] -= 1
 
     async def _has_room(self, login: str) -> bool:
-        """Return whether a login may begin one more session; end a silent one for it if needed."""
+        """Return whether a login may begin one more session; end a silent session for it if needed."""
         while True:
             own = {name: session for name, session in self._known.items() if session.login == login}
             if len(own) + self._beginning[login] < MOST_SESSIONS:

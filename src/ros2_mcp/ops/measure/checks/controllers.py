@@ -18,7 +18,7 @@ def _find(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _idle_controllers(node: str, control: Ros2Control) -> Iterator[Finding]:
-    """Report inactive controllers, but not those whose command interfaces are all claimed by active ones."""
+    """Report inactive controllers, except where active controllers claim all of their command interfaces."""
     active = [one for one in control.controllers if one["state"] == "active"]
     claimed = {str(name) for one in active for name in one.get("claimed_interfaces", ())}
     for one in control.controllers:

@@ -1,4 +1,4 @@
-"""A subscribed topic without a publisher, and a similar one without a subscriber: most likely a missing remapping."""
+"""A subscribed topic without a publisher, and a similar topic without a subscriber: most likely a missing remapping."""
 
 from __future__ import annotations
 

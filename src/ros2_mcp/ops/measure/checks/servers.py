@@ -1,4 +1,4 @@
-"""A service or action with several servers: a request reaches all of them, or any one."""
+"""A service or action with several servers: a request reaches all servers, or any of them."""
 
 from __future__ import annotations
 

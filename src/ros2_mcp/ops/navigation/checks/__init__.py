@@ -16,7 +16,7 @@ from ros2_mcp.ops.navigation.checks.busy import busy_in, without_what_is_late
 from ros2_mcp.ops.navigation.checks.check import TUNING, NavCheck
 from ros2_mcp.ops.navigation.evidence import RANKS, NavEvidence, NavFinding, Need
 
-__all__ = ["CHECKS", "NEEDS", "nav_findings_in", "not_looked_at"]
+__all__ = ["CHECKS", "NEEDS", "nav_findings_in", "not_checked"]
 
 CHECKS: dict[str, NavCheck] = {
     found.name: module.CHECK
@@ -52,7 +52,7 @@ def nav_findings_in(evidence: NavEvidence) -> list[NavFinding]:
     return sorted(kept.values(), key=lambda finding: RANKS.index(finding.rank))
 
 
-def not_looked_at(evidence: NavEvidence) -> Sequence[str]:
+def not_checked(evidence: NavEvidence) -> Sequence[str]:
     """Return the names of the checks that could not be run because evidence was missing. A goal that was not given, and
     a small motion that was not made, do not count as missing."""
     return [

@@ -1,4 +1,4 @@
-"""A scan that comes, and in which no beam ends at anything: a covered lidar, or one without power for its laser."""
+"""A scan that comes, and in which no beam ends at anything: a covered lidar, or a lidar without power for its laser."""
 
 from __future__ import annotations
 

@@ -64,7 +64,7 @@ def _may_be_late(one: Heard) -> bool:
 
 
 def _is_late(evidence: NavEvidence) -> bool:
-    """Whether the services are late: many did not answer in time, or half of those that did took long."""
+    """Whether the services are late: many did not answer in time, or half of the services that answered took long."""
     states = evidence.states or {}
     times = sorted(getattr(states, "answered_s", {}).values())
     if len(times) >= _LEAST_SERVERS and times[len(times) // 2] > _LATE_S:

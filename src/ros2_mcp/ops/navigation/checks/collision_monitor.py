@@ -214,8 +214,9 @@ def base_of_monitor(values: Mapping[str, Any]) -> str:
 
 
 def near_in(values: Mapping[str, Any], name: str, hits: Iterable[tuple[float, float]]) -> list[Near]:
-    """Return those of some points (x and y in m in the base's frame) that are inside a polygon or circle of a collision
-    monitor's parameters, the nearest first."""
+    """Return the points (x and y in m in the base's frame) that are inside a polygon or circle of a collision monitor's
+    parameters, the nearest first.
+    """
     corners, radius = _corners(values.get(f"{name}.points")), values.get(f"{name}.radius")
     limit_m = float(radius) if isinstance(radius, (int, float)) and not corners else 0.0
     return sorted(

@@ -131,8 +131,9 @@ def _end(evidence: NavEvidence, topic: TopicEndpoints, publisher: Endpoint, chai
 
 
 def _waiting(evidence: NavEvidence, chain: Chain) -> Sequence[TopicEndpoints]:
-    """Return velocity topics outside the chain that have subscribers: first those without a publisher, then those of
-    bases."""
+    """Return velocity topics outside the chain that have subscribers: first topics without a publisher, then topics of
+    bases.
+    """
     bases = bases_of(evidence)
     found = [
         topic

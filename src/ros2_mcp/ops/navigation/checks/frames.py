@@ -109,7 +109,7 @@ def _two_owners(frames: Frames, edge: Edge) -> NavFinding:
 
 
 def _left(evidence: NavEvidence, frames: Frames) -> Iterator[NavFinding]:
-    """Static transforms that navigation needs, and that nobody keeps any more for those who start later."""
+    """Static transforms that navigation needs, and that no publisher keeps any more for later subscribers."""
     of_sensors = {one.frame_id for one in evidence.of(SCAN, "sensor_msgs/msg/PointCloud2")}
     for edge in frames.tree.edges.values():
         if not (edge.is_static and edge.is_left and edge.newest and (edge.child in of_sensors or _is_needed(edge))):
@@ -248,7 +248,7 @@ def _names(evidence: NavEvidence, frames: Frames) -> Iterator[NavFinding]:
 
 
 def _near(frame: str, known: set[str]) -> str:
-    """The known frame that is probably meant by an unknown one; "" if there is none."""
+    """The known frame that is probably meant by an unknown frame; "" if there is no such frame."""
     if frame.rpartition("/")[2] in _BASES:
         for base in sorted(known):
             if _is_base(base):

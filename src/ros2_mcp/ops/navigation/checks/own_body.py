@@ -87,7 +87,7 @@ def _beams(
 
 
 def _sectors(message: Any, beams: Sequence[int]) -> str:
-    """Where these beams are, by sector, from the first to the last; one that goes over ±180° is one."""
+    """Where these beams are, by sector, from the first to the last; a sector that goes over ±180° is one sector."""
     count, step = len(message.ranges), float(message.angle_increment)
     groups: list[list[int]] = []
     for beam in beams:

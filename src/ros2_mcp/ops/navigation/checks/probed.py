@@ -43,7 +43,7 @@ def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
 
 
 def _mean(values: Mapping[str, float]) -> _Seen | None:
-    """Return what the witnesses of one kind say together; None without one, or if they contradict each other."""
+    """Return what the witnesses of one kind say together; None without a witness, or if they contradict each other."""
     if not values or min(values.values()) < 0 < max(values.values()):
         return None
     return _Seen(sorted(values), sum(values.values()) / len(values))
@@ -110,7 +110,7 @@ def _turn(probe: Probe) -> Iterator[NavFinding]:
 
 
 def _mounted(probe: Probe, odometry: _Seen, gyro: _Seen | None, laser: _Seen | None) -> Iterator[NavFinding]:
-    """Find a gyro or a laser that contradicts odometry and the other one."""
+    """Find a gyro or a laser that contradicts odometry and the other sensor."""
     if not (gyro and laser) or gyro.sign == laser.sign or min(abs(gyro.value), abs(laser.value)) < _LEAST_RAD:
         return
     wrong = laser if gyro.sign == odometry.sign else gyro

@@ -1,4 +1,4 @@
-"""Nav2's servers: the first one that failed, in the order of the lifecycle manager, with its log."""
+"""Nav2's servers: the first server that failed, in the order of the lifecycle manager, with its log."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _UP = re.compile(r"Managed nodes (are active|have been paused)|Pausing managed n
 """Lines of a lifecycle manager when all nodes are active again, or were paused on request: its earlier lines are
 obsolete."""
 _IGNORED = re.compile(r"Message Filter dropping|missed its desired rate|desired rate of", re.IGNORECASE)
-"""Lines that explain nothing: those of the first seconds, and a warning that is often false."""
+"""Lines that explain nothing: lines of the first seconds, and a warning that is often false."""
 _OLD_PLUGIN = re.compile(r"\w+/\w+")
 _MOST_NAMES = 8
 _SLOW_S = 900.0

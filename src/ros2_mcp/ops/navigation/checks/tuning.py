@@ -27,7 +27,7 @@ _LEAST_SERVERS, _TIMES_SLOWER, _SLOW_S = 4, 5.0, 0.05
 """On a loaded computer all servers are slow; a server five times as slow as the median has a problem of its own."""
 _RECENT_S = 300.0
 MISSED = 0.6
-"""A controller whose measured rate is below this share of the one that is set misses it."""
+"""A controller whose measured rate is below this share of the rate that is set misses it."""
 _LEAST = 8
 _FASTEST = ("max_vel_x", "max_speed_xy", "desired_linear_vel", "vx_max", "max_linear_speed")
 _TURNS = ("max_vel_theta", "wz_max", "rotate_to_heading_angular_vel")

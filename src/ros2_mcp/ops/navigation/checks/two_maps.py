@@ -1,4 +1,4 @@
-"""Two nodes that publish different maps on one topic: who reads it has the one that came last."""
+"""Two nodes that publish different maps on one topic: a subscriber has the map that came last."""
 
 from __future__ import annotations
 
