@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,6 +22,9 @@ _RUNTIME = (
     *("rmw", "rcutils", "fastcdr"),
 )
 """Libraries of the installation that generated code may use; the linker drops unused libraries."""
+
+_TELLS_S = 5.0
+"""Time between two lines about how many files are compiled."""
 
 
 def build(directories: Sequence[Path], cache: Path, report: Callable[[str], None]) -> list[Path]:
@@ -122,23 +125,24 @@ class _Build:
         if package.manifest.is_file():
             _copy(package.manifest, self.share / package.manifest.name)
         report(f"{package.name}: generating and compiling {len(package.files)} interfaces")
-        self._link(self._compiled())
+        self._link(self._compiled(report))
         self._write_index()
         report(f"{package.name}: built in {time.monotonic() - started:.1f} s")
         return self.prefix
 
-    def _compiled(self) -> dict[str, list[Path]]:
+    def _compiled(self, report: Callable[[str], None]) -> dict[str, list[Path]]:
         """Generate and compile the sources. Return the object files of each library, and of the Python extension
         (`extension`).
         """
         sources = self.workspace / "sources"
-        sources.mkdir()
+        sources.mkdir(exist_ok=True)
         own = [sources / name for name in ("rosidl_generator_c", *TYPESUPPORTS)]
         includes = [*own, *self.installation.include_directories, *self.headers]
         headers = self.prefix / "include" / self.package.name / self.package.name
         objects: dict[str, list[Future[Path]]] = {}
         with ThreadPoolExecutor(JOBS) as pool:  # compiles the first sources while the others are generated
             for made in Generation(self.package, self.installation, self.share, sources).run():
+                report(f"{self.package.name}: {made.generator} has generated {len(made.sources)} files")
                 for source in made.sources:
                     library = "extension" if ".ep." in source.name else made.generator
                     objects.setdefault(library, []).append(pool.submit(self.compiler.compile, source, includes))
@@ -146,7 +150,24 @@ class _Build:
                     if path.suffix in (".h", ".py"):
                         target = headers if path.suffix == ".h" else self._modules
                         _copy(path, target / path.relative_to(made.directory))
+            self._wait([future for futures in objects.values() for future in futures], report)
         return {library: [future.result() for future in futures] for library, futures in objects.items()}
+
+    def _wait(self, compiling: Sequence[Future[Path]], report: Callable[[str], None]) -> None:
+        """Wait until all is compiled, or one file failed; report how far it is every few seconds."""
+        told = 0
+        while True:
+            done, pending = wait(compiling, timeout=_TELLS_S, return_when=FIRST_EXCEPTION)
+            failed = next((error for future in done if (error := future.exception())), None)
+            if failed:
+                for future in pending:
+                    future.cancel()
+                raise failed
+            if not pending:
+                return
+            if len(done) > told:
+                told = len(done)
+                report(f"{self.package.name}: {told} of {len(compiling)} files compiled")
 
     @property
     def _modules(self) -> Path:

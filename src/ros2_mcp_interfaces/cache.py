@@ -7,7 +7,6 @@ import hashlib
 import os
 import shutil
 import sysconfig
-import tempfile
 from collections.abc import Generator
 from contextlib import contextmanager
 from importlib import metadata
@@ -51,9 +50,10 @@ def content_name(package: Package, installation: Installation) -> str:
 
 @contextmanager
 def one_builder(cache: Path, name: str) -> Generator[Path]:
-    """Within this context, a new directory to build `name` in; other processes that want to build it wait.
+    """Within this context, the directory to build `name` in; other processes that want to build it wait.
 
-    The directory is removed afterwards, and so are those of builders that were killed.
+    The directory is removed if the build is finished or fails. One that a killed or interrupted builder leaves is the
+    next one's, with the object files that were compiled: its name stands for the same sources.
     """
     try:
         cache.mkdir(parents=True, exist_ok=True)
@@ -62,12 +62,15 @@ def one_builder(cache: Path, name: str) -> Generator[Path]:
         raise BuildError(f"cannot write to the cache {cache}: {error}", "Choose another with --cache.") from error
     with lock:
         fcntl.flock(lock, fcntl.LOCK_EX)  # the system releases it when the process ends, however it ends
-        for leftover in cache.glob(f".{name}.*"):
-            if leftover.is_dir():  # not the lock
-                shutil.rmtree(leftover, ignore_errors=True)
         # Beside its final place, so that the finished package is moved there by a rename: complete, or not at all.
-        workspace = Path(tempfile.mkdtemp(prefix=f".{name}.", dir=cache))
+        workspace = cache / f".{name}.part"
+        workspace.mkdir(exist_ok=True)
+        shutil.rmtree(workspace / "prefix", ignore_errors=True)
         try:
             yield workspace
-        finally:
+        except (KeyboardInterrupt, SystemExit):
+            raise
+        except BaseException:
             shutil.rmtree(workspace, ignore_errors=True)
+            raise
+        shutil.rmtree(workspace, ignore_errors=True)

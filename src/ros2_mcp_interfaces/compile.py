@@ -27,12 +27,19 @@ class Compiler:
     cpp: list[str]
 
     def compile(self, source: Path, includes: Sequence[Path]) -> Path:
-        """Compile a source file, and return its object file. Raises `BuildError`."""
+        """Compile a source file, and return its object file, which an interrupted build may have left. Raises
+        `BuildError`.
+        """
         target = source.with_suffix(source.suffix + ".o")
+        if target.is_file():
+            return target
+        # A compiler may outlive a builder that was killed: each builder has files of its own until they are whole.
+        begun = source.with_suffix(f"{source.suffix}.{os.getpid()}")
         # -isystem and -w keep warnings about generated code out of the error texts.
         command = [*(self.cpp if source.suffix == ".cpp" else self.c), "-O1", "-fPIC", "-w"]
         command += [argument for path in includes for argument in ("-isystem", str(path))]
-        _run([*command, "-c", str(source), "-o", str(target)], f"compiling {source.name}")
+        _run([*command, "-c", str(source), "-o", str(begun)], f"compiling {source.name}")
+        begun.replace(target)
         return target
 
     def link(self, target: Path, inputs: Sequence[Path], search: Sequence[str], keep_all: bool = False) -> None:

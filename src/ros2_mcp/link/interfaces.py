@@ -6,18 +6,24 @@ import json
 import re
 import subprocess
 import sys
-from collections.abc import Sequence
+import tempfile
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import IO, Any, NamedTuple
 
 from ros2_mcp.link.installation import RosInstallation
 from ros2_mcp.model.errors import LinkError
 
 SHIPPED = Path(__file__).resolve().parents[2] / "ros2_mcp_demo" / "interfaces"
 """The sources of the packages that come with ros2-mcp: interfaces of the simulated robot that no wheel has."""
-# The time limit of a build: a package with many interfaces compiles for minutes on a small machine.
-BUILD_S = 600.0
+HANGS_S = 900.0
+"""A build that reports no progress for this long hangs. As a whole it may take as long as it needs: a package with many
+interfaces compiles for minutes on a small machine, and each line says how far it is."""
+_LOOKS_S = 1.0
 _DIGEST = re.compile(r"-[0-9a-f]{16}$")
 
 
@@ -114,26 +120,62 @@ def build(
     """Build the packages below the directories, unless they are built already, and record them as in use.
 
     Raises:
-        LinkError: with the message of the compiler or generator, if one cannot be built.
+        LinkError: with the message of the compiler or generator, if one cannot be built; or if the build hangs. What
+            was compiled is kept for the next one.
     """
     cache.folder.mkdir(parents=True, exist_ok=True)
     words = [*(str(directory.resolve()) for directory in directories), "--cache", str(cache.folder), "--json"]
     command = installation.command("ros2_mcp_interfaces", words)
-    done = subprocess.run(
-        command.argv,
-        env=dict(command.env),
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE if quiet else sys.stderr,
-        timeout=BUILD_S,
-        check=False,
-    )
+    said, code = run_builder(command.argv, command.env, quiet=quiet)
     try:
-        answer: dict[str, Any] = json.loads(done.stdout)
+        answer: dict[str, Any] = json.loads(said)
     except ValueError as error:
-        raise LinkError(f"The interface builder ended with code {done.returncode} and said nothing.") from error
+        raise LinkError(f"The interface builder ended with code {code} and said nothing.") from error
     if "prefixes" not in answer:
         raise LinkError(f"The interfaces cannot be built: {answer['error']}", answer.get("hint", ""))
     packages = [Path(path) for path in answer["prefixes"]]
     cache.use(installation.prefix, packages)
     return Built(packages, [Path(path) for path in answer["left_out"]])
+
+
+def run_builder(
+    argv: Sequence[str], env: Mapping[str, str], *, quiet: bool, hangs_s: float = HANGS_S
+) -> tuple[bytes, int]:
+    """Run the builder; return its output and exit code. Its progress goes to stderr, unless `quiet`.
+
+    Raises:
+        LinkError: if it reports no progress for `hangs_s`; it is ended then.
+    """
+    heard_at = time.monotonic()
+
+    def pass_on(lines: IO[bytes]) -> None:
+        nonlocal heard_at
+        for line in lines:
+            heard_at = time.monotonic()
+            if not quiet:
+                sys.stderr.write(line.decode(errors="replace"))
+                sys.stderr.flush()
+
+    with (
+        tempfile.TemporaryFile() as output,
+        subprocess.Popen(
+            argv, env=dict(env), stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.PIPE
+        ) as process,
+    ):
+        assert process.stderr is not None
+        following = threading.Thread(target=pass_on, args=(process.stderr,), daemon=True)
+        following.start()
+        try:
+            while process.poll() is None:
+                with suppress(subprocess.TimeoutExpired):
+                    process.wait(_LOOKS_S)
+                if process.poll() is None and time.monotonic() - heard_at > hangs_s:
+                    raise LinkError(
+                        f"The interface builder was ended: it reported no progress for {hangs_s:g} s.",
+                        "What it had compiled is kept: run ros2-mcp interfaces build again, best on a quieter machine.",
+                    )
+        finally:
+            process.kill()  # nothing happens if it has ended
+            following.join(_LOOKS_S)
+        output.seek(0)
+        return output.read(), process.returncode

@@ -13,6 +13,7 @@ import rclpy
 from geometry_msgs.msg import Twist, TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.context import Context
+from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import LaserScan
 
@@ -45,6 +46,7 @@ class CollisionMonitor(Managed, LifecyclePart):
     def __init__(self, robot, namespace, state_type, **parameters):
         super().__init__("collision_monitor", robot, namespace)
         declare(self, parameters)
+        self.declare_parameter("PolygonStop.max_points", Parameter.Type.INTEGER)  # as in Nav2: without a value
         self._state_type = state_type
         self._out = self.create_publisher(Twist, "cmd_vel", 10)
         self._states = self.create_publisher(state_type, "collision_monitor_state", 10)
@@ -63,6 +65,11 @@ class CollisionMonitor(Managed, LifecyclePart):
         held = self._why_held()
         if held != self._held:
             self._held = held
+            if held == "invalid source":
+                self.get_logger().warning(
+                    "Robot to stop due to invalid source. Either due to data not published yet, or to lack of new data "
+                    "received within the sensor timeout, or if impossible to transform data to base frame"
+                )
             self._states.publish(self._state_type(action_type=1 if held else 0, polygon_name=held or ""))
         self._out.publish(Twist() if held else command)
 

@@ -136,6 +136,15 @@ def test_all_active_is_fine_and_lines_of_before_that_are_over() -> None:
     assert (finding.subject, "paused" in finding.cause) == (MANAGER, True)
 
 
+def test_servers_that_do_not_answer_beside_a_manager_that_does_not_are_told_once_and_not_as_hanging() -> None:
+    late = {**ACTIVE, "/planner_server": "", "/controller_server": ""}
+    (finding,) = found(states=late, parameters={}, log=[])
+    assert "2 servers of Nav2 do not answer: /planner_server, /controller_server" in finding.cause
+    assert "too busy" in finding.cause and "node_names" not in finding.proof
+    (one,) = found(states={**ACTIVE, "/planner_server": ""}, parameters={}, log=[])
+    assert "node_names" not in one.proof and f"{MANAGER} did not answer either" in one.proof
+
+
 def test_a_lost_bond_tells_whether_the_server_lives_hangs_or_died() -> None:
     lost = line(MANAGER, "CRITICAL FAILURE: SERVER planner_server IS DOWN after not receiving a heartbeat", age_s=12)
     down = dict.fromkeys(SERVERS, "unconfigured")

@@ -247,10 +247,26 @@ def _unmanaged(evidence: NavEvidence, nodes: Sequence[str]) -> Iterator[NavFindi
             remedy="Start Nav2 again; ros2_log_read may show why it ended.",
             covers=_covered(gone)[1:],
         )
+    # Managers that are busy themselves do not say whom they manage: what is asked then is late everywhere.
+    unread = [one for one in evidence.supervisors if evidence.value(one, "node_names") is None]
+    silent = [node for node in nodes if states.get(node) == "" and node not in gone] if unread else []
+    if len(silent) > 1:
+        yield NavFinding(
+            rank="stops everything",
+            subject=silent[0],
+            cause=f"{len(silent)} servers of Nav2 do not answer: {listed(silent, _MOST_NAMES)}. They hang, or the "
+            "computer is too busy.",
+            proof=f"They are in the graph; {listed(unread, _MOST_NAMES)} did not answer either.",
+            remedy="See what loads the robot's computer (top), and ask again; what hangs must be started again.",
+            covers=_covered(silent)[1:],
+        )
+    no_manager = f"{listed(unread, _MOST_NAMES)} did not answer either" if unread else "no manager has it in node_names"
     for node in nodes:
         state = states.get(node)
         is_gone = node in gone
         if (is_gone and len(gone) > 1) or (not is_gone and state in (None, "active")):
+            continue
+        if state == "" and len(silent) > 1:
             continue
         lines = [line for line in _lines(evidence, node) if line.level in ("ERROR", "FATAL")]
         hangs = f"{named(node)} hangs: it does not answer."
@@ -258,7 +274,7 @@ def _unmanaged(evidence: NavEvidence, nodes: Sequence[str]) -> Iterator[NavFindi
             rank="stops everything",
             subject=node,
             cause=f"{named(node)} has left." if is_gone else hangs if state == "" else f"{named(node)} is {state}.",
-            proof=f"{said(lines[-1])}." if lines else f"It {_seen(evidence, node)}; no manager has it in node_names.",
+            proof=f"{said(lines[-1])}." if lines else f"It {_seen(evidence, node)}; {no_manager}.",
             remedy="Start it again." if is_gone or state == "" else "Activate it: ros2_lifecycle_change.",
             covers=_covered([node])[1:],
         )
