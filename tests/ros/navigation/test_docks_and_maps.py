@@ -141,7 +141,7 @@ def test_where_the_scan_fits_nowhere_nothing_is_told(agent: Agent, judge: Judge)
     result = agent.call("ros2_nav_localize", at={"x": 5.0, "y": 2.0}, search=True, radius_m=1)
     assert result["is_published"] is False and "fits nowhere well" in result["doubt"]
     assert judge.told_so_far() == told
-    assert "Give one of them" in agent.refusal("ros2_nav_localize", last=True, search=True)
+    assert "Give one of the three" in agent.refusal("ros2_nav_localize", last=True, search=True)
     assert "not given" in agent.refusal("ros2_nav_localize")
 
 

@@ -136,7 +136,7 @@ def test_variables_of_resource_templates_are_completed(
 def test_without_ros_prompts_are_there_and_completions_are_empty(start_raw: Callable[..., RawServer]) -> None:
     server = start_raw("--distro", "none-such")
     server.begin(MODERN)
-    assert len(_names(server)) == 4
+    assert len(_names(server)) == 5
     _seconds_of_an_empty_completion(server)
 
 

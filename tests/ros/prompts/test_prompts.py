@@ -15,6 +15,7 @@ from support.standstill import undisturbed
 PATIENCE_S = 60.0
 ECHO, RELAY = "base.ros2-topic-echo-and-analyze", "base.ros2-topic-relay"
 HEALTH, DIFF = "base.ros2-node-health-check", "base.ros2-topic-diff-monitor"
+NAVIGATION = "base.ros2-navigation-check"
 BOTH_ERAS = pytest.mark.parametrize("mode", ["auto", "legacy"])
 SENSORS = "['/imu', '/scan', \"/odom\"]"  # as the prompts of the existing system have it
 
@@ -24,7 +25,7 @@ def test_prompts_are_listed_and_fetched_in_both_eras(
     agent: PromptAgent, start_agent: Callable[..., PromptAgent], mode: str
 ) -> None:
     agent = start_agent(mode=mode) if mode == "legacy" else agent
-    assert list(agent.prompts()) == [ECHO, RELAY, HEALTH, DIFF]
+    assert list(agent.prompts()) == [ECHO, RELAY, HEALTH, DIFF, NAVIGATION]
     assert "1. Call ros2_health_check with" in agent.text(HEALTH)
     every = {"topic_name": "/odom", "duration_sec": "2", "analysis_type": "statistics"}
     assert '{"topic_names": ["/odom"], "duration_s": 2.0}' in agent.text(ECHO, **every)

@@ -47,7 +47,8 @@ def test_lines_are_found_by_node_level_text_and_time(agent, peer) -> None:
     assert texts(agent, 2, node="relay_peer_complain_*", pattern="number 1?", limit=2) == ["number 18", "number 19"]
     found = agent.call("ros2_log_read", node_name=node, level="warning", limit=5)
     assert (found["matched"], found["lines"][0]["level"]) == (21, "WARN")
-    assert "The newest 5 are shown" in found["note"]
+    assert [line["text"] for line in found["lines"]][-1] == "the arm is stuck" and len(found["lines"]) == 5
+    assert "raise limit" in found["note"]
     assert agent.call("ros2_log_read", node_name=node, since=found["lines"][-1]["time"])["matched"] == 1
     first = agent.call("ros2_log_read", node_name=node)["lines"][0]
     assert texts(agent, 1, node=node, end=first["time"]) == [first["text"]]
