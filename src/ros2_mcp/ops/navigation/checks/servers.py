@@ -260,7 +260,7 @@ def _unmanaged(evidence: NavEvidence, nodes: Sequence[str]) -> Iterator[NavFindi
             remedy="See what loads the robot's computer (top), and ask again; what hangs must be started again.",
             covers=_covered(silent)[1:],
         )
-    no_manager = f"{listed(unread, _MOST_NAMES)} did not answer either" if unread else "no manager has it in node_names"
+    no_names = f"{listed(unread, _MOST_NAMES)} did not answer either" if unread else "no manager has it in node_names"
     for node in nodes:
         state = states.get(node)
         is_gone = node in gone
@@ -274,7 +274,7 @@ def _unmanaged(evidence: NavEvidence, nodes: Sequence[str]) -> Iterator[NavFindi
             rank="stops everything",
             subject=node,
             cause=f"{named(node)} has left." if is_gone else hangs if state == "" else f"{named(node)} is {state}.",
-            proof=f"{said(lines[-1])}." if lines else f"It {_seen(evidence, node)}; {no_manager}.",
+            proof=f"{said(lines[-1])}." if lines else f"It {_seen(evidence, node)}; {no_names}.",
             remedy="Start it again." if is_gone or state == "" else "Activate it: ros2_lifecycle_change.",
             covers=_covered([node])[1:],
         )
