@@ -558,7 +558,7 @@ def end_note(source: Source, *texts: str) -> str:
 
 
 def _taken(samples: Iterable[Sample], limit: int, every_n: int) -> tuple[list[Sample], int, Sample | None]:
-    """Return every n-th sample up to limit and `MAX_BYTES`, at least one; the number read; and the next sample, if any."""
+    """Return every n-th sample up to limit and `MAX_BYTES`, at least one; the number read, and the next sample."""
     found: list[Sample] = []
     size = passed = 0
     for passed, sample in enumerate(samples):

@@ -112,7 +112,7 @@ def _sent_by(controller: str, one: Heard) -> list[int]:
         for rows in by_writer.values()
         if not others or any(_steers(message) for _, message in rows)
     ]
-    return max(sent, key=len, default=[])
+    return max(sent, key=len) if sent else []
 
 
 def _steers(command: Any) -> bool:
