@@ -73,7 +73,7 @@ FACTS: dict[str, dict[str, str | list[str]]] = {
             r"/navigate_to_pose NavigateToPose \(action\) → /bt_navigator",
         ],
         "other_actions": ["/compute_path_to_pose ComputePathToPose → /planner_server"],
-        "topics_without_publisher": [],
+        "topics_without_publisher": ["/speed_limit SpeedLimit → /controller_server"],
         "command_services": [
             "/enable_motors SetBool",
             "/reset_odometry Trigger",

@@ -12,7 +12,7 @@ def test_a_clock_that_stands_still_is_told_with_since_when(agent: Agent, tell: C
         tell(parent, child, node="simulator", stamp_s=5.0)
 
     def said() -> str:
-        if "stands" not in "".join(agent.call("ros2_tf_tree", picture=False)["problems"]):
+        if "is stopped at" not in "".join(agent.call("ros2_tf_tree", picture=False)["problems"]):
             return ""
         return agent.call("ros2_tf_lookup", target="odom", source="laser")["note"]
 
