@@ -474,4 +474,4 @@ def test_a_client_reads_its_own_acts_however_many_others_have(tmp_path: Path) ->
     guard.audit = Auditing(Audit(None, path=tmp_path), "", str)
     robot = Robot(cast(Bridge, None), guard)
     excerpt = asyncio.run(read(robot, robot.session(Principal(name="mine", transport="http")), 2))
-    assert [(act.name, act.outcome) for act in excerpt.acts] == [("/t20", "done"), ("/t40", "done")]
+    assert [(act.name, act.outcome) for act in excerpt.entries] == [("/t20", "done"), ("/t40", "done")]
