@@ -35,9 +35,12 @@ def main():
 
     chosen = named(options.robot)
     if options.faults:
-        from .nav2.faults import PLANTED
+        from .nav2.faults import FAULTS, PLANTED, unknown
 
         PLANTED.extend(options.faults.split(";"))
+        for name in PLANTED:
+            if name not in FAULTS:
+                parser.error(unknown(name))
     robot = Robot(chosen, options.seed, options.namespace, options.rate)
     missing = "; left out: " + ", ".join(left_out(chosen)) if left_out(chosen) else ""
     sys.stdout.write(f"robot ready: {robot.node_count} nodes, seed {options.seed}{missing}\n")
@@ -66,11 +69,9 @@ def _stdin_has_ended(chosen):
     except OSError:
         return True
     for line in text.decode().splitlines() if hasattr(chosen, "STACK") else ():
-        from .nav2 import faults
+        from .nav2.faults import obey
 
-        verb, _, name = line.partition(" ")
-        {"plant": faults.plant, "heal": faults.heal}[verb](chosen.STACK, name)
-        sys.stdout.write(f"{line}: done\n")
+        sys.stdout.write(f"{obey(chosen.STACK, line)}\n")
         sys.stdout.flush()
     return text == b""
 

@@ -255,12 +255,23 @@ def at_start(stack):
         FAULTS[name][0](stack)
 
 
-def plant(stack, name):
-    """Plant a fault by its name."""
-    FAULTS[name][0](stack)
+def obey(stack, line):
+    """Carry out a line such as `plant NAME` or `heal NAME`; return what was done, or what would be right. A fault is
+    healed only if that is possible without a restart.
+    """
+    verb, _, name = line.partition(" ")
+    if verb not in ("plant", "heal"):
+        return f"{line!r}: write 'plant NAME' or 'heal NAME'"
+    if name not in FAULTS:
+        return unknown(name)
+    plant, heal = FAULTS[name]
+    if verb == "plant":
+        plant(stack)
+    elif heal:
+        heal(stack)
+    return f"{line}: done"
 
 
-def heal(stack, name):
-    """Heal a fault by its name, if that is possible without a restart."""
-    if undo := FAULTS[name][1]:
-        undo(stack)
+def unknown(name):
+    """Say which faults there are."""
+    return f"There is no fault {name!r}. There are: {'; '.join(FAULTS)}"
