@@ -79,9 +79,14 @@ def _static_map_to_odom(stack):
     return node
 
 
-def _post(x, y, radius):
+def _post_ahead(distance_m, radius):
+    """Return the fault that places a post this far ahead of the robot's centre, wherever the robot is."""
+
     def plant(stack):
-        stack.base.robot.world.place(Pillar("planted", x, y, radius, 0.7, (200, 30, 200)))
+        robot = stack.base.robot
+        x = robot.base.pose.x + distance_m * math.cos(robot.base.pose.yaw)
+        y = robot.base.pose.y + distance_m * math.sin(robot.base.pose.yaw)
+        robot.world.place(Pillar("planted", x, y, radius, 0.7, (200, 30, 200)))
 
     return plant, lambda stack: stack.base.robot.world.place(Pillar("planted", 5.8, -2.8, 0.1, 0.7, (200, 30, 200)))
 
@@ -168,7 +173,7 @@ FAULTS = {
     ),
     "3 rival": _joins(lambda stack: Teleop(stack.base.robot, "")),
     "4 monitor holds": _both(
-        _post(0.36, 0.0, 0.06),
+        _post_ahead(0.36, 0.06),
         _parameter(
             "monitor",
             "PolygonStop.points",

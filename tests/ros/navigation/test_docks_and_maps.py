@@ -142,7 +142,7 @@ def test_where_the_scan_fits_nowhere_nothing_is_told(agent: Agent, judge: Judge)
     assert result["is_published"] is False and "fits nowhere well" in result["doubt"]
     assert judge.told_so_far() == told
     assert "Give one of the three" in agent.refusal("ros2_nav_localize", last=True, search=True)
-    assert "not given" in agent.refusal("ros2_nav_localize")
+    assert "`at` is missing" in agent.refusal("ros2_nav_localize")
 
 
 def test_the_last_pose_is_offered_by_the_next_server_and_not_where_the_robot_has_left_it(
