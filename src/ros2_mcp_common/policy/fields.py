@@ -91,7 +91,7 @@ class QuickCheck:
             return None
         try:
             return cls(checks, message)
-        except Exception:  # noqa: BLE001 - a missing field, a list: the full check says so in words
+        except Exception:  # noqa: BLE001 - of any odd message; no quick check then, and the full check names the reason
             return None
 
     def is_within(self, message: Any) -> bool:

@@ -75,7 +75,7 @@ stream = os.dup(1)
 os.dup2(2, 1)
 try:
     import rclpy.node, geometry_msgs.msg
-except Exception:  # why, the bridge says when it does so again
+except Exception:  # only a head start: the bridge imports the same, and reports what is wrong
     pass
 sys.stdout.flush()
 os.dup2(stream, 1)

@@ -20,6 +20,7 @@ from ros2_mcp.ops.navigation.evidence import (
     said,
     speed_of,
 )
+from ros2_mcp_common.policy.polygons import is_inside
 
 _STATE = "nav2_msgs/msg/CollisionMonitorState"
 INVALID_SOURCE = "invalid source"
@@ -222,7 +223,7 @@ def near_in(values: Mapping[str, Any], name: str, hits: Iterable[tuple[float, fl
     return sorted(
         Near(math.hypot(x, y), math.degrees(math.atan2(y, x)))
         for x, y in hits
-        if (math.hypot(x, y) < limit_m if limit_m else is_within(corners, x, y))
+        if (math.hypot(x, y) < limit_m if limit_m else bool(corners) and is_inside(x, y, corners))
     )
 
 
@@ -240,15 +241,6 @@ def hits_in(frames: Frames, base: str, scan: Any) -> list[tuple[float, float]]:
     except BadData:
         return []
     return [(float(x), float(y)) for x, y in points[:, :2].tolist()]
-
-
-def is_within(corners: Sequence[tuple[float, float]], x: float, y: float) -> bool:
-    """Whether a point is inside a polygon."""
-    inside = False
-    for (x1, y1), (x2, y2) in zip(corners, [*corners[1:], *corners[:1]], strict=True):
-        if (y1 > y) != (y2 > y) and x < (x2 - x1) * (y - y1) / (y2 - y1) + x1:
-            inside = not inside
-    return inside
 
 
 def _corners(value: Any) -> list[tuple[float, float]]:

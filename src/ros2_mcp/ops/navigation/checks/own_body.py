@@ -9,8 +9,8 @@ from typing import Any, cast
 
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.navigation.checks.check import SENSORS, NavCheck
-from ros2_mcp.ops.navigation.checks.collision_monitor import is_within
 from ros2_mcp.ops.navigation.evidence import SCAN, Heard, NavEvidence, NavFinding
+from ros2_mcp_common.policy.polygons import is_inside
 
 _LEAST_SCANS, _LEAST_BEAMS = 3, 3
 _GAP, _MOST_SECTORS = 5, 4
@@ -78,7 +78,7 @@ def _beams(
                 continue
             angle = float(message.angle_min) + beam * float(message.angle_increment) + yaw_rad
             end_x, end_y = x + away * math.cos(angle), y + away * math.sin(angle)
-            if is_within(corners, end_x, end_y) if corners else math.hypot(end_x, end_y) < _INSIDE * radius_m:
+            if is_inside(end_x, end_y, corners) if corners else math.hypot(end_x, end_y) < _INSIDE * radius_m:
                 inside.add(beam)
         always = inside if always is None else always & inside
         if not always:
