@@ -62,6 +62,7 @@ class DriveWatch:
     _anchor: tuple[float, float] | None = None
     _progress_at: float = -math.inf
     _monitor: tuple[int, str, float] = (0, "", 0.0)
+    _monitor_published: bool = False
     _near: Near | None = None
     _wanted_hz: float = 0.0
     _controller: str = ""
@@ -112,9 +113,27 @@ class DriveWatch:
             self._progress_at = now  # turning towards the path is progress, too
 
     def monitor(self, action: int, polygon: str, now: float) -> None:
-        """Take the collision monitor's action and the polygon that caused it."""
+        """Take the collision monitor's action and the polygon that caused it, as the monitor published them."""
+        self._monitor_published = True
+        self._acts(action, polygon, now)
+
+    def occupied(self, polygon: str, near: Near | None, now: float) -> None:
+        """Take the stop polygon in which points of the sensors are, and the nearest of them; "" if all are free.
+
+        The monitor publishes its action once, when it changes, which may have been before this watch subscribed: then
+        what is in its polygons tells why the robot stands. Without effect once the monitor has published.
+        """
+        if not self._monitor_published:
+            self._acts(1 if polygon else 0, polygon, now)
+            self._near = near
+
+    def _acts(self, action: int, polygon: str, now: float) -> None:
         if (action, polygon) != self._monitor[:2]:
             self._monitor, self._near = (action, polygon, now), None
+
+    def is_monitor_unknown(self, now: float) -> bool:
+        """Whether the robot is commanded and does not move, and the collision monitor has published nothing."""
+        return not self._monitor_published and bool(self._commanded_in_vain(now))
 
     @property
     def held_by(self) -> str:
@@ -167,7 +186,7 @@ class DriveWatch:
 
     def _held(self, now: float) -> str:
         action, polygon, since = self._monitor
-        if action not in MONITOR_ACTIONS:
+        if action not in MONITOR_ACTIONS or not (self._monitor_published or self._commanded_in_vain(now)):
             return ""
         verb = "holds" if action == 1 else MONITOR_ACTIONS[action]
         if polygon == INVALID_SOURCE:
@@ -197,10 +216,9 @@ class DriveWatch:
 
     def _unmoved(self, now: float) -> str:
         """Describe a robot that stands although it is commanded, or that is not commanded; "" if it moves."""
-        if self._speed is None or now - self._stands_since < _SAID_AFTER_S:
+        if not self._stands(now) or self._speed is None:
             return ""
-        live = {topic: link for topic, link in self._links.items() if now - link.heard_at < _NEW_S}
-        sent = [(topic, link) for topic, link in live.items() if now - link.since > _SAID_AFTER_S]
+        sent = self._commanded_in_vain(now)
         if not sent:
             stands_s = now - max(self._stands_since, self.began_at)
             is_known = bool(self._links) and stands_s > _IDLE_S
@@ -215,3 +233,13 @@ class DriveWatch:
             f"COMMANDED AND NOT MOVING for {now - link.since:.0f} s: {what} on {named(topic)}, and "
             f"{named(self._odometry)} reports {self._speed[0]:.2f} m/s.{where}{base}"
         )
+
+    def _stands(self, now: float) -> bool:
+        return self._speed is not None and now - self._stands_since >= _SAID_AFTER_S
+
+    def _commanded_in_vain(self, now: float) -> list[tuple[str, _Link]]:
+        """Return the topics, in order, on which a robot that stands is commanded; none if it moves."""
+        if not self._stands(now):
+            return []
+        live = {topic: link for topic, link in self._links.items() if now - link.heard_at < _NEW_S}
+        return [(topic, link) for topic, link in live.items() if now - link.since > _SAID_AFTER_S]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from ros2_mcp.ops.navigation.checks.collision_monitor import near_in
+from ros2_mcp.ops.navigation.checks.collision_monitor import Near, near_in
 from ros2_mcp.ops.navigation.drive_watch import DriveWatch
 from ros2_mcp.ops.navigation.follow_drive import take_tree
 
@@ -81,6 +81,21 @@ def test_the_nearest_point_in_the_polygon_is_told_with_its_bearing_and_forgotten
     watch.monitor(2, "Slow", now)
     watch.near("PolygonStop", near)
     assert watch.sees(now).endswith("polygon Slow.")
+
+
+def test_a_polygon_that_is_not_free_explains_why_it_stands_until_the_monitor_itself_publishes() -> None:
+    watch = DriveWatch(began_at=0.0)
+    assert not watch.is_monitor_unknown(driving(4, watch, speed=0.3))
+    now = driving(4, watch)
+    assert watch.is_monitor_unknown(now)
+    watch.occupied("PolygonStop", Near(0.32, 18.0), now)
+    assert "polygon PolygonStop, with something at 0.32 m, bearing 18°" in watch.sees(now)
+    assert "collision monitor" not in watch.sees(driving(5, watch, speed=0.3))
+    now = driving(6, watch)
+    watch.monitor(0, "", now)
+    watch.occupied("PolygonStop", Near(0.32, 18.0), now)
+    assert not watch.is_monitor_unknown(now)
+    assert watch.sees(now).startswith("COMMANDED AND NOT MOVING")
 
 
 def at_rate(hz: float, watch: DriveWatch, command: float = 0.3, begin: float = 0.0) -> float:

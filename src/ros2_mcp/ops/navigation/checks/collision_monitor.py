@@ -119,14 +119,20 @@ def _held(evidence: NavEvidence, node: str, values: Mapping[str, Any], topics: S
         return
     if state is not None:
         return
+    for name, least in stop_polygons(values):
+        points = _in_polygon(evidence, values, name, topics)
+        if len(points) >= least:
+            yield _holding(evidence, node, name, "stop", points)
+
+
+def stop_polygons(values: Mapping[str, Any]) -> Iterator[tuple[str, int]]:
+    """Return the enabled polygons and circles that stop the robot, by a collision monitor's parameters, each with the
+    number of points that it takes."""
     for name in _texts(values.get("polygons")):
-        kind = str(values.get(f"{name}.action_type", "")).lower()
-        if kind != "stop" or values.get(f"{name}.enabled") is False:
+        if str(values.get(f"{name}.action_type", "")).lower() != "stop" or values.get(f"{name}.enabled") is False:
             continue
         least = values.get(f"{name}.min_points", values.get(f"{name}.max_points", _LEAST_POINTS))
-        points = _in_polygon(evidence, values, name, topics)
-        if len(points) >= (int(least) if isinstance(least, (int, float)) else _LEAST_POINTS):
-            yield _holding(evidence, node, name, kind, points)
+        yield name, int(least) if isinstance(least, (int, float)) else _LEAST_POINTS
 
 
 def _holds_back(evidence: NavEvidence, node: str, values: Mapping[str, Any]) -> bool:
