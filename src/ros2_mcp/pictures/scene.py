@@ -51,6 +51,7 @@ _LINE, _STRONG_LINE = (40, 90, 200, 120), (30, 80, 200, 190)
 """Grid lines are blue (no map is blue), so that they are visible on black, grey and white."""
 ROBOT, SCAN, PATH, GOAL, PLACE = "#ff8c00", "#e6003c", "#00a03c", "#c800c8", "#0050d2"
 _HEADING = "#8a3c00"
+_ZONE, _ZONE_FILL = "#b00000", (200, 0, 0, 55)
 LIMB, _LIMB_FILL = "#5a3296", (150, 110, 220)
 _PATHS = (PATH, "#00949e", "#7a9a00", "#3c6e50")
 _MIDDLE_COST = 50
@@ -79,6 +80,14 @@ class Mark:
     yaw_rad: float | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class Zone:
+    """A keep-out zone: its name, and its corners as n × 2."""
+
+    name: str
+    corners: NDArray[np.float64]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scene:
     """The content of a scene, all in the frame `frame`, in metres: points and lines are n × 2.
@@ -99,6 +108,7 @@ class Scene:
     path_names: Sequence[str] = ()
     goals: Sequence[Mark] = ()
     places: Sequence[Mark] = ()
+    zones: Sequence[Zone] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -263,6 +273,9 @@ class _Sheet:
 
     def draw_layers(self) -> None:
         scene = self._scene
+        for zone in scene.zones:
+            if len(outline := self._pixels(zone.corners)) > 2:
+                self._pen.polygon(outline, fill=_ZONE_FILL, outline=_ZONE, width=2)
         for index, path in enumerate(scene.paths):
             pixels = self._pixels(path)
             if len(pixels) > 1:
@@ -270,6 +283,10 @@ class _Sheet:
         for scan in scene.scans:
             for x, y in filter(self._is_inside, self._pixels(scan)):
                 self._pen.ellipse([x - 2.5, y - 2.5, x + 2.5, y + 2.5], fill=SCAN)
+        for zone in scene.zones:
+            x, y = self._pixel(*map(float, zone.corners.mean(axis=0)))
+            if self._is_inside((x, y)):
+                self._write(zone.name, (x, y), _ZONE)
         for mark in scene.places:
             self._draw_mark(mark, PLACE, square=True)
         for mark in scene.goals:
@@ -351,6 +368,8 @@ class _Sheet:
         for index in range(len(scene.paths)):
             name = f" {_short(scene.path_names[index])}" if several and index < len(scene.path_names) else ""
             found.append((_PATHS[index % len(_PATHS)], f"path{name}"))
+        if scene.zones:
+            found.append((_ZONE, "keep-out zone"))
         if any(map(self._shows, scene.goals)):
             found.append((GOAL, "goal"))
         if any(map(self._shows, scene.places)):

@@ -120,6 +120,11 @@ def test_the_policy_tells_the_zones_and_what_is_done_at_their_edges(rover: Rover
     assert "a circle of 0.2 m, keeps 0.2 m from keep-out zones" in told
 
 
+def test_the_scene_shows_the_zones(rover: Rover) -> None:
+    layers = rover.agent.call("ros2_scene")["layers"]
+    assert {one["name"] for one in layers if one["kind"] == "keep-out zone"} == set(ZONES)
+
+
 def test_a_goal_in_a_zone_and_a_path_through_one_are_refused_before_anything_moves(rover: Rover) -> None:
     before = rover.at()
     inside = rover.agent.refusal("ros2_navigate", to=[{"x": 0.0, "y": 0.5}, {"x": 1.2, "y": 0.0, "yaw_deg": 0}])
@@ -128,6 +133,8 @@ def test_a_goal_in_a_zone_and_a_path_through_one_are_refused_before_anything_mov
     assert "0.15 m from the keep-out zone stairs at (0.55, 0.00)" in edge
     beyond = rover.agent.refusal("ros2_navigate", to=[{"x": 2.0, "y": 0.0}])
     assert "On the planned path the robot's outline would be" in beyond and "keep-out zone stairs at (" in beyond
+    previewed = rover.agent.call("ros2_nav_preview", to={"x": 2.0, "y": 0.0})
+    assert previewed["note"].startswith("The policy refuses it: the robot's outline would be")
     raw = {"pose": {"header": {"frame_id": "odom"}, "pose": {"position": {"x": -0.5}}}}
     assert "in the frame 'odom'" in rover.agent.refusal(
         "ros2_send_action_goal", action_name="/navigate_to_pose", goal_fields=raw

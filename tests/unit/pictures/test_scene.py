@@ -14,7 +14,7 @@ from PIL import Image
 from ros2_mcp.model.errors import BadData
 from ros2_mcp.model.pictures import BOUNDS, Place
 from ros2_mcp.pictures.plot import Span
-from ros2_mcp.pictures.scene import GridLayer, Mark, Scene, SceneDrawing, _Sheet, extent, scene_drawing
+from ros2_mcp.pictures.scene import GridLayer, Mark, Scene, SceneDrawing, Zone, _Sheet, extent, scene_drawing
 from ros2_mcp.world.occupancy import OccupancyGrid
 
 BROKEN = (math.nan, math.inf, -math.inf, 1e300, -1e30, 2e6)
@@ -124,3 +124,19 @@ def test_of_several_paths_the_legend_tells_which_is_which() -> None:
     assert [text for _, text in legend("/plan")] == ["path"]
     assert [text for _, text in legend("/plan", "/local_plan")] == ["path /plan", "path /local_plan"]
     assert len({colour for colour, _ in legend("/plan", "/local_plan")}) == 2
+
+
+def test_keep_out_zones_are_tinted_outlined_and_in_the_legend() -> None:
+    zone = Zone("stairs", np.array([[1.0, 1.0], [3.0, 1.0], [3.0, 3.0], [1.0, 3.0]]))
+    drawing = drawn(Span(0, 4), Span(0, 4), zones=(zone,))
+
+    def colour(x_m: float, y_m: float) -> tuple[int, ...]:
+        column = drawing.left_px + int(x_m / drawing.metres_per_pixel)
+        row = drawing.top_px + int((4 - y_m) / drawing.metres_per_pixel)
+        return tuple(map(int, drawing.raster.pixels[row, column]))
+
+    red, green, blue = colour(1.3, 1.3)
+    assert red > green + 30 and red > blue + 30
+    assert colour(0.37, 0.37) == (255, 255, 255)
+    scene = Scene(frame="map", x=Span(0, 4), y=Span(0, 4), zones=(zone,))
+    assert "keep-out zone" in [text for _, text in _Sheet(scene, 0.01, Image.new("RGB", (400, 400))).legend()]

@@ -69,6 +69,19 @@ async def judge_path(robot: Robot, session: Session, action: str, target: Target
     return "" if has_path else f"The planner found no path that could be checked. {_WATCHED}"
 
 
+def entered_by(policy: Policy, path: Any) -> str:
+    """Return in a sentence where the outline of a robot on this nav_msgs/msg/Path is in a keep-out zone, or too near to
+    it; "" if the path is clear."""
+    for keep_out in _zones_of(policy):
+        try:
+            found = keep_out.entry(path_of(poses_of(keep_out, path), keep_out.swing_m))
+        except Unfit as unfit:
+            return f"Whether it keeps clear of the keep-out zones cannot be judged: {unfit}."
+        if found:
+            return f"The policy refuses it: {found} ({keep_out.rule})."
+    return ""
+
+
 def _problem(keep_out: KeepOut, result: Mapping[str, Any], start: Pose | None) -> str:
     """Return why a planned path may not be driven; "" if it may."""
     poses = poses_of(keep_out, result["path"]) if result.get("path", {}).get("poses") else ()

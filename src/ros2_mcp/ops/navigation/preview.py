@@ -21,6 +21,7 @@ from ros2_mcp.ops.navigation.action_names import action_of
 from ros2_mcp.ops.navigation.below import idle_server
 from ros2_mcp.ops.navigation.explain import Explanation, Failure, error_in_words, explain
 from ros2_mcp.ops.navigation.home import targets_in
+from ros2_mcp.ops.navigation.planned_path import entered_by
 from ros2_mcp.ops.navigation.planner import PLAN_S, Rejected, planned
 from ros2_mcp.ops.navigation.situation import costmap_of
 from ros2_mcp.ops.navigation.targets import MAP_FRAME, Target
@@ -131,6 +132,7 @@ async def preview(
     frame = str(path.get("header", {}).get("frame_id") or MAP_FRAME)
     grid, grid_topic = await _grid(robot, action, frame) if points else (None, "")
     dearest = _dearest(grid, points)
+    refused = entered_by(robot.policy, path) if points else ""
     spot = await aside(grid.cells.size, grid.narrowest, points) if grid else None
     shown = await _picture(robot, frame, points, spot) if points else None
     is_feasible = bool(points) and not code
@@ -156,7 +158,7 @@ async def preview(
         grid_topic=grid_topic,
         planning_s=_seconds(result.get("planning_time")),
         explanation=explanation,
-        note=" ".join(filter(None, (error_in_words(code, text), unknown, unverified))),
+        note=" ".join(filter(None, (refused, error_in_words(code, text), unknown, unverified))),
         pictures=shown.pictures if shown else (),
         images=shown.images if shown else (),
     )

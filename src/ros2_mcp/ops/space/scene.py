@@ -36,7 +36,7 @@ from ros2_mcp.world.transforms import FrameTree, Located, pose_of
 from ros2_mcp_common.finite import not_finite
 
 if TYPE_CHECKING:
-    from ros2_mcp.pictures.scene import GridLayer, Mark, Scene, SceneDrawing
+    from ros2_mcp.pictures.scene import GridLayer, Mark, Scene, SceneDrawing, Zone
 
 POSE_STAMPED, POLYGON, STRING = (
     "geometry_msgs/msg/PoseStamped",
@@ -111,6 +111,7 @@ class Gathered:
     path_names: list[str] = field(default_factory=list[str])
     goals: list[Mark] = field(default_factory=list["Mark"])
     places: list[Mark] = field(default_factory=list["Mark"])
+    zones: list[Zone] = field(default_factory=list["Zone"])
     sent_to: set[str] = field(default_factory=set[str])
 
     # ── reading ────────────────────────────────────────────────────────────────────────────────────────────────
@@ -289,6 +290,8 @@ class Gathered:
             if found.age and self.layers and self.layers[-1].name == name:
                 self.layers[-1] = replace(self.layers[-1], from_before=found.age)
         self._place_named(robot)
+        if self.source.is_live:
+            self._place_zones(robot)
 
     def tell_age(self, name: str, scan: Next) -> None:
         """Report that a scan is older than the robot's pose, if the robot may have turned since."""
@@ -409,6 +412,19 @@ class Gathered:
         for one in known[:_MOST_PLACES]:
             self._mark_in(one, "place")
 
+    def _place_zones(self, robot: Robot) -> None:
+        """Add the keep-out zones of the policy."""
+        import numpy as np  # not at the start of the server
+
+        from ros2_mcp.pictures.scene import Zone
+
+        for document in robot.policy.documents:
+            keep_out = document.keep_out
+            pose = self._now_in(keep_out.frame_id) if keep_out else None
+            for name, polygon in keep_out.zones.items() if keep_out and pose else ():
+                self.zones.append(Zone(name, np.array([pose.applied((x, y, 0.0))[:2] for x, y in polygon])))
+                self.layers.append(SceneLayer("keep-out zone", name))
+
     def place_way(self, way: Way) -> None:
         """Add the path given by the caller."""
         import numpy as np  # not at the start of the server
@@ -528,6 +544,7 @@ def _drawn(gathered: Gathered, request: SceneRequest) -> tuple[SceneDrawing, Sce
         path_names=gathered.path_names,
         goals=gathered.goals,
         places=gathered.places,
+        zones=gathered.zones,
     )
     drawing = scene_drawing(scene, BOUNDS)
     return drawing, scene, finished(drawing.raster, BOUNDS)

@@ -41,12 +41,12 @@ class SceneRequest:
 
 @dataclass(frozen=True, slots=True)
 class SceneLayer:
-    """Something in the picture: a `grid`, `costmap`, `scan`, `path`, `goal`, `place`, `footprint`, or the `links` that
-    joints move.
+    """Something in the picture: a `grid`, `costmap`, `scan`, `path`, `goal`, `place`, `footprint`, `keep-out zone`, or
+    the `links` that joints move.
 
-    `name` is its topic, or the name of a place. `x_m`, `y_m` and `yaw_deg` give the pose of a goal or place, or the end
-    of a path, in the picture's frame; null for others, and the yaw null if it has none. `age_s` is null if not known.
-    `from_before` is set if the message was sent before the request, and gives its age.
+    `name` is its topic, or the name of a place or zone. `x_m`, `y_m` and `yaw_deg` give the pose of a goal or place, or
+    the end of a path, in the picture's frame; null for others, and the yaw null if it has none. `age_s` is null if not
+    known. `from_before` is set if the message was sent before the request, and gives its age.
     """
 
     kind: str
