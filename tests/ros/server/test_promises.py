@@ -51,7 +51,7 @@ def test_nodes_are_listed_and_names_that_two_of_them_share(agent, peer, ros_envi
         mixed = "2 publishers (/server_peer, /server_peer): their messages are mixed."
         until(lambda: mixed in agent.call("ros2_topic_subscribe", topic_name="/of_both")["note"])
     finally:
-        second.end()
+        second.end_or_kill()
     assert found["duplicates"] == ["/server_peer"]
 
 

@@ -67,6 +67,8 @@ def options(robots: dict[str, int], tmp_path_factory: pytest.TempPathFactory) ->
 @pytest.fixture(scope="module")
 def agent(ros_environment: dict[str, str], options: list[str]) -> Iterator[Agent]:
     with agent_for(ros_environment, *options) as client:
+        for robot in ("lab", "yard"):
+            client.until_answered("ros2_status", robot=robot)
         yield client
 
 
