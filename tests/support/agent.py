@@ -20,8 +20,8 @@ from support.structured import META, read
 FULL = rounds.FULL
 SERVER = (sys.executable, "-m", "ros2_mcp")
 CALL_S = 60.0
-DISCOVERY_S = 30.0
-"""Two participants that have just started may need several seconds to know all of each other."""
+DISCOVERY_S = 60.0
+"""Two participants that have just started may need several seconds to know all of each other; this only ends a hang."""
 
 
 def until(check: Callable[[], Any], seconds: float = 30.0) -> Any:
@@ -64,9 +64,14 @@ class Agent:
     def knows(self, *topics: str) -> Agent:
         """Itself, as soon as its server has discovered the topics."""
         deadline = time.monotonic() + DISCOVERY_S
-        while missing := [topic for topic in topics if not self._lists(topic)]:
+        while True:
+            try:
+                missing = [topic for topic in topics if not self._lists(topic)]
+            except Refusal as refusal:  # a busy machine may need longer for a bridge than its server waits: 20 s
+                missing = [str(refusal)]
+            if not missing:
+                return self
             assert time.monotonic() < deadline, f"not discovered: {missing}"
-        return self
 
     def until_answered(self, tool: str, **arguments: Any) -> Agent:
         """Itself, as soon as the call is not refused: as a rule, when the other side has discovered the server too."""

@@ -89,7 +89,7 @@ def serving(environment: dict[str, str], path: Path, *options: str) -> Iterator[
     command = [sys.executable, "-m", "ros2_mcp", "--socket", str(path), "--tools", "all", *options]
     process = subprocess.Popen(command, env=environment)
     try:
-        until(path.exists)
+        until(path.exists, LISTENS_S)
         yield process
     finally:
         process.terminate()

@@ -166,7 +166,8 @@ def test_feedback_and_result_of_a_goal_that_was_not_waited_for(agent) -> None:
     feedback = agent.begin("ros2_action_subscribe_feedback", **without_goal(), duration_sec=40, max_messages=3)
     while not agent.call("ros2_topic_info", topic_name="/fibonacci/_action/feedback")["subscribers"]:
         assert not feedback.done()
-    goal = agent.call("ros2_send_action_goal", **{**GOAL, "goal_fields": {"order": 20}})
+    # It lasts 5 s: a robot that has not discovered the reader of the feedback at first does so within 3 s.
+    goal = agent.call("ros2_send_action_goal", **{**GOAL, "goal_fields": {"order": 50}})
     assert (goal["accepted"], len(goal["goal_id"]), goal["waited"]) == (True, 32, False)
     heard = feedback.result(50)
     assert_has(

@@ -24,9 +24,11 @@ COUNTING = {"action_name": "/fibonacci", "action_type": "test_msgs/action/Fibona
 @pytest.mark.promise("ros2_topic_subscribe", "Read messages of a topic")
 def test_arrays_bytes_and_fields_named_data_keep_their_names_and_values(agent, peer) -> None:
     peer.offer_ramp(topic="/layout", kind="std_msgs/msg/Float32MultiArray", field="data", length=3, latched=True)
+    agent.knows("/layout")
     message = agent.call("ros2_topic_subscribe", topic_name="/layout")["messages"][0]
     assert message == {"layout": {"dim": [], "data_offset": 0}, "data": [0.0, 989.875, 1979.75]}
     peer.offer_ramp(topic="/id", kind="unique_identifier_msgs/msg/UUID", field="uuid", length=16, latched=True)
+    agent.knows("/id")
     message = agent.call("ros2_topic_subscribe", topic_name="/id")["messages"][0]
     assert message == {"uuid": [index * 7919 % 251 for index in range(16)]}
 
@@ -36,6 +38,7 @@ def test_a_service_answers_with_an_object(agent, small_robot) -> None:
     assert answer["result"] == {"success": True, "message": "lamp on"}
 
 
+@pytest.mark.timeout(1800 if FULL else 300)  # each read of a latched topic waits 1.3 s for a newer message
 def test_calls_leave_no_entities_threads_or_files_behind(agent, peer, small_robot) -> None:
     peer.offer(topic="/left_behind", kind=STRING, seed=1, latched=True)
     peer.listen(topic="/left_here", kind=STRING)
@@ -87,6 +90,7 @@ def busy(agent, peer) -> Iterator[None]:
     topics = [f"/seldom_{number}" for number in range(10)]  # who reads the same one shares a subscription
     for topic in topics:
         peer.offer(topic=topic, kind=STRING, seed=1)
+    agent.knows(*topics)
     reading = [agent.begin("ros2_topic_subscribe", topic_name=one, duration=50.0, message_limit=1) for one in topics]
     goal = agent.begin("ros2_send_action_goal", **COUNTING, goal_fields={"order": 500}, wait_for_result=True)
     while "EXECUTING" not in str(agent.call("ros2_action_status")["goals"]):
@@ -164,16 +168,17 @@ def seconds_until_given_up(agent) -> float:
 @pytest.mark.promise("ros2_send_action_goal", "after a time-out the goal continues (status TIMEOUT)")
 def test_a_goal_goes_on_when_the_waiting_ends_and_says_so(agent, small_robot) -> None:
     waited = agent.call(
-        "ros2_send_action_goal", **COUNTING, goal_fields={"order": 30}, wait_for_result=True, timeout_sec=0.3
+        "ros2_send_action_goal", **COUNTING, goal_fields={"order": 60}, wait_for_result=True, timeout_sec=0.3
     )
     assert (waited["status"], waited["status_code"], waited["result"]) == ("TIMEOUT", 0, None)
     assert "the goal was not cancelled" in waited["note"]
     result = agent.call("ros2_action_request_result", **COUNTING, goal_id_hex=waited["goal_id"])
-    assert (result["status"], len(result["result"]["sequence"])) == ("SUCCEEDED", 32)
+    assert (result["status"], len(result["result"]["sequence"])) == ("SUCCEEDED", 62)
 
 
 def test_reading_a_latched_topic_changes_no_later_publisher(agent, peer) -> None:
     peer.offer(topic="/latched", kind=STRING, seed=1, latched=True)
+    agent.knows("/latched")
     assert "transient_local" in agent.call("ros2_topic_subscribe", topic_name="/latched")["qos"]
     peer.listen(topic="/afterwards", kind=STRING)
     agent.knows("/afterwards")
@@ -222,7 +227,9 @@ def test_a_whole_number_becomes_a_floating_point_number_exactly(agent, peer) -> 
 def test_big_messages_come_as_bounded_summaries(agent, peer, kind: str) -> None:
     topic = f"/big_{kind[-5:].lower()}"
     peer.offer_ramp(topic=topic, kind=kind, field="data", length=2**20, latched=True)
-    whole = agent.whole("ros2_topic_subscribe", {"topic_name": topic, "max_array": 10_000})
+    agent.knows(topic)
+    # With a limit it waits for 20 s, not 5: a busy machine loses parts of a megabyte, which are sent again after 3 s.
+    whole = agent.whole("ros2_topic_subscribe", {"topic_name": topic, "max_array": 10_000, "message_limit": 1})
     assert len(whole.content[0].text) <= 12_000
     assert whole.structured_content["messages"][0]["data"] == {"$summary": "uint8[]", "length": 2**20}
 
@@ -231,8 +238,10 @@ def test_big_messages_come_as_bounded_summaries(agent, peer, kind: str) -> None:
     "ros2_topic_list", "List the topics of the robot with their types and the number of publishers and subscribers"
 )
 def test_the_first_listing_of_a_new_server_is_whole(peer, start_agent) -> None:
+    """Where discovery is still under way after the 4 s that it waits for it, as on a busy machine, it says so."""
     with listed(peer) as topics:
-        assert_whole(first_listing(start_agent)[0], topics)
+        server = start_agent()
+        assert_whole(until(lambda: (listing := list_them(server))["settled"] and listing), topics)
 
 
 @pytest.mark.full
@@ -259,7 +268,11 @@ def listed(peer) -> Iterator[set[str]]:
 def first_listing(start_agent) -> tuple[dict[str, Any], float]:
     """Of a new server, and how many seconds its start and the listing took."""
     started = time.monotonic()
-    return start_agent().call("ros2_topic_list", pattern="/listed/*"), time.monotonic() - started
+    return list_them(start_agent()), time.monotonic() - started
+
+
+def list_them(agent) -> dict[str, Any]:
+    return agent.call("ros2_topic_list", pattern="/listed/*")
 
 
 def assert_whole(listing: dict[str, Any], topics: set[str]) -> None:

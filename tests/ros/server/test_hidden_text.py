@@ -108,7 +108,7 @@ def server(
     """A server that has discovered the hostile robot."""
     server = RawServer(ros_environment, "--tools", "all", "--record-dir", str(tmp_path_factory.mktemp("recordings")))
     server.begin(VERSION)
-    until(lambda: "/hostile/basic" in str(server.call("ros2_service_list")))
+    until(lambda: "/hostile/basic" in str(server.call("ros2_service_list")), 60.0)  # the first waits for a bridge
     until(lambda: not server.call("ros2_service_call", service_name="/hostile/say", timeout_sec=1)["isError"])
     yield server
     server.end()

@@ -43,8 +43,10 @@ WAYS = [*itertools.product(ERAS, ("close", "reset")), ("handshake", "DELETE")]
 LEASE_S = 2.0
 CLOSED_S, SILENT_S, STOPPED_S = 0.3, LEASE_S + 0.3, 10.0 + 0.3
 """What is promised: after a close, after the last packet, and for a repeat whose client answers nothing any more."""
-REPEATED = 205
-"""The most messages of a repeat at 20 Hz that ends after 10 s."""
+REPEATED = 205 if FULL else 230
+"""The most messages of a repeat at 20 Hz that ends after 10 s; without that end it would have 240 or 1200. A server
+notices the end of the 10 s later on a busy machine: by 1.25 s at most.
+"""
 STILL = 6
 """Messages of what drives at 20 Hz in which nothing may move afterwards."""
 ARRIVES_S = 0.05
@@ -297,15 +299,21 @@ def test_who_closes_stops_at_once_who_has_no_stream_with_its_lease_and_who_waits
     assert closed_at < lapsed_at, "it closed later than the other one asked, and yet its motion ends first"
     if FULL:
         time.sleep(2 * SILENT_S)
-    assert all(any(one["moves"] for one in waits.after(by, lapsed_at)) for by in waits.zeros)
+    until(lambda: all(any(one["moves"] for one in waits.after(by, lapsed_at)) for by in waits.zeros))
     if FULL:
         assert field.observer.moved(sent_after=time.monotonic_ns() - 200_000_000, topic=waits.topic)
     goes(waits, "close")
     rest(field, [waits])
     asks = Driver(field, clients, era, "relay")
     asks.begin()
-    relays = asks.called("ros2_relay_list", {})["structuredContent"]["relays"]
-    [ended] = [relay for relay in relays if relay["destination_topic"] == waits.topic]
+
+    def relay() -> dict[str, Any]:
+        relays = asks.called("ros2_relay_list", {})["structuredContent"]["relays"]
+        [found] = [relay for relay in relays if relay["destination_topic"] == waits.topic]
+        return found
+
+    until(lambda: relay()["state"] != "running")  # its zero may be seen before the server knows of its end
+    ended = relay()
     assert ended["state"] == "stopped" and ended["published"] > 10 and ended["elapsed_sec"] > SILENT_S
     assert ended["note"].count("end of its client") == 1
     goes(asks, "close")
@@ -458,7 +466,7 @@ async def test_a_repeat_outlasts_ten_seconds_only_where_its_client_answers_pings
 
 def missed(published: dict[str, Any]) -> int:
     """The periods that a busy machine has missed, as the result says."""
-    said = re.search(r"(\d+) period\(s\) were missed", published["note"])
+    said = re.search(r"Missed (\d+) period", published["note"])
     return int(said[1]) if said else 0
 
 
@@ -471,7 +479,7 @@ def test_a_departure_is_ended_once_though_nobody_acknowledges_its_zero(field: Fi
     until(lambda: not driver.called("ros2_topic_publish", once).get("isError") and driver.heard_by("listener"))
     goes(driver, "close")
     until(lambda: not any(driver.heard_by("listener")[-1]["values"]))
-    field.wait(40)  # 2 s: to who acknowledges nothing the zero is sent again for UNSURE_AGAIN_S[-1], 1 s
+    field.wait(80)  # 4 s: to who acknowledges nothing the zero is sent again for UNSURE_AGAIN_S[-1], 1 s
     zeros = len(driver.heard_by("listener"))
     field.wait(60)  # a lease, and a second more
     assert len(driver.heard_by("listener")) == zeros
@@ -487,6 +495,7 @@ def test_the_departure_of_one_client_leaves_what_another_moves_on_the_same_topic
         driver.drive()
     leaves.called("ros2_topic_publish", {"topic_name": stays.topic, "message_type": TWIST, "data": MOVING})
     went = goes(leaves, "close")
+    stays.ask()  # its repeat lasts for 10 s more
     (left_at,) = rest(field, [leaves])  # all that its departure ends has ended
     by = f"{stays.name} reliable"
     until(lambda: len(stays.after(by, left_at)) > 10)

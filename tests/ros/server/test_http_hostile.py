@@ -45,7 +45,8 @@ GOOD = f"Authorization: Bearer {TOKEN}"
 GROWTH_BYTES = 20_000_000
 ANSWERED_S = 0.1
 """What is promised of 99 of 100 calls of an honest client on a quiet machine."""
-PATIENCE_S = 10.0
+PATIENCE_S = 60.0
+"""The first call of all waits for the bridge, too."""
 
 Attack = Callable[[int], list[bytes]]
 """The pieces in which one request is sent to a port; none of these may be carried out."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import socket
 import time
 from collections.abc import Iterator
@@ -33,7 +34,7 @@ def port(ros_environment: dict[str, str]) -> Iterator[int]:
 
 
 def answer(port: int, method: str, path: str, headers: list[tuple[str, str]], body: bytes = b"") -> tuple[int, bytes]:
-    """Status and first bytes of the answer to a request whose headers are sent as they are."""
+    """Status and first bytes of the answer to a request whose headers are sent as they are; of JSON all of it."""
     lines = [f"{method} {path} HTTP/1.1", *(f"{name}: {value}" for name, value in headers)]
     with socket.create_connection(("127.0.0.1", port), PATIENCE_S) as connection:
         connection.sendall("\r\n".join([*lines, "", ""]).encode("latin-1"))
@@ -47,15 +48,17 @@ def answer(port: int, method: str, path: str, headers: list[tuple[str, str]], bo
             part = connection.recv(65536)
             assert part, "closed without an answer"
             received += part
-        if b"application/json" in received:
-            connection.settimeout(0.2)
-            try:
-                while part := connection.recv(65536):
-                    received += part
-            except TimeoutError:
-                pass
-    head, _, rest = received.partition(b"\r\n\r\n")
+        head, _, rest = received.partition(b"\r\n\r\n")
+        if b"application/json" in head:  # its body may come some time after its head
+            while not is_whole(head, rest) and (part := connection.recv(65536)):
+                rest += part
     return int(head.split()[1]), rest
+
+
+def is_whole(head: bytes, body: bytes) -> bool:
+    """Whether the body of an answer with this head has come."""
+    length = re.search(rb"(?i)^content-length: *(\d+)", head, re.MULTILINE)
+    return len(body) >= int(length[1]) if length else body.endswith(b"0\r\n\r\n")
 
 
 def usual(port: int, method: str = "POST", **more: str) -> list[tuple[str, str]]:

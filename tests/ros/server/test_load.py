@@ -151,7 +151,7 @@ def test_many_clients_keep_within_memory_and_disk_and_lose_no_bridge(
                 failed.append(json.dumps(result)[:500])
 
     with listening(ros_environment, "streamable-http", "--tools", "all", *box) as (port, process):
-        until(lambda: names["camera"] in str(ask(port, "ros2_topic_list")))
+        until(lambda: names["camera"] in str(ask(port, "ros2_topic_list")), 90.0)  # the first call waits for the bridge
         began = time.monotonic()
         with Memory(process.pid).watched() as memory:
             clients = [threading.Thread(target=client, args=(number, port)) for number in range(CLIENTS)]

@@ -48,6 +48,8 @@ def agent(ros_environment: dict[str, str], policy: str) -> Iterator[Agent]:
 def small_robot(ros_environment: dict[str, str], agent: Agent) -> Iterator[None]:
     """`server_robot`, discovered."""
     process = subprocess.Popen(peer_command("server_robot"), stdout=subprocess.PIPE, text=True, env=ros_environment)
+    assert process.stdout
+    assert "ready\n" in process.stdout  # reads until there; how long it starts does not count as discovery
     agent.until_answered("ros2_service_call", service_name="/set_lamp", fields={"data": True}, timeout_sec=1)
     agent.until_answered("ros2_parameter_get", node_name="/small_robot")
     until(lambda: agent.call("ros2_list_actions")["actions"])

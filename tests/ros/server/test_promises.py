@@ -47,10 +47,11 @@ def test_nodes_are_listed_and_names_that_two_of_them_share(agent, peer, ros_envi
         found = until(lambda: (seen := agent.call("ros2_node_list"))["duplicates"] and seen)
         for node in (peer, second):
             node.offer(topic="/of_both", kind=STRING, seed=1, latched=True)
+        agent.knows("/of_both")
         mixed = "2 publishers (/server_peer, /server_peer): their messages are mixed."
         until(lambda: mixed in agent.call("ros2_topic_subscribe", topic_name="/of_both")["note"])
     finally:
-        second.end()
+        second.end_or_kill()
     assert found["duplicates"] == ["/server_peer"]
 
 
@@ -66,20 +67,20 @@ def test_a_read_without_bounds_ends_with_the_first_message_and_one_of_a_duration
 @pytest.mark.promise("ros2_subscribe_multiple_topics", "each with its own duration or message limit")
 @pytest.mark.promise("ros2_subscribe_multiple_topics", "truly at the same time")
 def test_topics_are_read_at_the_same_time_each_for_its_own(agent, peer, latched) -> None:
-    """Neither of the two that are silent speaks before both have their reader."""
+    """Neither of the two that are silent speaks before both have their reader. What is lost comes again within 3 s."""
     silent = ("/promise_c", "/promise_d")
     for topic in silent:
         peer.offer(topic=topic, kind=STRING, seed=1)
     agent.knows(*silent)
     wanted = [{"name": topic, "message_limit": 1, "duration": 50.0} for topic in silent]
-    reading = agent.begin("ros2_subscribe_multiple_topics", topics=[*wanted, {"name": latched[0], "duration": 0.5}])
+    reading = agent.begin("ros2_subscribe_multiple_topics", topics=[*wanted, {"name": latched[0], "duration": 4.0}])
     assert [peer.readers(topic=topic, expected=1) for topic in silent] == [1, 1]
     assert not reading.done()
     for topic in silent:
         peer.offer(topic=topic, kind=STRING, seed=1)
     read = reading.result(40)["topics"]
     assert [topic["count"] for topic in read] == [1, 1, 1]
-    assert read[2]["duration"] >= 0.5
+    assert read[2]["duration"] >= 4.0
 
 
 @pytest.mark.full

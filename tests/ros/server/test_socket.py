@@ -24,7 +24,8 @@ from support.ports import serving
 from support.standstill import undisturbed
 from support.structured import META
 
-END_S = 30.0
+END_S = 60.0
+"""For what starts or ends a server, or `connect`: on a busy machine each start takes seconds."""
 CLOSED_S, ARRIVES_S = 0.3, 0.05
 """As for a client over HTTP that closes its last open response."""
 TALK = "/talk"
@@ -199,7 +200,7 @@ def test_when_the_server_ends_connect_says_so(ros_environment: dict[str, str], t
     assert "has ended the connection" in client.process.communicate()[1]
     assert path.exists()  # the next server takes its place
     with serving(ros_environment, path):
-        until(lambda: _accepts(path))
+        until(lambda: _accepts(path), END_S)
         Connected(ros_environment, path).kill()
 
 
