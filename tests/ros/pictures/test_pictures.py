@@ -17,7 +17,6 @@ from PIL import Image
 
 from support.agent import Agent, until
 
-
 EDGE = timedelta(milliseconds=1)
 
 
