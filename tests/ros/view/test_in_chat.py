@@ -178,7 +178,7 @@ def test_a_click_on_the_map_is_a_place_for_the_model(chat: Page, agent: Agent) -
     chat.until(
         "host.views[0].said.filter(one => one.method === 'ui/update-model-context').at(-1).params.content.length === 0"
     )
-    assert not any(page["picked"] for page in agent.call("ros2_view_state")["pages"])
+    until(lambda: not any(page["picked"] for page in agent.call("ros2_view_state")["pages"]))
     assert chat.complaints == []
 
 
