@@ -51,7 +51,7 @@ async def told_after_s(agent: AsyncAgent, topic: str, number: signal.Signals, wo
     with pytest.raises(Refusal, match=rf"BridgeLost: The bridge \(pid {bridge}\) {words}.*started again"):
         await reading
     told_after = time.monotonic() - lost_at
-    again = await agent.call("ros2_topic_subscribe", topic_name=topic)
+    again = await agent.call("ros2_topic_subscribe", topic_name=topic, duration=40, message_limit=1)  # a bridge begins
     assert again["count"] == 1
     status = await agent.call("ros2_status")
     assert status["bridge_starts"] == before["bridge_starts"] + 1
