@@ -215,7 +215,7 @@ def test_it_bears_a_chat_that_is_slow_or_fails_and_two_views_do_not_meet(chat: P
 def test_it_says_why_it_shows_nothing(chat: Page, options: dict[str, Any], why: str) -> None:
     view = shown(chat, **options)
     chat.until(f"document.getElementById('state').textContent.includes({json.dumps(why)})", within=view)
-    asked = chat.run(SETTLED)
+    asked = at_rest(chat)
     assert asked <= 1  # the first question may have been on its way
     assert chat.run(SETTLED) == asked
     assert chat.complaints == []
