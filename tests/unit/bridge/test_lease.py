@@ -12,7 +12,7 @@ import pytest
 from ros2_mcp_bridge.lease import LinkLease
 from ros2_mcp_common.wire.packets import PacketError
 
-PATIENCE_S = 10.0
+PATIENCE_S = 30.0
 LEASE_S = 0.2
 
 

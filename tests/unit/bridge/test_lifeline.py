@@ -19,7 +19,7 @@ from ros2_mcp_bridge.exit.lifeline import Lifeline
 from ros2_mcp_bridge.exit.spawning import Child
 
 TWIST = "geometry_msgs/msg/Twist"
-PATIENCE_S = 10.0
+PATIENCE_S = 30.0
 NO_COPY = OSError("no more processes")
 
 
