@@ -19,7 +19,8 @@ from support.rounds import QUICK
 
 _NAMES = ("chromium", "chromium-browser", "google-chrome")
 CHROMIUM = None if QUICK else next(filter(None, map(shutil.which, _NAMES)), None)
-PATIENCE_S = 30.0
+PATIENCE_S = 45.0
+"""Also for its start, on a machine that is busy with other tests."""
 _OPTIONS = (
     *("--headless=new", "--no-sandbox", "--remote-debugging-pipe", "--hide-scrollbars", "--mute-audio"),
     *("--disable-dev-shm-usage", "--no-first-run", "--disable-background-networking"),

@@ -29,7 +29,10 @@ def there_are_containers() -> bool:
 def children(pid: int) -> list[int]:
     """The processes that a process has started, by any of its threads, in the order of their numbers."""
     found: list[int] = []
-    for task in Path(f"/proc/{pid}/task").iterdir():
-        with suppress(FileNotFoundError):  # the thread has ended meanwhile; its children are another one's then
+    tasks: list[Path] = []
+    with suppress(FileNotFoundError, ProcessLookupError):  # the process has ended meanwhile
+        tasks += Path(f"/proc/{pid}/task").iterdir()
+    for task in tasks:
+        with suppress(FileNotFoundError, ProcessLookupError):  # so has the thread: its children are another one's then
             found += map(int, (task / "children").read_text("ascii").split())
     return sorted(found)

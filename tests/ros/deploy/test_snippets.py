@@ -24,7 +24,7 @@ from support.source import ROOT
 PAGES = ROOT / "docs/how-to"
 UNIT = ROOT / "deploy/systemd/ros2-mcp.service"
 DOCKER = peer_command("docker_run")
-END_S = 20.0
+END_S = 40.0
 """An answer, or the end of a server, on a machine that is busy with other tests."""
 
 

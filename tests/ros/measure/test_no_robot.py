@@ -80,7 +80,7 @@ def test_without_a_robot_every_tool_says_the_same_sentence(agent: Agent, domain_
 def test_a_robot_that_has_left_is_missed_by_its_names(agent: Agent, ros_environment: dict[str, str]) -> None:
     with running(ros_environment, *peer_command("signal_peer")):
         until(lambda: "/signals" in agent.call("ros2_node_list")["nodes"])
-        agent.knows("/signal", "/pulse").call("ros2_health_check", check_rates=False)
+        agent.knows("/signal", "/signal_late", "/pulse").call("ros2_health_check", check_rates=False)
         status = agent.call("ros2_status")
         assert (status["robot_seen"], status["note"]) == (True, "")
         assert "No robot" not in agent.call("ros2_topic_list")["note"]
@@ -95,11 +95,11 @@ def test_names_are_found_by_type_and_a_misspelt_one_is_told_at_once(
     agent: Agent, ros_environment: dict[str, str]
 ) -> None:
     with running(ros_environment, *peer_command("signal_peer")):
-        agent.knows("/signal_late", "/signal_wave")
+        agent.knows("/signal_late", "/signal_wave", "/signal", "/signal_copy", "/signal_steady")
         listed = agent.call("ros2_topic_list", pattern="msg/PointStamped")["topics"]
         assert {row["topic_name"] for row in listed} == {"/signal", "/signal_copy", "/signal_steady"}
         asked = {"msg_type": "Float64", "message_limit": 9}
-        waiting = agent.begin("ros2_topic_subscribe", topic_name="/not/there", **asked)
+        waiting = agent.begin("ros2_topic_subscribe", topic_name="/not/there", duration=50, **asked)
         begun = time.monotonic()
         told = agent.refusal("ros2_topic_subscribe", topic_name="/signal_waev", **asked)
         assert "Did you mean /signal_wave?" in told
@@ -133,7 +133,7 @@ def test_a_robot_that_hangs_or_was_killed_is_missed_while_the_graph_still_shows_
 ) -> None:
     with running(ros_environment, *peer_command("signal_peer")) as robot:
         until(lambda: "/signals" in agent.call("ros2_node_list")["nodes"])
-        assert agent.call("ros2_health_check", rate_check_duration_sec=1)["verdict"] != "CRITICAL"
+        until(lambda: agent.call("ros2_health_check", rate_check_duration_sec=1)["verdict"] != "CRITICAL")
         robot.send_signal(signal.SIGSTOP)
         found = agent.call("ros2_health_check", rate_check_duration_sec=1)
         robot.send_signal(signal.SIGCONT)
@@ -152,6 +152,7 @@ def test_a_sensor_that_has_left_while_others_stay_is_critical(agent: Agent, ros_
             until(lambda: {"/signals", "/stranger"} <= set(agent.call("ros2_node_list")["nodes"]))
             agent.knows("/signal", "/range").call("ros2_health_check", check_rates=False)
         until(lambda: "/stranger" not in agent.call("ros2_node_list")["nodes"])
+        until(lambda: "/range" not in [row["topic_name"] for row in agent.call("ros2_topic_list")["topics"]])
         found = agent.call("ros2_health_check", check_rates=False)
         missed = found["findings"][0]
         assert (found["verdict"], missed["severity"], missed["subject"]) == ("CRITICAL", "critical", "/stranger")

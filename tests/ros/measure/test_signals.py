@@ -10,10 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from support.agent import CALL_S, Agent
+from support.agent import CALL_S, Agent, until
 from support.standstill import undisturbed
 
 GAP = re.compile(r"nothing for (\S+) s from (\S+) s \(\S+\) on")
+GAPS = {"topic_names": ["/signal"], "duration": 4.5}
+REPLAYS = {"topic_names": ["/settings"], "duration": 4}
+HELD = ("/signal_steady", "/signal_copy", "/pulse", "/signal", "/sensor", "/signal_wave", "/signal_late")
 
 
 def published(signals: subprocess.Popen[str]) -> dict[str, Any]:
@@ -46,14 +49,30 @@ def test_the_numbers_are_those_of_the_published_messages(agent: Agent, signals: 
 
 
 def measured(agent: Agent) -> dict[str, dict[str, Any]]:
-    """What several calls at the same time give, each as if it were alone."""
+    """What several calls at the same time give, each as if it were alone.
+
+    Their subscriptions, which are shared, are there and matched before: on a busy machine one may be so seconds later
+    than another, and a measurement waits for that half a second only.
+    """
+    asked = {"duration": 50, "message_limit": 100_000}
+    held = [agent.begin("ros2_topic_subscribe", topic_name=topic, **asked) for topic in HELD]
+    try:
+        for topic in HELD:
+            agent.call("ros2_topic_subscribe", topic_name=topic, message_limit=2)
+        return measured_together(agent)
+    finally:
+        for call in held:
+            call.cancel()
+
+
+def measured_together(agent: Agent) -> dict[str, dict[str, Any]]:
     calls = {
         "together": ("statistics", {"topic_names": ["/signal_steady", "/signal_copy", "/pulse"], "duration": 2}),
         "twice": ("statistics", {"topic_names": ["/signal_steady", "signal_steady"], "duration": 2}),
-        "gaps": ("statistics", {"topic_names": ["/signal"], "duration": 4.5}),
+        "gaps": ("statistics", GAPS),
         "faults": ("statistics", {"topic_names": ["/sensor"], "duration": 5, "fields": ["range"]}),
-        "replay": ("stats", {"topic_names": ["/settings"], "duration": 2}),
-        "replay, values": ("statistics", {"topic_names": ["/settings"], "duration": 2}),
+        "replay": ("stats", REPLAYS),
+        "replay, values": ("statistics", REPLAYS),
         "late": ("compare", {"topic1_name": "/signal_wave", "topic2_name": "/signal_late", "duration_sec": 4}),
         "copy": ("compare", {"topic1_name": "/signal_steady", "topic2_name": "/signal_copy", "duration_sec": 2}),
     }
@@ -79,7 +98,7 @@ def test_rates_gaps_and_delays_are_right(agent: Agent, signals: subprocess.Popen
     (topic,) = results["gaps"]["topics"]
     assert topic["period_median_s"] == pytest.approx(np.median(periods), rel=0.1)
     (flow,) = results["replay"]["topics"]
-    assert 1 < flow["count"] <= 12
+    assert 1 < flow["count"] <= 6 * REPLAYS["duration"]
     assert flow["rate_hz"] <= 6 and flow["bytes_per_second"] <= 12 * 6
     (values,) = results["replay, values"]["topics"]
     assert values["rate_hz"] <= 6
@@ -121,10 +140,18 @@ def gaps(results: dict[str, dict[str, Any]], signals: subprocess.Popen[str]) -> 
 
 
 @pytest.mark.promise("ros2_topic_statistics", "gaps")
-def test_injected_gaps_are_found(results: dict[str, dict[str, Any]], signals: subprocess.Popen[str]) -> None:
-    """All of them; a busy machine may make more."""
-    _, injected, inner = gaps(results, signals)
-    assert len(inner) >= len(injected)
+def test_injected_gaps_are_found(
+    agent: Agent, results: dict[str, dict[str, Any]], signals: subprocess.Popen[str]
+) -> None:
+    """All of them; a busy machine may make more. Where it receives the message before a gap late, that gap is shorter:
+    then it is measured again.
+    """
+
+    def all_found(measured: dict[str, dict[str, Any]]) -> bool:
+        _, injected, inner = gaps(measured, signals)
+        return len(inner) >= len(injected)
+
+    assert all_found(results) or until(lambda: all_found({"gaps": agent.call("ros2_topic_statistics", **GAPS)}))
 
 
 @pytest.mark.promise("ros2_topic_statistics", "stuck values, NaN")
@@ -138,10 +165,10 @@ def test_a_stuck_and_faulty_sensor_is_told(results: dict[str, dict[str, Any]]) -
 def test_replayed_history_is_in_no_rate(results: dict[str, dict[str, Any]]) -> None:
     (flow,) = results["replay"]["topics"]
     assert flow["replayed"] >= 50 and 0 < flow["count"] < 50
-    assert flow["rate_hz"] < flow["replayed"] / 2.0  # in the 2 s of the measurement
+    assert flow["rate_hz"] < flow["replayed"] / REPLAYS["duration"]
     assert flow["publisher_nodes"] == ["/signals"]
     (values,) = results["replay, values"]["topics"]
-    assert values["count"] > 50 and values["rate_hz"] < 50 / 2.0
+    assert values["count"] > 50 and values["rate_hz"] < 50 / REPLAYS["duration"]
 
 
 @pytest.mark.promise(
@@ -171,8 +198,12 @@ def test_a_short_pulse_is_not_missed(agent: Agent, signals: subprocess.Popen[str
 
 
 def test_what_never_comes_ends_with_the_last_seen(agent: Agent, signals: subprocess.Popen[str]) -> None:
-    found = agent.call("ros2_wait_until", topic_name="/pulse", condition="data < 0", timeout_s=1)
-    assert not found["met"] and found["message"] is not None
+    def waited() -> dict[str, Any] | None:
+        found = agent.call("ros2_wait_until", topic_name="/pulse", condition="data < 0", timeout_s=1)
+        return found if found["message"] is not None else None  # matching may take that second on a busy machine
+
+    found = until(waited)
+    assert not found["met"]
     assert found["messages_checked"] > 0 and found["waited"] >= 1.0
 
 

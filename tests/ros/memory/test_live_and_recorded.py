@@ -23,7 +23,7 @@ SAME = ("count", "min", "max", "mean", "std", "first", "last", "zeros", "not_fin
 TOPICS = ["/odom", "/scan", "/imu"]
 MANY = 100
 """Messages, of which numbers are compared."""
-PICTURES = "/camera/image_raw"
+PICTURES, DIAGNOSTICS = "/camera/image_raw", "/diagnostics"
 EXACTLY, EDGE = timedelta(), timedelta(milliseconds=1)
 SITE_PACKAGES = Path(next(entry for entry in sys.path if entry.endswith("site-packages")))
 
@@ -85,7 +85,7 @@ def recorded(
 
 
 def measured_and_recorded(agent: Agent, folder: Path) -> Recorded:
-    others = ["/rosout", "/diagnostics", PICTURES, "/map"]
+    others = ["/rosout", DIAGNOSTICS, PICTURES, "/map"]
     agent.knows(*TOPICS, *others)
     begun = agent.call("ros2_record_start", topic_names=[*TOPICS, *others], name="run")
     until(lambda: has_begun(agent, "run", TOPICS))
@@ -95,20 +95,22 @@ def measured_and_recorded(agent: Agent, folder: Path) -> Recorded:
     until(lambda: agent.call("ros2_log_read", node_name="/lidar", level="warn")["lines"])  # that it is dead
     silent = received_at(agent)
     until(lambda: received_at(agent) > silent + timedelta(seconds=2))
-    for topic in (PICTURES, "/odom"):  # which others do not keep: the recording has them of its last moments
+    for topic in (DIAGNOSTICS, PICTURES, "/odom"):  # not kept by others: the recording has them of its last moments
         assert agent.call("ros2_topic_echo_wait", topic_name=topic, timeout=30)["received"]
     agent.call("ros2_record_stop", recording_id=begun["recording_id"])
     agent.call("ros2_parameter_set", node_name="/lidar", values={"enabled": True})
     return agent, live, folder
 
 
-def measured_whole(agent: Agent, recording_id: str, duration_s: float) -> dict[str, Any] | None:
+def measured_whole(
+    agent: Agent, recording_id: str, duration_s: float, topics: list[str] = TOPICS, many: int = MANY
+) -> dict[str, Any] | None:
     """What is measured in that time, if it is much, and neither that nor the recording has lost anything of it: on a
     machine that is held up a best-effort message may reach one of two subscriptions alone.
     """
     before = lost(agent, recording_id)
-    live = agent.call("ros2_topic_statistics", topic_names=TOPICS, duration_s=duration_s)
-    if sum(topic["count"] for topic in live["topics"]) <= MANY:
+    live = agent.call("ros2_topic_statistics", topic_names=topics, duration_s=duration_s)
+    if sum(topic["count"] for topic in live["topics"]) <= many:
         return None
     is_whole = not any(topic["lost"] or topic["dropped"] for topic in live["topics"])
     return live if is_whole and lost(agent, recording_id) == before else None
@@ -146,7 +148,8 @@ def test_the_servers_own_black_box_is_asked_in_the_same_words(start_agent: Start
     agent = start_agent("--black-box", "/odom,/scan")
     until(lambda: agent.call("ros2_record_status")["recordings"])
     until(lambda: has_begun(agent, "black-box", ["/odom", "/scan"]))
-    live = agent.call("ros2_topic_statistics", topic_names=["/odom", "/scan"], duration_s=2.0)
+    (box,) = agent.call("ros2_record_status")["recordings"]
+    live = until(lambda: measured_whole(agent, box["recording_id"], 2.0, ["/odom", "/scan"], many=0))
     end = moment(window_of(live, later=EDGE)["end"])
     for topic in ("/odom", "/scan"):
         until(lambda topic=topic: kept_until(agent, topic) > end)

@@ -192,7 +192,7 @@ def test_what_cannot_be_played_is_said_before_anything_is(agent: Agent, listener
 def test_what_is_of_a_type_that_is_not_installed_is_left_out_and_told_unless_it_is_asked_for(
     agent: Agent, listener: Listener
 ) -> None:
-    played = agent.call("ros2_bag_play", bag="mixed", rate=10, wait_sec=10)
+    played = agent.call("ros2_bag_play", bag="mixed", rate=10, wait_sec=30)
     assert (played["state"], played["published"]) == ("ended", {"/a": 3})
     assert "/maker" in played["note"] and "strange_msgs/msg/Thing is not known" in played["note"]
     assert listener.numbers("/a", 3) == [0, 1, 2]
@@ -204,7 +204,7 @@ def test_what_is_of_a_type_that_is_not_installed_is_left_out_and_told_unless_it_
 def test_a_name_that_ros_does_not_allow_is_played_by_another_one(agent: Agent, listener: Listener) -> None:
     name = "/größe der tür"
     assert "remaps" in agent.refusal("ros2_bag_play", bag="mixed", topics=[name])
-    played = agent.call("ros2_bag_play", bag="mixed", topics=[name], remaps={name: "/c"}, rate=10, wait_sec=10)
+    played = agent.call("ros2_bag_play", bag="mixed", topics=[name], remaps={name: "/c"}, rate=10, wait_sec=30)
     assert (played["state"], played["published"]) == ("ended", {"/c": 3})
     assert listener.numbers("/c", 3) == [0, 1, 2]
 

@@ -52,8 +52,11 @@ def agent(ros_environment: dict[str, str], state: Path, arm: CommandedProcess) -
 
 
 @pytest.fixture(autouse=True)
-def _at_zero(arm: CommandedProcess) -> None:
+def _at_zero(arm: CommandedProcess, agent: Agent) -> None:
+    """For the server, too: it judges by what it has heard of the joints."""
     arm.begin(places=[0.0, 0.0])
+    told = {"topic_name": "/joint_states", "timeout": 30}
+    until(lambda: agent.call("ros2_topic_echo_wait", **told)["message"]["position"] == [0.0, 0.0])
 
 
 def operate(ros_environment: dict[str, str], state: Path, *words: str) -> str:
@@ -116,7 +119,7 @@ def test_what_a_controller_would_do_between_the_points_is_refused(agent, arm, fa
     assert arm.seen()["goals"] == 0
 
 
-@pytest.mark.parametrize("away_s", [-20.0, -1.5, 3.0])
+@pytest.mark.parametrize("away_s", [-20.0, -1.5, 20.0])  # what is ahead comes nearer while a busy machine waits
 def test_a_stamp_of_another_time_is_refused(agent, arm, away_s: float) -> None:
     sent = goal(point(10, [1.0, 0.0], STILL), stamp_s=time.time() + away_s)
     refusal = agent.refusal("ros2_send_action_goal", **sent)
@@ -125,9 +128,13 @@ def test_a_stamp_of_another_time_is_refused(agent, arm, away_s: float) -> None:
 
 
 def test_an_approval_does_not_age_the_stamp_of_a_goal(agent, arm, ros_environment, state) -> None:
-    sent = goal(point(4, [0.5, 0.0], STILL), stamp_s=time.time())
-    refusal = agent.refusal("ros2_send_action_goal", **sent)
-    waiting = refusal.partition("needs_approval ")[2][:4]
+    def asked() -> tuple[dict[str, Any], str] | None:
+        """A goal that waits for a person; none where a busy machine judges its stamp more than a second later."""
+        sent = goal(point(4, [0.5, 0.0], STILL), stamp_s=time.time())
+        refusal = agent.refusal("ros2_send_action_goal", **sent)
+        return (sent, refusal.partition("needs_approval ")[2][:4]) if "needs_approval" in refusal else None
+
+    sent, waiting = until(asked)
     told = operate(ros_environment, state, "show", waiting)
     assert "joint_1 from 0 to 0.5 rad, joint_2 from 0 to 0 rad" in told
     assert "Top speed 0.1875 rad/s of joint_1; 1 point in 4 s." in told
@@ -190,7 +197,7 @@ def test_a_policy_is_drafted_with_the_joints_of_the_arm_and_their_limits(arm, ro
         limits = ["joint_1: {position: [-3.14, 3.14], speed: 0.3}", "joint_2: {position: [-1.57, 1.57], speed: 0.3}"]
         return all(part in text for part in (rule, *limits))
 
-    until(drafted)
+    until(drafted, 90.0)  # each try starts a server
 
 
 RELAYS = """

@@ -58,7 +58,7 @@ def test_one_command_begins_slowly_holds_for_a_moment_and_says_both(server, obse
 
 def test_a_repeat_reaches_what_it_was_asked_for(server, observer) -> None:
     topic = subscribed(server, observer)
-    given = {"topic_name": topic, "message_type": TWIST, "data": speed(TWIST, 0.3), "frequency": 20, "duration": 1.5}
+    given = {"topic_name": topic, "message_type": TWIST, "data": speed(TWIST, 0.3), "frequency": 20, "duration": 4}
     done = server.do("ros2_topic_publish", **given)
     assert max(speeds(observer, topic)) == 0.3
     assert done["stopped_with_zero"] and "A zero command was sent at the end." in done["note"]

@@ -35,13 +35,13 @@ def test_it_reads_every_message_and_prints_what_it_found(agent: Agent, driven: C
     ran = run(
         agent,
         "seen = []",
-        "for m in robot.messages(odom, scan, fields=None, message_limit=12):",
+        "for m in robot.messages(odom, scan, fields=None, message_limit=80):",  # one may be matched seconds later
         "    seen.append(m['_topic'])",
         "print(len(seen), sorted(set(seen)))",
         "robot.mean([1, 2, 3])",
     )
     assert ran["outcome"] == "ended", ran
-    assert ran["printed"] == [f"12 {sorted([INPUTS['odom'], INPUTS['scan']])}"]
+    assert ran["printed"] == [f"80 {sorted([INPUTS['odom'], INPUTS['scan']])}"]
     assert ran["returned"] == {"value": 2.0}
 
 

@@ -76,7 +76,7 @@ def test_follow_wall_drives_and_stands_at_its_end(agent: Agent) -> None:
 def test_watch_three_sees_them_all_and_stops_for_what_is_too_near(agent: Agent) -> None:
     [line] = run(agent, "watch-three", seconds=1, silent_s=5)["printed"]
     assert line.startswith("nothing in 1")
-    [line] = run(agent, "watch-three", seconds=60, nearest_m=100)["printed"]
+    [line] = run(agent, "watch-three", seconds=60, nearest_m=100, silent_s=60)["printed"]
     assert line.startswith("something is too near")
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -43,7 +44,12 @@ def drive(client: Client, topic: str) -> dict[str, object]:
 
 def names(bridge: int) -> set[str]:
     """What the process list shows of those that a bridge has started."""
-    return {Path(f"/proc/{pid}/comm").read_text().strip() for pid in children(bridge) if lives(pid)}
+    found: set[str] = set()
+    for pid in children(bridge):
+        with suppress(FileNotFoundError, ProcessLookupError):  # it has ended meanwhile
+            if lives(pid):
+                found.add(Path(f"/proc/{pid}/comm").read_text().strip())
+    return found
 
 
 def test_it_runs_where_nothing_can_be_written_and_leaves_nothing(

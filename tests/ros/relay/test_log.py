@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 import time
 from collections.abc import Callable
 from typing import Any
@@ -40,6 +41,7 @@ def texts(agent: Any, expected: int, **wanted: Any) -> list[str]:
 
 @pytest.mark.promise("ros2_log_read", "Read what the robot's nodes logged on /rosout")
 def test_lines_are_found_by_node_level_text_and_time(agent, peer) -> None:
+    agent.call("ros2_log_read")  # waits until the server listens: nodes keep what they said for ten seconds only
     node = peer("complain", "20").node
     assert texts(agent, 21, node=node)[-2:] == ["number 19", "the arm is stuck"]
     assert texts(agent, 1, node=node, level="error") == ["the arm is stuck"]
@@ -57,13 +59,33 @@ def test_lines_are_found_by_node_level_text_and_time(agent, peer) -> None:
 
 @pytest.mark.promise("ros2_log_read", "and those of a few seconds before")
 def test_what_was_said_just_before_the_server_began_is_there(start_agent: Callable[..., Any], peer) -> None:
-    speaker = peer("complain", "3").ready()
-    own = start_agent()
-    assert len(texts(own, 4, node=speaker.node)) == 4
+    """It is said until then: nodes keep their lines for ten seconds, and a server may take longer to begin."""
+    speaker, has_begun = peer("complain", "3").ready(), threading.Event()
+
+    def go_on() -> None:
+        while not has_begun.wait(0.3):
+            speaker.tell("still stuck")
+
+    speaking = threading.Thread(target=go_on)
+    speaking.start()
+    try:
+        own = start_agent()
+        own.call("ros2_log_read")
+    finally:
+        has_begun.set()
+        speaking.join()
+
+    def is_there() -> bool:
+        log = own.call("ros2_log_read", node_name=speaker.node)
+        return any(line["time"] < log["subscribed_since"] for line in log["lines"])
+
+    wait_for(is_there)
 
 
 def test_the_log_survives_a_lost_bridge_without_lines_twice(start_agent: Callable[..., Any], peer) -> None:
-    speaker, own = peer("complain", "3"), start_agent()
+    own = start_agent()
+    own.call("ros2_log_read")  # waits until the server listens: nodes keep what they said for ten seconds only
+    speaker = peer("complain", "3")
     assert len(texts(own, 4, node=speaker.node)) == 4
     os.kill(own.call("ros2_status")["bridge_pid"], signal.SIGKILL)
     wait_for(lambda: own.call("ros2_status")["bridge_starts"] == 2)

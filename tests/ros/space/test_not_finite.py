@@ -79,8 +79,8 @@ def test_a_drive_by_such_odometry_or_such_a_scan_moves_nothing_and_says_why(agen
 
 
 def test_a_motion_until_a_condition_of_such_a_scan_holds_is_not_met_and_says_why(agent: Agent) -> None:
-    said = spoken(agent, "ros2_wait_until", topic_name="/scan_angle", condition="nearest(-30, 30) < 0.4", timeout=0.6)
-    assert "was not met" in said and "no bearings: angle_min is NaN" in said
+    asked = {"topic_name": "/scan_angle", "condition": "nearest(-30, 30) < 0.4", "timeout": 0.6}
+    says(agent, "ros2_wait_until", "was not met", "no bearings: angle_min is NaN", **asked)
 
 
 def test_a_program_gets_no_bearings_of_such_a_scan(agent: Agent) -> None:

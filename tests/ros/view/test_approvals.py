@@ -15,7 +15,7 @@ from support.agent import Agent, agent_for
 from support.browser import CHROMIUM, Page, browsing
 from support.observer import Observer
 from support.velocities import TWIST
-from support.viewing import pictured, pictured_in_all_sizes, text, viewing
+from support.viewing import complaints, pictured, pictured_in_all_sizes, text, viewing
 
 TOPIC = "/cmd_vel"
 ROWS = "[...document.querySelectorAll('#agent .rows:last-of-type li')]"
@@ -98,4 +98,4 @@ def test_what_waits_for_a_person_is_shown_until_it_is_answered_and_then_how(
         named = f"row.querySelector('code')?.textContent === '{TOPIC}'"
         page.until(f"{ROWS}.filter(row => {named} && row.querySelector('.end').textContent === 'done').length === 2")
         pictured_in_all_sizes(page, "answered")
-        assert page.complaints == []
+        assert complaints(page) == []

@@ -10,7 +10,7 @@ pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2"
 
 from support.browser import CHROMIUM, browsing
 from support.hostile_view import payloads, write_hostile_view
-from support.viewing import choose, pictured, seek, text, viewing
+from support.viewing import choose, complaints, pictured, seek, text, viewing
 
 NAME = "<img src=x onerror=hit()>"
 """Of the recording: it becomes the title of the page."""
@@ -50,4 +50,4 @@ def test_no_text_of_a_robot_runs_or_breaks_the_page(
         page.until("document.querySelector('#log li') !== null && document.querySelector('#agent li') !== null")
         pictured(page, "hostile")
         assert page.run("document.documentElement.scrollWidth <= innerWidth")
-        assert page.complaints == []
+        assert complaints(page) == []

@@ -14,7 +14,7 @@ from ros2_mcp.model.costs import TOUCHING
 from ros2_mcp.pictures.palette import cost_colours
 from support.browser import CHROMIUM, Page, browsing
 from support.room_bag import room_bag
-from support.viewing import choose, pictured, pictured_in_all_sizes, seek, text, viewing
+from support.viewing import choose, complaints, pictured, pictured_in_all_sizes, seek, text, viewing
 
 pytestmark = pytest.mark.skipif(not CHROMIUM, reason="needs Chromium")
 
@@ -86,4 +86,4 @@ def test_a_costmap_has_the_colours_of_pictures(ros_environment: dict[str, str], 
             assert touching > 100 and occupied > 100
             assert sum(count > 10 for count in costs) > 20
             pictured(other, f"costmap-{theme}")
-        assert other.complaints == []
+        assert complaints(other) == []

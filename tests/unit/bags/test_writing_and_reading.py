@@ -99,7 +99,7 @@ def test_a_recording_ends_at_its_limit_of_bytes_and_says_so(tmp_path: Path, open
     recorder = Recorder(BagWriter(tmp_path, "run"), tmp_path, Limits(max_bytes=300_000, free_floor_bytes=0))
     recorder.add_topic(CHATTER)
     recorder.put("/chatter", [said(number, 1000) for number in range(1000)])
-    recorder._thread.join(10)
+    recorder._thread.join(60)
     assert recorder.ended == "The limit of 300000 bytes is reached."
     written = recorder.sink.counts["/chatter"]
     assert 0 < written < 1000
@@ -134,7 +134,7 @@ def test_a_disk_that_is_nearly_full_ends_the_recording_in_good_order(tmp_path: P
     recorder = Recorder(BagWriter(tmp_path, "run"), tmp_path, Limits(free_floor_bytes=10**18))
     recorder.add_topic(CHATTER)
     recorder.put("/chatter", [said(0)])
-    recorder._thread.join(10)
+    recorder._thread.join(60)
     assert recorder.failed and "must stay free" in recorder.ended
     assert [sample for _, sample in open_bag(tmp_path).messages()] == [said(0)]
 

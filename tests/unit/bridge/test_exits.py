@@ -22,7 +22,7 @@ EXITS = {
     ".publish_raw(": {"publishers.py": 2, "stopper.py": 1, "speed_limit.py": 1},
     ".call_async(": {"clients.py": 1, "stopper.py": 1},  # calls, and fail-safes; fail-safes only
 }
-PATIENCE_S = 10.0
+PATIENCE_S = 30.0
 
 
 @pytest.mark.parametrize("exit_name", EXITS)

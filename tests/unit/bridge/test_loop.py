@@ -158,9 +158,9 @@ def test_a_callback_that_fails_does_not_end_the_loop(loop: Loop, executor: IdleE
 
 def test_a_turn_is_over_when_others_wait_or_its_time_is_up() -> None:
     loop = Loop()
-    is_enough = loop.turn_of(0.02)
+    is_enough = loop.turn_of(0.5)  # longer than a busy machine keeps this test waiting
     assert not is_enough()
-    time.sleep(0.03)
+    time.sleep(0.6)
     assert is_enough()
     is_enough = loop.turn_of(3600.0)
     assert not is_enough()
@@ -169,12 +169,14 @@ def test_a_turn_is_over_when_others_wait_or_its_time_is_up() -> None:
 
 
 def test_the_last_turn_tells_how_long_the_thread_hangs(loop: Loop) -> None:
-    release = threading.Event()
+    release, hangs = threading.Event(), threading.Event()
 
     def hang() -> None:
+        hangs.set()
         release.wait(PATIENCE_S)
 
     loop.submit(hang)
+    assert hangs.wait(PATIENCE_S)
     time.sleep(0.1)
     assert time.monotonic() - loop.last_turn >= 0.09
     release.set()
@@ -200,10 +202,11 @@ def test_an_answer_that_cannot_be_given_keeps_nothing_else_of_its_turn_from_goin
 def test_many_slow_ones_at_once_are_no_hang_and_hold_up_no_stop(loop: Loop, way: str) -> None:
     """Such as 40 listings of a large graph: a server takes a turn that is too long for a hang, and kills the bridge."""
     turns, stopped_after, begun = set[float](), list[int](), threading.Event()
-    done: list[int] = []
+    done, is_stopping = list[int](), threading.Event()
 
     def slow() -> None:
         begun.set()
+        assert is_stopping.wait(PATIENCE_S)
         turns.add(loop.last_turn)
         time.sleep(0.01)
         done.append(len(done))
@@ -216,6 +219,7 @@ def test_many_slow_ones_at_once_are_no_hang_and_hold_up_no_stop(loop: Loop, way:
         loop.submit(slow if way == "submitted" else lambda: loop.start(steps(), Outcome()))  # type: ignore[arg-type]
     assert begun.wait(PATIENCE_S)
     loop.submit_first(lambda: stopped_after.append(len(done)))
+    is_stopping.set()
     deadline = time.monotonic() + PATIENCE_S
     while len(done) < 40 and time.monotonic() < deadline:
         time.sleep(0.01)
@@ -227,7 +231,7 @@ def test_many_slow_ones_at_once_are_no_hang_and_hold_up_no_stop(loop: Loop, way:
 def test_at_rest_who_looks_again_and_again_looks_seldom_until_something_begins(
     loop: Loop, executor: IdleExecutor
 ) -> None:
-    is_at_rest, looks, looks_at_rest = True, list[float](), list[float]()
+    is_at_rest, looks, looks_at_rest, ended_at = True, list[float](), list[float](), 0.0
     loop.is_at_rest = lambda: is_at_rest
 
     def looking() -> Steps[None]:
@@ -236,8 +240,8 @@ def test_at_rest_who_looks_again_and_again_looks_seldom_until_something_begins(
             yield Seldom(0.01)
 
     def begin() -> None:
-        nonlocal is_at_rest
-        is_at_rest = False
+        nonlocal is_at_rest, ended_at
+        is_at_rest, ended_at = False, time.monotonic()
         looks_at_rest.extend(looks)
         loop.end_rest()
 
@@ -250,6 +254,7 @@ def test_at_rest_who_looks_again_and_again_looks_seldom_until_something_begins(
     deadline = time.monotonic() + PATIENCE_S
     while len(looks) < len(looks_at_rest) + 10 and time.monotonic() < deadline:
         time.sleep(0.01)
-    assert 0 < len(looks_at_rest) < 6
+    assert 0 < len(looks_at_rest) <= 3 + (ended_at - begun) / AT_REST_S
     assert len(looks) >= len(looks_at_rest) + 10
-    assert 0.0 < (executor.asked_for[-1] or 0.0) <= 0.01, "as often as it asks for"
+    asked_for = executor.asked_for[-5:]  # for nothing where a busy machine was late
+    assert any(0.0 < (each or 0.0) <= 0.01 for each in asked_for), "as often as it asks for"

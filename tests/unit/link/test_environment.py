@@ -147,7 +147,7 @@ def test_overlays_are_sourced_in_order_whatever_their_paths_contain(tmp_path: Pa
         ros_root=root, workspaces=(overlay,), bridge_python=reporter, interface_prefixes=(tmp_path / "built it",)
     )
     command = find_ros(settings, BARE).command("ros2_mcp_bridge", ["it's"])
-    done = subprocess.run(command.argv, env=command.env, capture_output=True, text=True, check=True, timeout=10)
+    done = subprocess.run(command.argv, env=command.env, capture_output=True, text=True, check=True, timeout=60)
     prefix = tmp_path / "built it"
     assert done.stdout == f"on jazzy|{prefix}|{prefix / 'site-packages'}|ros2_mcp_bridge|it's|"
     assert "sourcing jazzy" in done.stderr
@@ -167,7 +167,7 @@ def test_a_package_runs_without_our_other_packages_on_its_path(tmp_path: Path) -
     argv[3] = str(tmp_path / "src")
     (tmp_path / "src" / "ros2_mcp_common").mkdir()
     (tmp_path / "src" / "ros2_mcp_common" / "__init__.py").write_text("")
-    done = subprocess.run(argv, env={"PATH": ""}, capture_output=True, text=True, timeout=10, check=False)
+    done = subprocess.run(argv, env={"PATH": ""}, capture_output=True, text=True, timeout=60, check=False)
     assert (done.returncode, done.stdout) == (3, "part ['a b'] False\n")
 
 

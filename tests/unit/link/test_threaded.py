@@ -45,7 +45,7 @@ async def test_what_is_written_comes_back_whole_and_in_order_and_the_end_is_told
     await soon(lambda: len(far.came) == len(sent))
     assert bytes(far.came) == sent
     assert far.child.log_tail() == ["hello"]
-    await far.child.close(5.0)
+    await far.child.close(20.0)
     await soon(lambda: far.ended > 0)
     assert await far.child.ending() == "exited with code 0"
     assert far.ended == 1

@@ -20,7 +20,7 @@ from ros2_mcp.mcp.transports.http.connections import Connections
 from ros2_mcp.mcp.transports.sockets import _bound  # pyright: ignore[reportPrivateUsage]
 from ros2_mcp.model.errors import BadInput
 
-PATIENCE_S = 10.0
+PATIENCE_S = 30.0
 
 
 async def test_a_connection_on_which_tls_is_never_negotiated_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -192,7 +192,7 @@ async def test_a_recording_that_has_what_the_agent_did_shows_that(tmp_path: Path
     writer.close()
     robot, source = await recorded(bag)
     panel = AgentPanel(page_of(source, Acting(StateFolder(tmp_path / "state"))))
-    shown = await asyncio.wait_for(acts_at(panel, robot, source, 3.0), 10.0)
+    shown = await asyncio.wait_for(acts_at(panel, robot, source, 3.0), 30.0)
     assert [(act["name"], act["time"]) for act in shown["acts"]] == [("/cmd_vel", iso_time(START_NS + SECOND_NS))]
     assert shown["origin"] == "At the time shown, as recorded in /agent/calls"
 
