@@ -86,7 +86,7 @@ async def check_navigation(robot: Robot, to: object = None, action: str = "") ->
 
 
 def judged(evidence: NavEvidence, missed: Mapping[str, str] | None = None) -> NavChecked:
-    """The verdict on what was read; `missed` has the parts that could not be, and why."""
+    """Return the verdict on the evidence. `missed` has the parts that could not be read, each with the reason."""
     findings = nav_findings_in(evidence)
     unread = unread_in(evidence, missed)
     verdict: Verdict = _VERDICTS[findings[0].rank] if findings else "FINE"

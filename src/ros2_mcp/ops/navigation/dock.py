@@ -168,7 +168,9 @@ async def dock(
 
 
 class _Attempt:
-    """One goal of docking or undocking: what is known before it, and what is seen of it."""
+    """Follows one docking or undocking goal: keeps the robot's pose before it and what Nav2 reports, and makes the
+    result.
+    """
 
     def __init__(self, robot: Robot, session: Session, action: str, kind: str) -> None:
         self._robot, self._session, self._action, self._kind = robot, session, action, kind

@@ -132,7 +132,9 @@ class NavMap:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MapRequest:
-    """What to do with the map at `path`, on the computer of the service; `at`: where slam_toolbox goes on."""
+    """What to do with the map at `path`, on the computer of the service. `at`: the pose at which slam_toolbox
+    continues.
+    """
 
     what: MapVerb = "show"
     path: str = ""

@@ -193,7 +193,7 @@ class Navigation(Job):
         return await self._replaced_by()
 
     async def _stay(self, wait_s: float) -> bool:
-        """Wait at a place; a pause comes on top. Return whether to go on."""
+        """Wait at a place; time spent paused does not count. Return whether to go on."""
         until = monotonic() + wait_s
         while self.pausing.requested.is_set() or monotonic() < until:
             self._doing = f"Waiting here for {wait_s:g} s."

@@ -463,7 +463,7 @@ async def _read(robot: Robot, node: str, asked: Sequence[str], declared: Collect
 
 
 async def _of_each(robot: Robot, node: str, kind: str, key: str, asked: Sequence[str]) -> dict[str, Any]:
-    """Return what a node answers for each name, without the names for which it has no answer."""
+    """Return the node's answer for each name; names without an answer are absent."""
 
     async def ask(wanted: Sequence[str]) -> Sequence[Any]:
         return (await _response(robot, node, kind, {"names": list(wanted)}))[key]

@@ -156,8 +156,9 @@ def _odometry(evidence: NavEvidence, frames: Frames) -> Iterator[NavFinding]:
 
 
 def _switched_off(evidence: NavEvidence, owner: str = "") -> list[str]:
-    """Parameters by which a node is told to tell no transform: of its owner, as far as that is known, and of who
-    publishes the odometry that comes before others."""
+    """Return the parameters that keep a node from broadcasting its transform: those of `owner`, if it is given, and
+    first those of nodes that publish odometry.
+    """
     comes = [node for one in evidence.of(ODOMETRY) if one.count for node in one.nodes]
     nodes = [node for node in evidence.parameters or {} if not owner or node in re.split(r"[ ,]+", owner)]
     return [
