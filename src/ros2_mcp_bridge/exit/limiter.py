@@ -233,7 +233,7 @@ class Limiter:
 
     @property
     def speed_of_goals(self) -> float:
-        """The speed in m/s beyond which the watchdog ends goals; 0 if it looks at none."""
+        """The speed in m/s above which the watchdog ends goals; 0 if there is no such limit."""
         feedback: Any = (self.watch or {}).get("feedback") or {}
         return float(feedback.get("goals", {}).get("linear", 0.0))
 
@@ -420,7 +420,7 @@ class TopicLimits:
         return bool(self._moving_until)
 
     def is_as_new(self) -> bool:
-        """Return whether nothing that was sent here matters any more.
+        """Return whether everything that was sent on this topic is too old to matter.
 
         A ramp on joints always matters: joints keep their place.
         """

@@ -110,7 +110,7 @@ def number_at(value: Any, name: str, path: str) -> float:
 
 
 def number_of(value: Any, path: str) -> float:
-    """Return a value as a number. Raise `Unfit` if it is none.
+    """Return a value as a number. Raise `Unfit` if it is not a number.
 
     Strings that the server writes for numbers are accepted: large integers, and "nan", "inf" and
     "-inf", which all give NaN.
