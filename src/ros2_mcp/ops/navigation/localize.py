@@ -49,12 +49,12 @@ class LocalizeRequest:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NavLocalized:
-    """The pose that was told (m, degrees, in `frame`), and where the transforms say the robot is before and after.
+    """The initial pose (m, degrees, in `frame`), and where the transforms say the robot is before and after.
 
-    `is_published` false: nothing was told, and `doubt` says why; x, y and yaw are those of the best pose, if there is
-    one. `is_taken` says whether localisation now has it there (null: its pose is not known); `fit_before` and
-    `fit_after` the share of laser beams that end at something the map has there (null: not known). `found` are the
-    poses that a search found, the best first, or the one that was kept.
+    If `is_published` is false, nothing was sent, and `doubt` says why; x, y and yaw are then those of the best pose, if
+    there is one. `is_taken`: whether localisation now has the robot at that pose (null: not known). `fit_before` and
+    `fit_after` are the shares of laser beams that end at something on the map (null: not known). `found` has the poses
+    that a search found, the best first, or the stored one.
     """
 
     topic_name: str

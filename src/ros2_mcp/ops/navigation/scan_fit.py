@@ -42,7 +42,7 @@ class ScanFit:
 
     @property
     def of_all(self) -> float:
-        """The share of fitting beams if beams that leave the map do not count as fitting: used where a pose is in doubt."""
+        """The share of fitting beams if beams that leave the map count as not fitting, as for a doubtful pose."""
         return self.share * self.beams / self.hits if self.share else 0.0
 
     def __str__(self) -> str:
