@@ -102,8 +102,8 @@ class MapSeen:
 class NavMap:
     """What was done, through which service, and whether it succeeded (null: only shown, or the service does not say).
 
-    `maps` are the maps that are published now. `verified` says what was looked at afterwards; `services` and `files`
-    are those that there are: name (type), and node: file.
+    `maps` are the maps that are published now. `verified` says what was checked afterwards. `services` lists the
+    services found, as name (type), and `files` the map files, as node: file.
     """
 
     done: str = field(metadata=SAID)

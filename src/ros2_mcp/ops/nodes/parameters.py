@@ -153,7 +153,7 @@ class SetOne:
 
 @dataclass(frozen=True, slots=True)
 class SetResult:
-    """Whether the node took each value. With `atomic` it took all or none."""
+    """Whether the node accepted each value. With `atomic`, it accepted all or none."""
 
     node: str = field(metadata=SAID)
     successful: bool
