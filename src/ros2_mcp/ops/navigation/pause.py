@@ -55,7 +55,7 @@ class NavPaused:
     def summary(self) -> str:
         """Return one line."""
         since = f" for {self.paused_s:.0f} s" if self.paused_s and self.paused_s >= 1 else ""
-        rest = f" Left: {', '.join(self.left)}." if self.left else ""
+        rest = f" Still to visit: {', '.join(self.left)}." if self.left else ""
         return f"{self.state}{since}. {self.note}{rest}"
 
 

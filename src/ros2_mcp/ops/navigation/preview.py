@@ -79,7 +79,7 @@ class Preview(WithPictures):
     def summary(self) -> list[str]:
         """Return one line; without a path, also the cause."""
         if self.is_feasible:
-            dearest = f"; its dearest place is {self.dearest}" if self.dearest else ""
+            dearest = f"; the costliest cell along it is {self.dearest}" if self.dearest else ""
             narrowest = f" {self.narrowest[0].upper()}{self.narrowest[1:]}." if self.narrowest else ""
             return [
                 f"A path of {self.length_m:.2f} m ({self.straight_m:.2f} m straight), "

@@ -245,7 +245,7 @@ def test_odometry_without_its_transform_names_the_switch() -> None:
     causes = told(
         found(*READ, **parts_of(no_odom, {**SCANS, **ODOMS}, diff_drive_controller={"enable_odom_tf": False}))
     )
-    assert any("Nobody tells the transform from odom" in one and "enable_odom_tf" in one for one in causes)
+    assert any("No node publishes the transform from odom" in one and "enable_odom_tf" in one for one in causes)
 
 
 def test_a_frame_that_nobody_tells_is_named_with_the_one_that_is_meant() -> None:

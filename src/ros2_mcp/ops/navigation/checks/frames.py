@@ -103,7 +103,7 @@ def _two_owners(frames: Frames, edge: Edge) -> NavFinding:
         rank="makes it worse" if is_left or not (_is_needed(edge) or edge.two_parents) else "stops everything",
         subject=_name(edge),
         cause=cause,
-        proof=f"It is told by {who}{left}.{far}",
+        proof=f"It is published by {who}{left}.{far}",
         remedy=remedy,
     )
 
@@ -147,7 +147,7 @@ def _odometry(evidence: NavEvidence, frames: Frames) -> Iterator[NavFinding]:
     yield NavFinding(
         rank="stops everything",
         subject="odom → base",
-        cause=f"Nobody tells the transform from odom to the base{f': {off[0]}' if off else ''}.",
+        cause=f"No node publishes the transform from odom to the base{f': {off[0]}' if off else ''}.",
         proof=f"{named(one.topic)} comes at {one.rate_hz:.3g} Hz from {listed(one.nodes, 2)}, and in "
         f"{frames.listened_s:.1f} s no transform of its frames. {_also(off)}".rstrip(),
         remedy="Set enable_odom_tf (publish_tf) of the base or the EKF to true, or start an EKF.",
@@ -225,10 +225,10 @@ def _names(evidence: NavEvidence, frames: Frames) -> Iterator[NavFinding]:
         yield NavFinding(
             rank="stops everything",
             subject=frame,
-            cause=f"Nav2 wants the frame {named(frame)}, which no transform has"
+            cause=f"Nav2 needs the frame {named(frame)}, which no transform has"
             f"{f'; there is {near}' if (near := _near(frame, known)) else ''}.",
-            proof=f"It is {listed(who, _MOST_NAMES)}; {len(known)} frames were told in {frames.listened_s:.1f} s.",
-            remedy=f"Set it to {near or 'a frame that there is'}, or publish a static transform for it.",
+            proof=f"It is {listed(who, _MOST_NAMES)}; {len(known)} frames were received in {frames.listened_s:.1f} s.",
+            remedy=f"Set it to {near or 'an existing frame'}, or publish a static transform for it.",
             covers=("map → odom", "odom → base") if frame.rpartition("/")[2] in _BASES else (),
         )
     for one in evidence.of(SCAN, "sensor_msgs/msg/PointCloud2"):
@@ -240,7 +240,7 @@ def _names(evidence: NavEvidence, frames: Frames) -> Iterator[NavFinding]:
                 subject=one.topic,
                 cause=f"{named(one.topic)} is in the frame {named(one.frame_id)}, which no transform has"
                 f"{f'; there is {near}' if near else ''}.",
-                proof=f"{one.count} messages have it in their header; {len(known)} frames are told.",
+                proof=f"{one.count} messages have it in their header; {len(known)} frames are published.",
                 remedy=f"Set the driver's frame_id to {near}."
                 if near
                 else "Publish a static transform from the base to it.",

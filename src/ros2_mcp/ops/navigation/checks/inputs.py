@@ -140,8 +140,8 @@ def _heights(evidence: NavEvidence) -> Iterator[NavFinding]:
                 subject=node,
                 cause=f"{named(node)} ignores all of {named(heard.topic)}: the scanner is mounted outside of the "
                 "heights that it takes in.",
-                proof=f"It stands at {mount.pose.translation[2]:.2f} m; min and max_obstacle_height of {named(source)} "
-                f"are {least:g} and {most:g} m.",
+                proof=f"It is mounted at {mount.pose.translation[2]:.2f} m; min and max_obstacle_height of "
+                f"{named(source)} are {least:g} and {most:g} m.",
                 remedy=f"Set {source}.max_obstacle_height and min_obstacle_height around the scanner's height.",
             )
 

@@ -195,11 +195,11 @@ def _stood(probe: Probe, odometry: _Seen, truth: float, least: float) -> NavFind
     if moved and abs(odometry.value) > _STANDS * abs(truth):
         return None
     cause = (
-        "Odometry tells a motion that nothing else sees: its wheels slip or are lifted, or it is made from commands."
+        "Odometry reports a motion that nothing else sees: wheels slip or are lifted, or it only adds up the commands."
         if told
-        else "Odometry stands while the robot moves: its encoders count nothing."
+        else "Odometry reports no motion while the robot moves: the encoders count nothing."
     )
-    remedy = "See whether the robot stands on its wheels." if told else "Check the encoders and the base's driver."
+    remedy = "Check whether the robot stands on its wheels." if told else "Check the encoders and the base's driver."
     return _finding("stops everything", odometry, cause, in_words(probe), remedy)
 
 
