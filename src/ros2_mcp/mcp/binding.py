@@ -249,7 +249,7 @@ class BoundTool:
         would act on it.
         """
         if self.acts and (path := text_for_number(self.listed.input_schema, arguments)):
-            raise CallFailed(f"BadInput: {path}: a text is given, a number is expected. Write it without quotes.")
+            raise CallFailed(f"BadInput: {path}: a string is given, a number is expected. Write it without quotes.")
 
 
 def bind(

@@ -139,6 +139,6 @@ def test_interfaces_are_those_of_nav2_on_the_wire(built):
 def test_what_cannot_be_meant_is_refused_before_anything_is_sent(agent):
     assert "Did you mean near" in agent.refusal("ros2_navigate", to=[{"place": "nearr"}])
     assert "`to` is missing" in agent.refusal("ros2_navigate")
-    assert "Give one of both" in agent.refusal("ros2_navigate", to=[{"place": "near"}], job_id="navigation_1")
+    assert "Give one of the two" in agent.refusal("ros2_navigate", to=[{"place": "near"}], job_id="navigation_1")
     wrong = agent.refusal("ros2_navigate", to=[{"place": "near"}], action_name="/navigate_to")
     assert "ros2_mcp_demo_interfaces/action/NavigateTo" in wrong

@@ -495,7 +495,7 @@ async def _check(robot: Robot, request: PlayRequest, topics: Mapping[str, Stored
         present = await robot.graph.endpoints(destination)
         if present.types and topic.type not in present.types:
             raise TypeConflict(
-                f"{destination} has the type {present.types[0]}, the bag's {named(name)} is a {named(topic.type)}."
+                f"{destination} has the type {present.types[0]}, but the bag's {named(name)} is a {named(topic.type)}."
             )
         publishers = [publisher.node for publisher in present.publishers if publisher.node not in own]
         publishers += [ours[destination]] if destination in ours else []

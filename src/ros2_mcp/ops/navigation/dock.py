@@ -139,7 +139,7 @@ async def dock(
     if request.job_id:
         goal = robot.jobs.find(Goal, request.job_id)
         if goal.action_type not in (DOCK, UNDOCK):
-            raise NotFound(f"The job {quoted(request.job_id)} is no docking.", "ros2_action_status lists goals.")
+            raise NotFound(f"The job {quoted(request.job_id)} is not a docking job.", "ros2_action_status lists goals.")
         attempt = robot.kept.get(_Attempts, _Attempts).find(goal.id)
         attempt = attempt or _Attempt(robot, session, goal.action, goal.action_type)
         return await attempt.wait(goal, timeout_s, report)

@@ -536,7 +536,7 @@ def known_job(robot: Robot, to: object, job_id: str) -> Navigation:
     if not job_id:
         raise BadInput("`to` is missing: it says where to go.", "Give a place, a pose, or a list of them.")
     if to is not None:
-        raise BadInput("job_id waits for a navigation under way: it takes no new place.", "Give one of both.")
+        raise BadInput("job_id waits for a navigation under way: it takes no new place.", "Give one of the two.")
     return robot.jobs.find(Navigation, job_id)
 
 

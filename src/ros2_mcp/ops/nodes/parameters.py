@@ -318,7 +318,7 @@ async def dump(robot: Robot, node: str, asked: Sequence[str] | None = None, *, w
 
 def _part_of(name: str, part: re.Match[str], value: Any) -> Any:
     if not isinstance(value, (str, list)):
-        raise BadValue(name, "it is neither a text nor a list.", f"Ask for {named(part['name'])}.")
+        raise BadValue(name, "it is neither a string nor a list.", f"Ask for {named(part['name'])}.")
     start, end = (int(part[bound]) if part[bound] else None for bound in ("start", "end"))
     return cast("str | list[Any]", value)[start:end]
 
