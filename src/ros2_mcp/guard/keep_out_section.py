@@ -49,7 +49,7 @@ def polygon(section: Section, key: str) -> Polygon:
     corners = section.points(key)
     if problem := what_is_wrong(corners):
         hint = "Three corners or more, one after the other around it: [[0, 0], [4, 0], [4, 2]]."
-        raise section.error_at(key, f"{key} is no polygon: {problem}.", hint)
+        raise section.error_at(key, f"{key} is not a valid polygon: {problem}.", hint)
     return corners
 
 

@@ -140,7 +140,7 @@ def opened(path: Path) -> str:
         with os.fdopen(_opened(path, origin), "rb") as file:
             status = os.fstat(file.fileno())
             if not stat.S_ISREG(status.st_mode):
-                raise PolicyFileError(origin, 0, "it is no regular file.")
+                raise PolicyFileError(origin, 0, "it is not a regular file.")
             _check_owner(status, origin, "it")
             data = file.read(_MAX_BYTES + 1)
     except OSError as error:

@@ -287,7 +287,7 @@ class Limiter:
         if self.rules is None:
             raise refused("This bridge has not received its policy yet: it sends only zeros.")
         if not _NAME.fullmatch(name):
-            raise refused(f"{name!r} is no full name of ROS: under a policy nothing else is judged.")
+            raise refused(f"{name!r} is not a full ROS name: a policy can judge only full names.")
         return self.rules
 
 

@@ -320,7 +320,7 @@ def _pose(shown: str, value: Any, frame_id: str, keep_out: KeepOut) -> Pose:
     x, y = (number_at(position, axis, f"{shown}.position.{axis}") for axis in ("x", "y"))
     yaw = yaw_rad(*(number_at(orientation, axis, f"{shown}.orientation.{axis}") for axis in ("x", "y", "z", "w")))
     if not (abs(x) < FARTHEST_M and abs(y) < FARTHEST_M and math.isfinite(yaw)):
-        raise Unfit(f"{shown} is no finite pose")
+        raise Unfit(f"{shown} is not a finite pose")
     return Pose(x, y, yaw)
 
 

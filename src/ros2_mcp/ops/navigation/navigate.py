@@ -470,7 +470,7 @@ class Navigation(Job):
             outcome = "paused" if self.pausing.hold else "under way"
         note = ""
         if self.pausing.hold:
-            note = f"{self.pausing.hold.sentence} ros2_nav_pause(resume=true) goes on with the rest; ros2_stop ends it."
+            note = f"{self.pausing.hold.sentence} ros2_nav_pause(resume=true) resumes it; ros2_stop ends it."
         elif outcome == "under way":
             note = f'The robot is still under way: wait with {self.tool}(job_id="{self.id}"); ros2_stop ends it.'
             note = f"{self._doing} {note}".lstrip()

@@ -100,7 +100,7 @@ async def _pause(job: Navigation, report: Report) -> NavPaused:
         y_m=_rounded(hold.where.y_m),
         paused_s=round(monotonic() - hold.since, 1),
         left=_left(job),
-        note=f"{hold.sentence} ros2_nav_pause(resume=true) goes on; ros2_stop ends it.",
+        note=f"{hold.sentence} ros2_nav_pause(resume=true) resumes it; ros2_stop ends it.",
     )
 
 

@@ -44,7 +44,7 @@ def _simulated(evidence: NavEvidence) -> Iterator[NavFinding]:
             rank="stops everything",
             subject=simulated[0],
             cause=f"{listed(simulated, _MOST_NAMES)} {'runs' if len(simulated) == 1 else 'run'} on simulated time, "
-            "which stands still: nobody publishes /clock.",
+            "which stands still: /clock has no publisher.",
             proof=f"use_sim_time is true at {listed(simulated, _MOST_NAMES)}, and false at {len(by_wall)} others.",
             remedy="Set use_sim_time to false on a real robot, or start what publishes /clock.",
             covers=("map → odom", "odom → base"),

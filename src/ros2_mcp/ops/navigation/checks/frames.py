@@ -189,7 +189,7 @@ def _stale(evidence: NavEvidence, frames: Frames, edge: Edge) -> NavFinding:
     odometry_comes = _name(edge) == "odom → base" and any(one.count for one in evidence.of(ODOMETRY))
     off = _switched_off(evidence, owner) if odometry_comes and not is_gone else []
     if off:
-        cause = f"Odometry comes, and nobody tells the transform from odom to the base: {off[0]}."
+        cause = f"Odometry is published, but no node publishes the transform from odom to the base: {off[0]}."
         proof += f" {_also(off)}".rstrip()
     elif inputs:
         cause = f"{cause[:-1]}, and what it waits for is silent: {listed(inputs, 3)}."

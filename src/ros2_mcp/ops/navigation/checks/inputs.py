@@ -49,7 +49,7 @@ def _absent(evidence: NavEvidence, topic: TopicEndpoints, who: str) -> NavFindin
     kind = topic.types[0].rpartition("/")[2]
     is_needed = any(is_of_role(one.node, "amcl", "slam_toolbox", "local_costmap") for one in topic.subscribers)
     remedy, proof = f"Start what publishes {named(topic.topic)}, or correct the topic.", ""
-    cause = f"{who} listens on {named(topic.topic)}, where nobody publishes"
+    cause = f"{who} listens on {named(topic.topic)}, which has no publisher"
     if gone:
         cause, proof = f"{cause} any longer", f"{listed(list(gone), _MOST_NAMES)} published it earlier, and has left."
         remedy = "Start that node again; ros2_log_read may show why it ended."
