@@ -349,7 +349,7 @@ class Operations:
         return [topic for topic in self._velocities.driven() if topic.name in names and topic.needs_zero]
 
     def end_at_once(self, request: Request) -> None:
-        """Carry out a request that ends something, without waiting for the imports of other requests.
+        """Carry out a request that ends something, without waiting for the imports that other requests need.
 
         It is carried out again, and answered, in its turn. It then also ends requests that were accepted before it but
         begin only then.

@@ -47,7 +47,7 @@ _WHY_ENDED: Mapping[EndedBy, tuple[ErrorKind, str]] = {
 
 
 class Cancelled(OperationError):
-    """Thrown into an operation that is ended early, with what ended it and what of it had been sent."""
+    """Raised inside an operation that is ended early: says what ended it, and what it had sent by then."""
 
     def __init__(self, ended_by: EndedBy = "cancel", sent: str = "nothing was sent") -> None:
         kind, why = _WHY_ENDED[ended_by]

@@ -161,7 +161,7 @@ def _json_in(text: str) -> tuple[str, str]:
     try:
         _, end = json.JSONDecoder().raw_decode(text[at:])
     except ValueError as error:
-        raise BadInput(f"{text[at:]!r} is no JSON: {error}.", f"Write {_FORM}") from None
+        raise BadInput(f"{text[at:]!r} is not JSON: {error}.", f"Write {_FORM}") from None
     return f"{text[:at].rstrip(chr(39))} {text[at + end :].lstrip(chr(39))}", text[at : at + end]
 
 

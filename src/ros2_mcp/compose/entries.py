@@ -103,7 +103,7 @@ def _check_names(names: Sequence[str]) -> None:
             "With --robots each robot needs a name.", "Write it before the address: --robot lab=ssh://me@lab."
         )
     if wrong := [name for name in names if not _NAME.fullmatch(name)]:
-        raise BadInput(f"{quoted(wrong[0])} is not a valid name of a robot.", _NAMES)
+        raise BadInput(f"{quoted(wrong[0])} is not a valid robot name.", _NAMES)
     if double := [name for name, times in Counter(map(str.lower, names)).items() if times > 1]:
         raise BadInput(f"Two robots are called {double[0]!r}.", "Give them names that differ in more than case.")
 
@@ -146,7 +146,7 @@ def _read(settings: Settings, path: Path) -> list[tuple[str, Settings]]:
 def _of_section(settings: Settings, name: str, section: Section, folder: Path) -> Settings:
     """Return the settings of one robot of the file. What the file does not set is as for all robots of this server."""
     if not _NAME.fullmatch(name):
-        raise section.error(section.node, f"{quoted(name)} is not a valid name of a robot.", _NAMES)
+        raise section.error(section.node, f"{quoted(name)} is not a valid robot name.", _NAMES)
     address = _address(name, section)
     given: dict[str, Any] = {
         "distro": section.text("distro"),
@@ -189,7 +189,7 @@ def _variables(section: Section) -> tuple[str, ...]:
     given = {name: f"{name}={env.text(name)}" for name in env.all()}
     for name, variable in given.items():
         if not OPTIONS["robot_env"].kind.allows((variable,)):
-            raise env.error_at(name, f"{quoted(name)} is not a name of a variable.")
+            raise env.error_at(name, f"{quoted(name)} is not the name of a variable.")
     return tuple(given.values())
 
 

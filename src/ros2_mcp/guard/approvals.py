@@ -265,14 +265,14 @@ class Approvals:
         """
         request = self.find(request_id, nonce)
         if not 0 < for_s <= self._most_grant_s:
-            raise BadInput(f"A grant lasts {self._most_grant_s:g} s at most, and longer than 0.")
+            raise BadInput(f"A grant lasts more than 0 and at most {self._most_grant_s:g} s.")
         bounds = dict(most or {})
         for path, value in bounds.items():
             if not (math.isfinite(value) and value >= 0):
                 raise BadInput(f"The bound of {path} is not a number from 0 on.")
             if not math.isfinite(_size_at(request.exact.value, path.split("."))):
                 raise BadInput(
-                    f"The waiting request has no number at {word(path)}.", "Name a value that operate show has."
+                    f"The waiting request has no number at {word(path)}.", "Name a value that operate show lists."
                 )
         grant = Grant(id=self._fresh_id(), exact=request.exact, until=self._clock() + for_s, by=by, most=bounds)
         if not grant.covers(request.exact):

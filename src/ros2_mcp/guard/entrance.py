@@ -80,8 +80,8 @@ def check_tls(settings: Settings) -> None:
     except OSError as error:
         reason = "OpenSSL does not take them" if isinstance(error, ssl.SSLError) else error.strerror
         raise BadInput(
-            f"TLS cannot be spoken with {certificate} and {key}: {reason}.",
-            "Both are PEM files that this user can read; the key belongs to the certificate and has no password.",
+            f"TLS cannot use {certificate} and {key}: {reason}.",
+            "Both must be PEM files that this user can read; the key must fit the certificate and have no password.",
         ) from error
 
 

@@ -25,12 +25,12 @@ def keep_out_of(section: Section | None, policy: str) -> KeepOut | None:
     if len(polygons) > MOST_ZONES:
         raise section.error_at("zones", f"{len(polygons)} zones are more than the {MOST_ZONES} that can be judged.")
     if section.has("footprint") == section.has("radius_m"):
-        problem = "keep_out needs the outline of the robot: 'footprint' or 'radius_m', one of both."
+        problem = "keep_out needs the outline of the robot: either 'footprint' or 'radius_m'."
         hint = "Nav2 has it as footprint or robot_radius, of its costmaps: footprint: [[0.3, 0.2], [0.3, -0.2], …]."
         raise section.error(section.node, problem, hint)
     plan = section.text("plan", _PLAN)
     if not plan.startswith("/") or "*" in plan:
-        raise section.error_at("plan", f"{plan!r} is no full name of one topic.", "Such as /plan.")
+        raise section.error_at("plan", f"{plan!r} is not the full name of a topic.", "Such as /plan.")
     found = KeepOut(
         rule=f"{policy} line {section.line}: keep_out",
         frame_id=section.text("frame", "map"),
@@ -49,7 +49,7 @@ def polygon(section: Section, key: str) -> Polygon:
     corners = section.points(key)
     if problem := what_is_wrong(corners):
         hint = "Three corners or more, one after the other around it: [[0, 0], [4, 0], [4, 2]]."
-        raise section.error_at(key, f"{key} is no polygon: {problem}.", hint)
+        raise section.error_at(key, f"{key} is not a valid polygon: {problem}.", hint)
     return corners
 
 

@@ -70,7 +70,7 @@ def listen_at(path: Path, warn: Callable[[str], None], *, by_secret: bool = sys.
     if by_secret:
         return _port(path)
     if sys.platform == "win32":
-        raise OSError("Python knows no Unix sockets on Windows")
+        raise OSError("Python does not support Unix sockets on Windows")
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     hidden = path.with_name(f".{path.name}")
     try:
@@ -121,7 +121,7 @@ def connected(path: Path) -> socket.socket:
         connection.sendall(secret.encode() + b"\n")
         return connection
     if sys.platform == "win32":
-        raise OSError("Python knows no Unix sockets on Windows")
+        raise OSError("Python does not support Unix sockets on Windows")
     connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
         connection.settimeout(_ANSWERED_S)

@@ -140,7 +140,7 @@ def opened(path: Path) -> str:
         with os.fdopen(_opened(path, origin), "rb") as file:
             status = os.fstat(file.fileno())
             if not stat.S_ISREG(status.st_mode):
-                raise PolicyFileError(origin, 0, "it is no regular file.")
+                raise PolicyFileError(origin, 0, "it is not a regular file.")
             _check_owner(status, origin, "it")
             data = file.read(_MAX_BYTES + 1)
     except OSError as error:
@@ -168,7 +168,7 @@ def _opened(path: Path, origin: str) -> int:
 def _check_owner(status: os.stat_result, origin: str, what: str) -> None:
     if others_can_write(status):
         hint = "chmod go-w, for it and its folder."
-        raise PolicyFileError(origin, 0, f"{what} can be written by others than its owner.", hint)
+        raise PolicyFileError(origin, 0, f"{what} can be written by users other than its owner.", hint)
     if is_of_others(status):
         raise PolicyFileError(origin, 0, f"{what} belongs to another user.", "It must be root's, or yours.")
 
@@ -291,7 +291,7 @@ def _names(section: Section, key: str) -> tuple[str, ...]:
             if name == "**":
                 continue
             hint = "Whole segments: /robot1/cmd_vel, /*/cmd_vel (any one), /**/cmd_vel (any number of them)."
-            raise section.error_at(key, f"{name!r} is no absolute name or pattern.", hint)
+            raise section.error_at(key, f"{name!r} is neither an absolute name nor a pattern.", hint)
     return found
 
 
@@ -310,7 +310,7 @@ def _types(section: Section) -> tuple[str, ...]:
             hint = (
                 "The full name, such as geometry_msgs/msg/Twist, or whole segments: geometry_msgs/msg/*, nav2_msgs/**."
             )
-            raise section.error_at(key, f"{name!r} is no type or pattern of types.", hint)
+            raise section.error_at(key, f"{name!r} is neither a type nor a pattern of types.", hint)
     return found
 
 
@@ -354,7 +354,9 @@ def _ramp(section: Section) -> Ramp:
 
 def _check_path(section: Section, path: str) -> str:
     if path != "" and not _PATH.fullmatch(path):
-        raise section.error_at(path, f"{path!r} is no path of a field.", "Such as linear.x or points[].velocities[].")
+        raise section.error_at(
+            path, f"{path!r} is not the path of a field.", "Such as linear.x or points[].velocities[]."
+        )
     return path
 
 
@@ -474,12 +476,12 @@ def _told_on(section: Section, usual: Feedback | Pose) -> dict[str, str]:
     section.require("topic")
     (topic, *more), kind = _names(section, "topic"), section.text("type", usual.type)
     if more or "*" in topic:
-        raise section.error_at("topic", "the robot is heard on one topic, which has to be written out.")
+        raise section.error_at("topic", "the robot reports this on one topic: write its full name, without a pattern.")
     if not _MESSAGE.fullmatch(kind):
-        raise section.error_at("type", f"{kind!r} is no full type of a message.", f"Such as {usual.type}.")
+        raise section.error_at("type", f"{kind!r} is not a full message type.", f"Such as {usual.type}.")
     path = section.text("path", usual.path)
     if not _PATH.fullmatch(path):
-        raise section.error_at("path", f"{path!r} is no path of a field.", f"Such as {usual.path}.")
+        raise section.error_at("path", f"{path!r} is not the path of a field.", f"Such as {usual.path}.")
     return {"topic": topic, "type": kind, "path": path}
 
 

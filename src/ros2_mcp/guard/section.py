@@ -85,7 +85,7 @@ class Section:
             raise self.error(self.node, f"{self.what} must be made of lines like 'key: value'.")
         for key_node, value in self.node.value:
             if key_node.id != "scalar":
-                raise self.error(key_node, "a key must be a text.")
+                raise self.error(key_node, "a key must be a string.")
             key = str(key_node.value)
             if key in self._nodes:
                 raise self.error(key_node, f"{key!r} is there twice.")
@@ -225,7 +225,7 @@ class Section:
 
     def _text(self, key: str, node: Any) -> str:
         if node.id != "scalar" or node.tag != f"{_TAG}str":
-            raise self.error(node, f"{key} must be a text; put it in quotes.")
+            raise self.error(node, f"{key} must be a string; put it in quotes.")
         return str(node.value)
 
     def _flag(self, key: str, node: Any) -> bool:
@@ -251,7 +251,7 @@ class Section:
             return self._flag(key, node)
         if (number := _number_of(node)) is not None:
             return number
-        raise self.error(node, f"{key} must be a text, a number, true or false.")
+        raise self.error(node, f"{key} must be a string, a number, true or false.")
 
 
 def _number_of(node: Any) -> float | None:

@@ -86,18 +86,18 @@ class StateFolder:
         except OSError as error:
             raise StateUnusable(f"The state folder cannot be made: {error}.") from error
         if not stat.S_ISDIR(found.st_mode):
-            raise StateUnusable(f"The state folder {self.path} is not a folder, or a link to one.")
+            raise StateUnusable(f"The state folder {self.path} is a link, or not a folder.")
         if is_of_others(found):
             raise StateUnusable(f"The state folder {self.path} belongs to another user.")
         if others_can_write(found):
             raise StateUnusable(
-                f"Others than its owner can write in the state folder {self.path}.", f"chmod go-w {self.path}"
+                f"Users other than its owner can write in the state folder {self.path}.", f"chmod go-w {self.path}"
             )
         # A user who can rename the folder could replace it by one without a latch. (A group may have a single user.)
         is_open = sys.platform != "win32" and above.st_mode & stat.S_IWOTH and not above.st_mode & stat.S_ISVTX
         if is_open or is_of_others(above):
             raise StateUnusable(
-                f"Another user can exchange the state folder {self.path}.",
+                f"Another user can replace the state folder {self.path}.",
                 f"{self.path.parent} must be yours or root's.",
             )
         return self.path

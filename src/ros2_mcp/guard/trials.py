@@ -92,7 +92,9 @@ def rows_of(path: Path) -> Iterator[Row]:
             except BadInput as error:
                 raise BadInput(f"{path}:{reader.line_num}: {error}") from error
             except AttributeError as error:
-                raise BadInput(f"{path}:{reader.line_num}: this row has not as many columns as the first.") from error
+                raise BadInput(
+                    f"{path}:{reader.line_num}: this row does not have as many columns as the first."
+                ) from error
 
 
 def trial_of(row: Mapping[str, str]) -> Trial:
@@ -104,7 +106,7 @@ def trial_of(row: Mapping[str, str]) -> Trial:
         raise BadInput(f"No type is given: what {verb} means to a policy depends on it.")
     found = _json(row, "facts")
     if not isinstance(found, dict):
-        raise BadInput("Column facts is no JSON object.", 'Such as {"publishers": ["/controller_server"]}.')
+        raise BadInput("Column facts is not a JSON object.", 'Such as {"publishers": ["/controller_server"]}.')
     facts = cast("Mapping[str, Any]", found)
     return Trial(
         verb=verb,
@@ -165,7 +167,7 @@ def _json(row: Mapping[str, str], column: str) -> Any:
     try:
         return json.loads(row[column] or "{}")
     except ValueError as error:
-        raise BadInput(f"Column {column} is no JSON: {error}.", 'A text needs quotation marks: "activate".') from error
+        raise BadInput(f"Column {column} is not JSON: {error}.", 'A string needs quotes: "activate".') from error
 
 
 def _number(row: Mapping[str, str], column: str) -> float | None:

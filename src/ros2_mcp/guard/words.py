@@ -20,7 +20,7 @@ _ACTS = {
     "play": "Play recorded {types} on {names}",
     "call": "Call {names} ({types})",
     "goal": "Send goals to {names} ({types})",
-    "cancel": "Cancel anybody's goals of {names}",
+    "cancel": "Cancel any client's goals of {names}",
     "set": "Set parameters of {names}",
     "transition": "Change the lifecycle state of {names}",
     "record": "Record {names}",

@@ -123,7 +123,7 @@ class Arrival:
         self.noise = (self.noise + noise)[: _MOST_NOISE_BYTES + 1]
         if len(self.noise) > _MOST_NOISE_BYTES:
             self._fail(
-                f"What answers there writes more than {_MOST_NOISE_BYTES // 1024} kB, and the bridge never begins."
+                f"The login there printed more than {_MOST_NOISE_BYTES // 1024} kB, and the bridge did not start."
             )
 
     def _fail(self, message: str) -> None:
@@ -138,7 +138,7 @@ class Arrival:
             details = {str(name): str(value) for name, value in told.items()}
             stage = details.pop("stage")
         except (ValueError, KeyError, AttributeError):
-            self._fail("What answers there is not what was sent.")
+            self._fail("The reply does not come from the program that was sent.")
             return
         if stage == "failed":
             self.failure = LinkError(_on_one_line(details.get("message", "")), _on_one_line(details.get("hint", "")))

@@ -43,7 +43,7 @@ _REFUSALS: Sequence[_Refusal] = (
     ),
     _refusal(
         "host key verification failed|host key is known for|no matching host key fingerprint",
-        "The host key of {host} is not known here, and the server accepts none by itself.",
+        "The host key of {host} is not known here, and this server never accepts a new one by itself.",
         "Run once in a terminal, and compare the key: {doctor}",
         is_lasting=True,
     ),
@@ -83,7 +83,7 @@ _REFUSALS: Sequence[_Refusal] = (
     ),
     _refusal(
         "no route to host|network is unreachable|host is down",
-        "There is no way to {host} from here: {said}.",
+        "{host} cannot be reached from here: {said}.",
         "Is this machine in the robot's network (Wi-Fi, VPN), and is the robot switched on?",
     ),
     _refusal(

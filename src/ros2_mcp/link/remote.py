@@ -95,8 +95,8 @@ def is_installed(settings: Settings) -> bool:
         return False
     if search_of(settings) != search_of(Settings()):
         raise BadInput(
-            f"The command of --robot-command starts {PACKAGE} that is installed there, in the ROS that it chooses.",
-            "Say there which: … 'source DIR/setup.bash; ROS_DOMAIN_ID=7 ros2 run ros2_mcp_bridge bridge'; or leave out "
+            f"--robot-command starts the {PACKAGE} that is installed there, in the ROS 2 that the command sets up.",
+            "Set it up there: … 'source DIR/setup.bash; ROS_DOMAIN_ID=7 ros2 run ros2_mcp_bridge bridge'; or leave out "
             "--distro, --workspace, --ros-root, --bridge-python, --domain-id, --rmw and --robot-env.",
         )
     return True

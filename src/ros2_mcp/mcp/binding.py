@@ -198,7 +198,7 @@ class BoundTool:
         ]
 
     def _as_meant(self, arguments: Mapping[str, Any], *, are_exact: bool = False) -> tuple[dict[str, Any], list[str]]:
-        """Return the arguments as they were meant, and notes on what was corrected.
+        """Return the arguments with evident slips corrected, and notes on the corrections.
 
         Names become the declared ones, JSON texts are parsed, and arguments that count as not given are dropped. One
         desktop client always sends lists and objects as a string of JSON. Escapes of hidden characters, which the model
@@ -236,7 +236,7 @@ class BoundTool:
 
     @property
     def _narrowing(self) -> Sequence[str]:
-        """The names of the arguments with which a caller gets less, or another part."""
+        """The names of the arguments by which a caller can ask for less, or for another part."""
         return [name for name in _NARROWING if name in self.arguments.model_fields]
 
     @property
@@ -249,7 +249,7 @@ class BoundTool:
         would act on it.
         """
         if self.acts and (path := text_for_number(self.listed.input_schema, arguments)):
-            raise CallFailed(f"BadInput: {path}: a text is given, a number is expected. Write it without quotes.")
+            raise CallFailed(f"BadInput: {path}: a string is given, a number is expected. Write it without quotes.")
 
 
 def bind(

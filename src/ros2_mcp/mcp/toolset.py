@@ -44,7 +44,7 @@ _BESIDE = {"turn": "drive", "feedback": "goal"}
 
 
 class Toolset:
-    """The tools that the chosen groups and the policy leave, in the order of `tools/list`.
+    """The tools that remain after the choice of groups and the policy, in the order of `tools/list`.
 
     A tool that is not allowed is absent, not refused. `by_name` are the offered tools. `missing` gives, for each other
     tool, the reason. `with_pages` are tools that only clients that show pages beside the chat are offered.

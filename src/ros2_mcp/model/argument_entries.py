@@ -24,7 +24,7 @@ def arguments_under(front: Entry, key: str) -> list[Argument]:
     for entry in front.entries(key):
         argument = argument_of(entry)
         if argument.name in found:
-            raise FrontMatterError(entry.line_of("name"), f"The argument {argument.name} is there twice.")
+            raise FrontMatterError(entry.line_of("name"), f"The argument {argument.name} is given twice.")
         found[argument.name] = argument
     return list(found.values())
 

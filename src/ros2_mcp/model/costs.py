@@ -36,7 +36,7 @@ class Narrowest:
 
     def __str__(self) -> str:
         x, y = self.clearance_at
-        near = f"{self.clearance_m:.2f} m from its middle line to what is occupied, at ({x:.2f}, {y:.2f})"
+        near = f"{self.clearance_m:.2f} m from its centre line to the nearest occupied cell, at ({x:.2f}, {y:.2f})"
         if self.gap_m is None or self.gap_at is None:
             return f"nearest: {near}"
         return (

@@ -131,5 +131,5 @@ def _line(node: Any) -> int:
 
 def _text(node: Any, line: int, what: str) -> str:
     if not isinstance(node.value, str):
-        raise FrontMatterError(line, f"{what} must be a text; put it in quotes.")
+        raise FrontMatterError(line, f"{what} must be a string; put it in quotes.")
     return "" if node.tag == _NULL else node.value.strip()

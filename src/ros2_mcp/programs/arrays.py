@@ -181,7 +181,7 @@ async def unpack(
             raise BadInput("robot.unpack: data is bytes, such as those of a field uint8[].", 'As m["data"].')
         content = memoryview(content)
     if not isinstance(cast("Any", format), str) or len(format) > _MOST_FORMAT:
-        raise BadInput(f"robot.unpack: the format is a text of at most {_MOST_FORMAT} characters.", 'Such as "<Hf".')
+        raise BadInput(f"robot.unpack: the format is a string of at most {_MOST_FORMAT} characters.", 'Such as "<Hf".')
     try:
         record = struct.Struct(format)
     except struct.error as error:

@@ -115,4 +115,4 @@ def _number(found: float, what: str, *, for_json: bool) -> Any:
 def _key(name: Any, text: Any, what: str, for_json: bool) -> str:
     if isinstance(name, str) or (for_json and isinstance(name, (int, float, bool)) and abs(name) < _EXACT):
         return str(text(str(name)))
-    raise BadInput(f"{what}: the name of a field is a text, not a {type(name).__name__}.")
+    raise BadInput(f"{what}: the name of a field is a string, not a {type(name).__name__}.")

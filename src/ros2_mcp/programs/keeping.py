@@ -178,7 +178,7 @@ def inputs_of(declared: Sequence[Mapping[str, Any]]) -> tuple[Argument, ...]:
         except FrontMatterError as error:
             raise BadInput(f"inputs: {error.text}", "Such as {'name': 'distance_m', 'type': 'number'}.") from None
         if argument.name in found:
-            raise BadInput(f"The input {argument.name} is there twice.")
+            raise BadInput(f"The input {argument.name} is given twice.")
         found[argument.name] = argument
     return tuple(found.values())
 

@@ -119,7 +119,7 @@ class KeptPrograms(Kept):
         if isinstance(found, KeptProgram):
             return found
         if found:
-            raise BadData(f"The kept program {name} cannot be used: {found}", "Mend or remove its file.")
+            raise BadData(f"The kept program {name} cannot be used: {found}", "Fix or remove its file.")
         hint = did_you_mean(name, self.names(), "ros2_program_list shows them.")
         raise NotFound(f"There is no kept program {quoted(name)}.", hint)
 
@@ -232,7 +232,7 @@ class KeptPrograms(Kept):
             for version in self._former_versions(program.name)[:-_MOST_FORMER]:
                 former.with_name(f"{program.name}.v{version}.md").unlink(missing_ok=True)
         except OSError as error:
-            raise RobotError(f"The former program cannot be put away: {error}.") from error
+            raise RobotError(f"The former version of the program cannot be stored: {error}.") from error
 
     def _write(self, file: Path, text: str) -> None:
         draft = file.with_name(f".{file.name}.draft")

@@ -367,7 +367,7 @@ def _values(stream: Stream, sample: Sample, fields: tuple[str, ...], held: Held)
     value = render(definitions, stream.type, message, options=options).value
     if size - held_bytes > MOST_BYTES and not fields:
         raise Refused(
-            f"A message of {named(stream.topic)} has {size} bytes, more than a program is given whole.",
+            f"A message of {named(stream.topic)} has {size} bytes, too large for a program to get whole.",
             "Ask for its fields.",
         )
     return value

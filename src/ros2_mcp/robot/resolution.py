@@ -95,7 +95,7 @@ class Types:
         if found:
             return found[0]
         raise UnknownInterface(
-            f"{quoted(text)} is the name of no {kind or 'type'} that is installed where the bridge runs.",
+            f"No {kind or 'type'} called {quoted(text)} is installed where the bridge runs.",
             _like(text, installed, kind),
         )
 

@@ -406,7 +406,7 @@ class Robot(Core):
             TimedOut: if it did not answer in time.
         """
         if not only_reads(service_type):
-            raise ValueError(f"{service_type} may change something: calling {service} takes a command.")
+            raise ValueError(f"{service_type} may change something: calling {service} needs a command.")
         # In the form of a command, but without a decision: reading is always allowed.
         asking = commands.ServiceCall(
             principal=SERVER, name=service, type=service_type, value=request, timeout_s=timeout_s, wait_s=wait_s

@@ -17,8 +17,8 @@ from ros2_mcp_common.policy.verbs import meaning
 
 
 async def as_meant(prepared: Prepared[Any]) -> Prepared[Any]:
-    """Return the command itself, or the command that a service call means, with the same bytes; its request is checked
-    first.
+    """Return the command that a service call amounts to (set parameters, make a transition, send or cancel goals), with
+    the call's bytes; return any other command unchanged. The call's request is checked first.
 
     Raises:
         BadValue: if the request does not fit the definition of the service's type.

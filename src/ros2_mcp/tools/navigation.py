@@ -97,12 +97,14 @@ async def ros2_navigate(
     to: Annotated[
         list[dict[str, Any]] | None,
         BeforeValidator(_as_list),
-        Field(description='In order, each {"place": name} or {"x", "y", "yaw_deg", "frame"} (m, degrees; frame: map).'),
+        Field(
+            description='Places in order: {"place": name} or {"x", "y", "yaw_deg", "frame"} (m, degrees; frame: map).'
+        ),
     ] = None,
     job_id: Annotated[str, Field(description="Wait for this running job instead.")] = "",
     timeout_s: Annotated[Number, Field(ge=0, le=MAX_DURATION_S, description="Maximum wait in seconds.")] = 45.0,
     stop_when_stuck_s: Annotated[
-        Number, Field(ge=0, le=MAX_DURATION_S, description="End it after so long without progress; 0: never.")
+        Number, Field(ge=0, le=MAX_DURATION_S, description="End it after this long without progress; 0: never.")
     ] = 0,
     action_name: Action = "",
 ) -> Navigated:
@@ -139,8 +141,8 @@ async def ros2_nav_route(
         list[dict[str, Any]] | None,
         BeforeValidator(_as_list),
         Field(
-            description='In order, each {"place": name} or {"x", "y", "yaw_deg", "frame"} (m, degrees; frame: map); '
-            'with "wait_s" for its own wait.'
+            description='Places in order: {"place": name} or {"x", "y", "yaw_deg", "frame"} (m, degrees; frame: map); '
+            '"wait_s" in one replaces wait_s.'
         ),
     ] = None,
     loops: Annotated[Whole, Field(ge=1, le=MOST_LOOPS, description="How often to drive the list.")] = 1,
@@ -149,7 +151,7 @@ async def ros2_nav_route(
     job_id: Annotated[str, Field(description="Wait for this running job instead.")] = "",
     timeout_s: Annotated[Number, Field(ge=0, le=MAX_DURATION_S, description="Maximum wait in seconds.")] = 45.0,
     stop_when_stuck_s: Annotated[
-        Number, Field(ge=0, le=MAX_DURATION_S, description="A place counts as missed after so long without progress.")
+        Number, Field(ge=0, le=MAX_DURATION_S, description="A place counts as missed after this long without progress.")
     ] = 0,
     action_name: Action = "",
 ) -> Routed:
@@ -187,8 +189,8 @@ async def ros2_nav_pause(
     resume: Annotated[Flag, Field(description="Go on with the rest instead. Can move the robot.")] = False,
     job_id: Annotated[str, Field(description="The navigation, if several run.")] = "",
 ) -> NavPaused:
-    """Pause the running ros2_navigate or ros2_nav_route: its goal is cancelled, the robot measured to stand, and the
-    rest of the list kept.
+    """Pause the running ros2_navigate or ros2_nav_route: cancel its goal, check that the robot stands, and keep the
+    rest of the list.
 
     With resume it goes on, and reports how far the robot was moved meanwhile. A pause ends by itself after an hour.
     """
@@ -232,7 +234,7 @@ async def ros2_nav_probe(
     robot: Robot,
     session: Session,
     report: Report,
-    what: Annotated[Probing, Field(description="Only one of both motions.")] = "both",
+    what: Annotated[Probing, Field(description="Only one of the two.")] = "both",
 ) -> NavProbed:
     """Drive 0.2 m ahead and turn 30° left, and compare odometry, laser scan and gyro with the command. Moves the robot.
 
@@ -287,17 +289,17 @@ async def ros2_nav_localize(
     ] = None,
     search: Annotated[Flag, Field(description="Find it on the map by its laser scan.")] = False,
     radius_m: Annotated[
-        Number | None, Field(gt=0, le=1000, description="Search so far around at (3); heading: within 60°.")
+        Number | None, Field(gt=0, le=1000, description="Search radius around at; default 3. Heading: within 60°.")
     ] = None,
     last: Annotated[
         Flag, Field(description="After a restart: use the last pose that was stored, if the scan fits the map there.")
     ] = False,
     topic_name: Annotated[str, Field(description="Default: /initialpose.")] = "",
 ) -> NavLocalized:
-    """Tell localisation where the robot is (initial pose): given, found on the map, or kept. Nothing moves.
+    """Tell localisation where the robot is (initial pose): a given, found or stored pose. Nothing moves.
 
-    Reports whether the transforms took it, and how well the laser scan fits the map before and after. If several poses
-    fit nearly as well, none is published: choose one and give it as `at`.
+    Reports whether localisation accepted it, and how well the laser scan fits the map before and after. If several
+    poses fit nearly as well, none is published: choose one and give it as `at`.
     """
     request = LocalizeRequest(at=at, search=search, radius_m=radius_m, last=last, topic=topic_name)
     return await localize(robot, session, request, report)
@@ -317,9 +319,9 @@ async def ros2_nav_map(
     report: Report,
     what: Annotated[MapVerb, Field(description="show: which maps and services there are.")] = "show",
     path: Annotated[
-        str, Field(description="On the robot's computer: to save without an ending, to load the YAML file.")
+        str, Field(description="On the robot's computer; to save: without ending; to load: the YAML file.")
     ] = "",
-    pose_graph: Annotated[Flag, Field(description="slam_toolbox's pose graph, with which mapping goes on.")] = False,
+    pose_graph: Annotated[Flag, Field(description="slam_toolbox's pose graph, to go on mapping.")] = False,
     at: Annotated[
         dict[str, Any] | None,
         BeforeValidator(_as_object),
@@ -327,7 +329,7 @@ async def ros2_nav_map(
     ] = None,
     service_name: Annotated[str, Field(description="Name of the service, if there are several.")] = "",
 ) -> NavMap:
-    """Save or load a map with map_server, map_saver or slam_toolbox, or show which there are. Nothing moves.
+    """Save or load a map with map_server, map_saver or slam_toolbox, or list what there is. Nothing moves.
 
     Reports what was verified: the map that is published after loading, and the files where they can be seen from here.
     """
@@ -388,12 +390,14 @@ async def ros2_nav_recover(
         BeforeValidator(_as_recovery),
         Field(description="Clear costmaps (both, or one), or make a short move with collision checks."),
     ] = None,
-    amount: Annotated[Number | None, Field(description="Of a move: m (0.3), of spin degrees to the left (90).")] = None,
+    amount: Annotated[
+        Number | None, Field(description="Of a move: m, default 0.3; of spin: degrees left, default 90.")
+    ] = None,
     stack: Annotated[StackCommand | None, Field(description="Instead: command all of Nav2's servers.")] = None,
     node_name: Annotated[str, Field(description="The lifecycle manager, if there are several.")] = "",
 ) -> NavRecovered:
-    """Use Nav2's own recoveries: clear costmaps, back up, spin, drive ahead; or bring its servers up, down, pause or
-    resume them. Can move the robot.
+    """Use Nav2's own recoveries: clear costmaps, back up, spin, drive ahead; or bring up, shut down, pause or resume
+    its servers. Can move the robot.
 
     Reports what was measured: cells cleared, distance and angle by odometry, servers active.
     """

@@ -59,8 +59,8 @@ async def ros2_program_run(
     For work on every message: loops, sums, reactions. For one reading or action, call its tool. The printed text is
     the answer. It can import robot, math, time, json, re and datetime; it has no files, network, NumPy, await or yield.
     Messages are dicts: m["pose"]["pose"]["position"]["x"]; with fields, m["ranges[0]"]; also _topic, _time, _age_s,
-    _dropped. Limits: timeout_s, 5 s of computing between two calls, 60 s in all, 64 MB of values. Whatever ends it
-    stops what it moves. help() prints all functions, help(robot.drive) one of them.
+    _dropped. Limits: timeout_s, 5 s of computing between two calls, 60 s in all, 64 MB of values. The program's
+    end stops what it moves. help() prints all functions, help(robot.drive) one of them.
     """
     code, given = await programs_of(robot).resolve(program, inputs or {})
     return await run(robot, session, programs, code, given, timeout_s, report, dry_run=dry_run)
@@ -106,7 +106,7 @@ async def ros2_program_save(
     replace: Annotated[Flag, Field(description="Replace the kept program of this name.")] = False,
     remove: Annotated[Flag, Field(description="Delete the program instead.")] = False,
 ) -> ProgramSaved:
-    """Save a program that worked: next time one short call runs it, and the user gets a prompt for it. The code is
+    """Save a program that worked: next time one short call runs it, or the user with an MCP prompt. The code is
     checked, but not run."""
     request = ProgramRequest(
         name=name, code=program, description=description, inputs=inputs or (), overwrite=replace, remove=remove

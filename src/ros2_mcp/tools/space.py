@@ -63,7 +63,7 @@ async def ros2_tf_lookup(
     *,
     reading: RecordingSource,
 ) -> Lookup:
-    """Look up where the frame source is in target, how old that is and through which frames; or why it is unknown."""
+    """Look up the pose of frame source in frame target, its age and the frames between; or why it is unknown."""
     request = LookupRequest(
         target=target, frame=source, time=time, duration_s=duration_s, points=points or (), field=field
     )

@@ -19,7 +19,7 @@ PLACE = 70
 async def ros2_stop(robot: Robot, session: Session) -> stopping.Stopped:
     """Stop at once everything that this server has set in motion, for any client: publishes zero on velocity topics,
     cancels goals, ends repeated publishing, relays and playbacks; commands accepted earlier but not yet sent are
-    dropped. Reports what was confirmed, whether odometry or joints show motion, and names the services called and
-    topics published on that it cannot stop.
+    dropped. Reports what was confirmed, whether odometry or joints show motion, and which called
+    services and published topics it cannot stop.
     """
     return await stopping.stop_in_reach(robot, session.principal.name)

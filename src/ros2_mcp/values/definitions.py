@@ -300,7 +300,7 @@ def _structures_of(name: str, source: DefinitionText) -> dict[str, Structure]:
     else:
         parts = split_sections(source.text)
         if len(parts) != len(types):
-            raise UnknownInterface(f"The definition of {name} has {len(parts)} parts, a {kind} has {len(types)}.")
+            raise UnknownInterface(f"The definition of {name} has {len(parts)} parts; a {kind} has {len(types)}.")
         found = {side: read_structure(side, part) for side, part in zip(types, parts, strict=True)}
     for ending, text in _IMPLIED[kind].items():
         found.setdefault(name + ending, read_structure(name + ending, text.format(name=name)))

@@ -394,7 +394,7 @@ def _part(chunks: Chunks, key: str, begin: Any) -> Mapping[str, Any]:
     if found is None:
         raise NotFound("This is no longer shown.")
     if not isinstance(begin, int) or not 0 <= begin <= len(found):
-        raise BadInput("A part begins within the whole.")
+        raise BadInput("The beginning is outside the data.")
     end = min(begin + _PART_BYTES, len(found))
     bulk = base64.b64encode(found[begin:end]).decode("ascii")
     return {"key": key, "bulk": bulk, "next": end if end < len(found) else None}
@@ -414,7 +414,7 @@ def update_request(arguments: Mapping[str, Any]) -> UpdateRequest:
             at_s=None if at_s is None else _time(at_s),
         )
     except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise BadInput("This is not a question of the page.", str(error)) from error
+        raise BadInput("This is not a valid request of the page.", str(error)) from error
 
 
 def _time(value: Any) -> float:

@@ -270,7 +270,9 @@ class Edge:
         return Bursts(span_ns + span_ns // (len(self.stamps) - 1), count)
 
     def age_ns(self, at_ns: int) -> int:
-        """Return the age, by stamp, of the last transform at a time; negative if all stamps are later."""
+        """Return the time in ns from the last stamp that is not after `at_ns` to `at_ns`; negative if all stamps are
+        after it.
+        """
         place = bisect_right(self.stamps, at_ns)
         return at_ns - self.stamps[max(place - 1, 0)]
 

@@ -216,7 +216,7 @@ def parse(text: str) -> Urdf:
     except ElementTree.ParseError as error:
         raise BadData(f"The robot description is not valid XML: {error}.") from error
     if root.tag != "robot":
-        raise BadData(f"The robot description begins with {quoted(root.tag)}, a URDF begins with robot.")
+        raise BadData(f"The robot description begins with {quoted(root.tag)}; a URDF begins with robot.")
     problems: list[str] = []
     colours = {one.get("name", ""): colour for one in root.findall("material") if (colour := _rgba(one))}
     links = {link.name: link for element in root.findall("link") if (link := _link(element, problems, colours))}

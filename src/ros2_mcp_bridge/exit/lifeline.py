@@ -67,7 +67,7 @@ class Moved(Protocol):
 
 
 class Guarded(NamedTuple):
-    """The time that a command waited for the stoppers, in s, and the reason if it is sent without one (else "")."""
+    """How long a command waited for the stoppers, in s, and why it is sent without a stopper (else "")."""
 
     waited_s: float = 0.0
     problem: str = ""

@@ -233,7 +233,7 @@ class Limiter:
 
     @property
     def speed_of_goals(self) -> float:
-        """The speed in m/s beyond which the watchdog ends goals; 0 if it looks at none."""
+        """The speed in m/s above which the watchdog ends goals; 0 if there is no such limit."""
         feedback: Any = (self.watch or {}).get("feedback") or {}
         return float(feedback.get("goals", {}).get("linear", 0.0))
 
@@ -287,7 +287,7 @@ class Limiter:
         if self.rules is None:
             raise refused("This bridge has not received its policy yet: it sends only zeros.")
         if not _NAME.fullmatch(name):
-            raise refused(f"{name!r} is no full name of ROS: under a policy nothing else is judged.")
+            raise refused(f"{name!r} is not a full ROS name: a policy can judge only full names.")
         return self.rules
 
 
@@ -420,7 +420,7 @@ class TopicLimits:
         return bool(self._moving_until)
 
     def is_as_new(self) -> bool:
-        """Return whether nothing that was sent here matters any more.
+        """Return whether everything that was sent on this topic is too old to matter.
 
         A ramp on joints always matters: joints keep their place.
         """

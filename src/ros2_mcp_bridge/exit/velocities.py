@@ -484,7 +484,7 @@ class Velocities:
             self.look_for_rest()
 
     def look_for_rest(self) -> None:
-        """Tell the stoppers which topics need no zero any more, because theirs has arrived."""
+        """Tell the stoppers which topics need no zero any more because their last zero has arrived."""
         for topic in list(self._topics.values()):
             topic.look_for_rest()
 

@@ -96,7 +96,7 @@ class Beat:
 
     @property
     def awaited(self) -> str:
-        """In words, that no message came from it, or too few, or none that can be used."""
+        """What is still missing from the topic, in words: no message came, too few, or none that can be used."""
         if self.problem:
             return f"messages came from {self.topic}, but {'too few' if self.count else 'none'}{self.unusable}"
         few = f"{self.count} of the {FIRST_MESSAGES} messages that tell its rate"
@@ -104,7 +104,9 @@ class Beat:
 
     @property
     def unusable(self) -> str:
-        """In words, behind "nothing", that what came could not be used; empty where nothing came."""
+        """A phrase to follow "nothing" or "none": that what came cannot be used, and why; "" if there was no such
+        problem.
+        """
         return f" that can be used ({self.problem})" if self.problem else ""
 
     def late_s(self, now: float) -> float:
@@ -206,7 +208,7 @@ class Drive:
         return self._standing is not None
 
     def awaits(self) -> str:
-        """From which topics too little has come to know how often they send."""
+        """The topics that have sent too few messages to know their rate, in words; "" if there are none."""
         return " and ".join(beat.awaited for beat in self._beats.values() if beat.count < FIRST_MESSAGES)
 
     def late_in_s(self, now: float) -> float:
@@ -516,8 +518,8 @@ def _stuck(topic: str) -> str:
 
 
 def _pose_of(message: Any) -> Pose:
-    """Of nav_msgs/msg/Odometry, and of what else has a pose. Raises `ValueError`, in words, where it tells no place or
-    no heading.
+    """Return the pose in a nav_msgs/msg/Odometry or another message with a pose. Raises `ValueError` with the reason if
+    the pose is not finite or has no heading.
     """
     within = "pose.pose" if hasattr(message.pose, "pose") else "pose"
     pose = getattr(message.pose, "pose", message.pose)

@@ -28,7 +28,9 @@ class Nudge(NamedTuple):
 
 
 class Nudges:
-    """What was learned from the nudges of one drive; these are all of the same kind (along the course, or in place)."""
+    """Chooses the nudges of one drive by the effect of the earlier ones, which are all of the same kind (along the
+    course, or in place).
+    """
 
     def __init__(self, least_moved: float) -> None:
         self._least_moved = least_moved

@@ -200,8 +200,8 @@ def rounds(
     by_goal: Callable[[], bool] = lambda: False,
     cancel_others: Callable[[str], object] = lambda _: None,
 ) -> Steps[None]:
-    """Steps that go on for ever: tell the watchdog whether the robot is driven, pass it the messages that have
-    come, and `end` on a finding, or `cancel_others` on one about what others drive.
+    """Steps that run the watchdog for ever: report to it whether the robot is driven, pass it the received messages,
+    and call `end` on a finding, or `cancel_others` on a finding about motion that others cause.
     """
     while True:
         watchdog.told(is_driven(), now(), by_goal=by_goal())

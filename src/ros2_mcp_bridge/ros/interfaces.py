@@ -105,7 +105,9 @@ def _module(package: str, kind: str) -> ModuleType:
 
 
 def _no_python(type_name: str, error: SyntaxError) -> tuple[str, str]:
-    """Why a type cannot be loaded whose module, or that of a type in it, is no Python; and what to do."""
+    """Return why a type cannot be loaded if its Python module, or that of a type in it, is not valid Python; and what
+    to do.
+    """
     for name, field in definitions.fields_below(type_name):
         if keyword.iskeyword(field):
             whose = "its field" if name == type_name else f"in {name} the field"

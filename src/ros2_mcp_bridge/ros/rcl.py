@@ -79,9 +79,7 @@ def subscription(node: Node, interface: Any, topic: str, profile: QoSProfile) ->
 
 
 def destroy_endpoints() -> None:
-    """Destroy all remaining publishers and subscriptions: the publishers and subscriptions of work that was under way
-    until the end.
-    """
+    """Destroy all remaining publishers and subscriptions: those of work that was under way until the end."""
     for raw in list(_endpoints):
         raw.destroy_when_not_in_use()
 

@@ -16,7 +16,7 @@ NOT_SENT = "The call was not sent in time: too many other calls wait for answers
 
 
 class Pace:
-    """Paces requests, presuming that a server takes them in order, and one every 0.2 s while it answers none.
+    """Paces requests to a server, assuming that it takes them in order, and one every 0.2 s while it answers none.
 
     So the first requests are sent at once, the others as fast as they are answered, and at least 5 a second.
     """
@@ -47,7 +47,7 @@ class Pace:
             self._wake_next()
 
     def answered(self, request: Request) -> None:
-        """Record that the request was answered: so it was taken, and all that were sent before it."""
+        """Record that the request was answered: so the server has taken it, and all requests sent before it."""
         self.has_answered = True
         if request in self._untaken:
             self._take(list(self._untaken).index(request) + 1)

@@ -138,11 +138,11 @@ class Relay:
             yield max(0.0, min(pause, end - time.monotonic()))
 
     def publish(self, data: bytes) -> None:
-        """Publish one message, unless the relay has ended. Call `wait_first_ack` afterwards, before
-        the next one replaces it.
+        """Publish one message; do nothing if the relay has ended. Call `wait_first_ack` before the next message, which
+        could replace this one in the queue.
 
         Raises:
-            Cancelled: if the relay must not act any more.
+            Cancelled: if a stop, the latch or the end of the link lease came after the relay was accepted.
         """
         if not self.is_running:
             return

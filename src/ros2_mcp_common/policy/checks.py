@@ -182,7 +182,7 @@ def outside(position: Any, frame_id: str, zone: Zone) -> str:
         position = get(get(position, "pose"), "position")
     x, y = (number_at(position, axis, axis) for axis in ("x", "y"))
     if not (math.isfinite(x) and math.isfinite(y)):
-        return "is no finite position"
+        return "is not a finite position"
     if not is_inside(x, y, zone.polygon):
         return f"({x:.6g}, {y:.6g}) lies outside"
     nearest = distance(x, y, zone.polygon)

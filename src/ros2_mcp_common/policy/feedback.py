@@ -344,7 +344,9 @@ class Watchdog:
         return ""
 
     def _of_keep_out(self, now: float) -> str:
-        """Return why what drives the robot has to end: it could not stop before a keep-out zone, or its path enters."""
+        """Return why the motion has to end because of a keep-out zone: the robot could not stop before it, or its
+        planned path enters it.
+        """
         if self._place is None or self._driven_since is None:
             return ""
         problem, self._plan_problem = self._plan_problem if now <= self._goal_until else "", ""
@@ -353,7 +355,7 @@ class Watchdog:
 
     @property
     def is_moved_by_others(self) -> bool:
-        """Whether the robot reports that it moves, although nothing of this server drives it, beside keep-out zones."""
+        """Whether there are keep-out zones and the robot reports motion although nothing of this server drives it."""
         rule = self.pose_rule
         return bool(rule and rule.keep_out) and self._driven_since is None and self._moves()
 
@@ -371,7 +373,7 @@ class Watchdog:
         return self._unplaced(now) or self._of_velocity(velocity, now, "with this velocity")
 
     def problem_of_start(self, now: float) -> str:
-        """Return why no goal may drive the robot from where it is, by the keep-out zones; "" if one may."""
+        """Return why no goal may drive the robot from its present pose, by the keep-out zones; "" if a goal may."""
         if problem := self._unplaced(now):
             return problem
         for keep_out, here in self._near():
@@ -381,7 +383,9 @@ class Watchdog:
         return ""
 
     def problem_of_straight(self, length_m: float, now: float) -> str:
-        """Return why the robot may not drive so far straight ahead (below 0: back), by the keep-out zones."""
+        """Return why the robot may not drive this far straight ahead (negative: back), by the keep-out zones; "" if it
+        may.
+        """
         if problem := self._unplaced(now):
             return problem
         for keep_out, here in self._near():
@@ -408,7 +412,9 @@ class Watchdog:
         return ""
 
     def _of_velocity(self, velocity: tuple[float, float, float], now: float, when: str) -> str:
-        """Return which keep-out zone the robot would come too near to until it stands, if it moves so now."""
+        """Return which keep-out zone the robot would come too near to before it stands, if it moves at this velocity
+        now.
+        """
         for keep_out, here in self._near():
             try:
                 for way in self._ways_to_stop(keep_out, velocity, now):

@@ -53,7 +53,7 @@ def _after(shown: str, value: Any, frame_id: str, step: str) -> Iterator[tuple[s
     """Follow one step of a path (a field, or `[]`): yield path, value and frame id of each field that it reaches."""
     if step == "[]":
         if not is_list(value):
-            raise Unfit(f"{shown} is no list, and its elements have a limit")
+            raise Unfit(f"{shown} is not a list, but its elements have a limit")
         for place, element in _elements(value, shown):
             yield f"{shown}[{place}]", element, frame_id_of(element) or frame_id
         return
@@ -110,7 +110,7 @@ def number_at(value: Any, name: str, path: str) -> float:
 
 
 def number_of(value: Any, path: str) -> float:
-    """Return a value as a number. Raise `Unfit` if it is none.
+    """Return a value as a number. Raise `Unfit` if it is not a number.
 
     Strings that the server writes for numbers are accepted: large integers, and "nan", "inf" and
     "-inf", which all give NaN.
@@ -120,7 +120,7 @@ def number_of(value: Any, path: str) -> float:
     if isinstance(value, str) and value in ("nan", "inf", "-inf"):
         return math.nan
     if isinstance(value, (bool, str)) or not hasattr(value, "__float__"):
-        raise Unfit(f"{path} is no number, and has a limit")
+        raise Unfit(f"{path} is not a number, but has a limit")
     return float(value)
 
 

@@ -133,7 +133,9 @@ class KeepOut:
 
     @property
     def watched_m(self) -> float:
-        """The distance at which the robot has come to a stand when what drives it was ended."""
+        """The distance from a zone at which the robot comes to a stand when the watchdog ends what drives it; if it is
+        nearer, it may only be driven away.
+        """
         return self.needed_m * WATCHED_SHARE
 
     @property
@@ -142,8 +144,8 @@ class KeepOut:
         return self.needed_m * LATCHED_SHARE
 
     def least_margin_m(self, brake_mps2: float, brake_radps2: float) -> float:
-        """Return the least margin for a robot that starts and brakes so fast: half of it is how far its outline comes
-        until it is stopped again.
+        """Return the least margin for a robot that accelerates and brakes at these rates: half of it is how far its
+        outline moves before it is stopped.
         """
         return (brake_mps2 + brake_radps2 * self.swing_m) * STARTS_S**2 / WATCHED_SHARE
 
@@ -318,7 +320,7 @@ def _pose(shown: str, value: Any, frame_id: str, keep_out: KeepOut) -> Pose:
     x, y = (number_at(position, axis, f"{shown}.position.{axis}") for axis in ("x", "y"))
     yaw = yaw_rad(*(number_at(orientation, axis, f"{shown}.orientation.{axis}") for axis in ("x", "y", "z", "w")))
     if not (abs(x) < FARTHEST_M and abs(y) < FARTHEST_M and math.isfinite(yaw)):
-        raise Unfit(f"{shown} is no finite pose")
+        raise Unfit(f"{shown} is not a finite pose")
     return Pose(x, y, yaw)
 
 

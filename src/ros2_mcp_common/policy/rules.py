@@ -304,8 +304,8 @@ class Ruling:
         return list(dict.fromkeys(path for part in parts for path in part.checks.curve))
 
     def judge(self, value: Any, look: LookAtJoints = nobody_measures, terms: Terms = NO_TERMS) -> Judged:
-        """Judge a value and its terms by every policy: one of its allowances has to allow
-        them, and all its limits hold.
+        """Judge a value and its terms by every policy: one of its allowances, if it has any for them, must permit them,
+        and all its limits must hold.
         """
         allowing: list[Sequence[Allowance]] = []
         for policy in self.policies:
@@ -410,7 +410,7 @@ class Rules:
 
 
 def judged_part(verb: Verb, request: Any) -> Any:
-    """Return the part of a request that limits are about: the goal in it, its parameters by name, otherwise all of it.
+    """Return the part of a request that limits apply to: the goal in it, its parameters by name, otherwise all of it.
 
     Raises:
         ValueError: if a parameter is set twice: it is not defined which value would hold.

@@ -48,7 +48,7 @@ def time_ns(stamp: Any) -> int:
 
 
 def problem(value: Any, now_ns: int) -> str:
-    """Return in words which begin of a trajectory is neither zero nor within 1 s of `now_ns`; "" if none."""
+    """Return which start time of a trajectory is neither zero nor within 1 s of `now_ns`, in words; "" if none."""
     for path, stamp in acting_stamps(value):
         away_s = (time_ns(stamp) - now_ns) / NS_PER_S
         if time_ns(stamp) and not abs(away_s) <= HONEST_S:
@@ -58,7 +58,7 @@ def problem(value: Any, now_ns: int) -> str:
 
 
 def zero(value: Any) -> bool:
-    """Set the begin of every trajectory to zero, in place. Return whether one had another value."""
+    """Set the start time of every trajectory to zero, in place. Return whether one had another value."""
     found = [stamp for _, stamp in acting_stamps(value) if time_ns(stamp)]
     for stamp in found:
         if isinstance(stamp, dict):

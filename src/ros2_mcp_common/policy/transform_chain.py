@@ -38,7 +38,7 @@ class TransformChain:
         self._edges: dict[str, _Edge] = {}
 
     def take(self, message: Any, now: float) -> None:
-        """Record a message of `TF`, received at `now` (monotonic, s). What cannot be used is left out."""
+        """Record a message of `TF`, received at `now` (monotonic, s). Frames beyond `MOST_FRAMES` are ignored."""
         try:
             transforms = get(message, "transforms")
         except Unfit:

@@ -176,8 +176,8 @@ def _read_line() -> bytes:
 
 
 def _read(size: int, nonce: str) -> bytes:
-    """Read the zip. Over a slow link say now and then how much has come: ssh gives up without a word for 13 s, as its
-    own questions wait behind the zip.
+    """Read the zip. Over a slow link, report now and then how much has come: ssh gives up after 13 s without a reply,
+    because its own keep-alive requests wait behind the zip.
     """
     data = b""
     told_s = time.monotonic()

@@ -277,7 +277,9 @@ def test_a_part_of_a_long_parameter_is_read_by_its_place_in_it(agent, robot) -> 
     found = get(agent, robot, "label[0:8000]", "label[20000:]", "counts[:1]", "steps")
     assert found["parts"] == {"label[0:8000]": text[:8000], "label[20000:]": text[20000:], "counts[:1]": [1]}
     assert found["parameters"] == {"steps": 5}
-    assert "neither a text" in agent.refusal("ros2_parameter_get", node_name=robot.name("tuned"), names=["steps[0:2]"])
+    assert "neither a string" in agent.refusal(
+        "ros2_parameter_get", node_name=robot.name("tuned"), names=["steps[0:2]"]
+    )
 
 
 def test_a_hint_is_never_what_was_asked_for(agent, unset) -> None:

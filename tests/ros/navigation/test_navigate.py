@@ -40,7 +40,7 @@ def test_a_place_is_kept_previewed_and_reached_with_a_heading(agent):
     way = agent.call("ros2_nav_preview", to={"place": "near"})
     assert way["pictures"][0]["width"] > 300
     assert way["is_feasible"] and way["length_m"] == pytest.approx(0.73, abs=0.15)
-    assert way["clearance_m"] > 0.3 and len(way["clearance_at"]) == 2 and "m from its middle line" in way["narrowest"]
+    assert way["clearance_m"] > 0.3 and len(way["clearance_at"]) == 2 and "m from its centre line" in way["narrowest"]
     (picture,) = way["pictures"]
     assert picture["mime"] == "image/png" and picture["width"] > 400, "the way in the scene"
     assert math.dist(position(agent), (0, 0)) < 0.1, "a preview moves nothing"
@@ -139,6 +139,6 @@ def test_interfaces_are_those_of_nav2_on_the_wire(built):
 def test_what_cannot_be_meant_is_refused_before_anything_is_sent(agent):
     assert "Did you mean near" in agent.refusal("ros2_navigate", to=[{"place": "nearr"}])
     assert "`to` is missing" in agent.refusal("ros2_navigate")
-    assert "Give one of both" in agent.refusal("ros2_navigate", to=[{"place": "near"}], job_id="navigation_1")
+    assert "Give one of the two" in agent.refusal("ros2_navigate", to=[{"place": "near"}], job_id="navigation_1")
     wrong = agent.refusal("ros2_navigate", to=[{"place": "near"}], action_name="/navigate_to")
     assert "ros2_mcp_demo_interfaces/action/NavigateTo" in wrong

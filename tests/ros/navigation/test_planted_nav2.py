@@ -14,7 +14,7 @@ from support.domains import reserved_domains
 
 CAUSES = {
     "1 stamped against unstamped": "sends Twist, and /base_driver listens for TwistStamped",
-    "2 unconnected output": "/cmd_vel_out, which nobody reads; /base_controller listens on /cmd_vel",
+    "2 unconnected output": "/cmd_vel_out, which no node subscribes to; /base_controller listens on /cmd_vel",
     "3 rival": "/teleop_node sends zeros on /cmd_vel",
     "4 monitor holds": "its polygon PolygonStop",
     "5 source missing": "its source pointcloud has no publisher",
@@ -22,9 +22,9 @@ CAUSES = {
     "8 clock ahead": r"/odom.* 0\.[89]\d s ahead of the others",
     "9 wheels silent": "/wheel/odom is silent, so that /ekf_filter_node tells nothing",
     "10 simulated time": "/ekf_filter_node runs on simulated time",
-    "11 no odometry transform": "nobody tells the transform from odom to the base",
+    "11 no odometry transform": "no node publishes the transform from odom to the base",
     "14 frame name": "base_footprint, which no transform has; there is base_link",
-    "15 topic in a namespace": "/local_costmap/scan, where nobody publishes; the LaserScan is on /scan",
+    "15 topic in a namespace": "/local_costmap/scan, which has no publisher; the LaserScan is on /scan",
     "17 parameters not applied": "never applied to /local_costmap/local_costmap",
     "18 old plugin name": "/planner_server is unconfigured since it failed to come up; the 6 others only wait",
     "19 never comes": "waits for /route_server, which does not run",

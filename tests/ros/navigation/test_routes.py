@@ -67,7 +67,7 @@ def test_a_route_ends_at_a_missed_place_unless_it_shall_go_on(nav_agent: Agent, 
     assert navigator.goals() == [0.3, 0.6]
 
 
-@pytest.mark.promise("ros2_nav_pause", "the robot measured to stand, and the rest of the list kept")
+@pytest.mark.promise("ros2_nav_pause", "check that the robot stands, and keep the rest of the list")
 @pytest.mark.promise("ros2_nav_pause", "reports how far the robot was moved meanwhile")
 def test_a_paused_navigation_stands_keeps_its_rest_and_tells_that_the_robot_was_moved(
     nav_agent: Agent, nav2: CommandedProcess, navigator: CommandedProcess

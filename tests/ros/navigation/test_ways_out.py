@@ -109,7 +109,7 @@ def test_a_change_of_one_managed_node_says_whose_it_is_and_what_follows(nav_agen
     assert "/lifecycle_manager_navigation" in changed["note"] and "ros2_nav_recover" in changed["note"]
 
 
-@pytest.mark.promise("ros2_nav_localize", "Reports whether the transforms took it")
+@pytest.mark.promise("ros2_nav_localize", "Reports whether localisation accepted it")
 def test_an_initial_pose_is_taken_and_seen_to_be(nav_agent, nav2) -> None:
     told = nav_agent.call("ros2_nav_localize", at={"x": 2.0, "y": 1.0, "yaw_deg": 90})
     assert told["is_taken"] is True and "(2.00, 1.00) facing 90°" in told["after"], told

@@ -55,5 +55,5 @@ async def test_a_command_that_finds_no_such_package_says_what_it_said(reach: Cal
 
 async def test_settings_that_it_cannot_be_told_are_refused(reach: Callable[..., Bridge]) -> None:
     bridge = reach("ssh", "me@robot", "ros2 run ros2_mcp_bridge bridge", distro="jazzy")
-    with pytest.raises(BadInput, match="in the ROS that it chooses"):
+    with pytest.raises(BadInput, match="in the ROS 2 that the command sets up"):
         await bridge.ready()

@@ -135,7 +135,10 @@ async def test_a_machine_that_hangs_up(reach: Callable[..., Bridge], far: Sshd) 
 async def test_a_host_key_that_is_not_known(reach: Callable[..., Bridge], far: Sshd, tmp_path: Path) -> None:
     options = far.options(known_hosts=tmp_path / "none")
     told = await refusal(reach(options=options))
-    assert told.message == "The host key of 127.0.0.1 is not known here, and the server accepts none by itself."
+    assert (
+        told.message
+        == "The host key of 127.0.0.1 is not known here, and this server never accepts a new one by itself."
+    )
     settings = " ".join(
         f"--ssh-option={option}" for option in options
     )  # with which it is reached, by the doctor as well
@@ -189,7 +192,7 @@ async def test_a_login_that_is_not_available(reach: Callable[..., Bridge], login
 async def test_a_login_that_prints_for_ever(reach: Callable[..., Bridge], login: Callable[[str], object]) -> None:
     login("yes\n")
     told = await refusal(reach())
-    assert "never begins" in told.message
+    assert "did not start" in told.message
     assert ".bashrc" in told.hint
 
 

@@ -440,7 +440,7 @@ def test_with_tls_it_is_reached_under_its_public_name_and_no_other(
         (("--host", "0.0.0.0", "--no-login"), "--no-login would give access to anyone"),
         (("--transport", "sse"), "Write --transport streamable-http instead"),
         (("--tls-cert", __file__), "belong together"),
-        (("--tls-cert", __file__, "--tls-key", __file__), f"TLS cannot be spoken with {__file__}"),
+        (("--tls-cert", __file__, "--tls-key", __file__), f"TLS cannot use {__file__}"),
     ],
 )
 def test_a_server_with_such_options_does_not_start_and_says_why(

@@ -218,7 +218,7 @@ def test_of_two_requests_with_one_id_in_a_session_the_second_is_refused(port: in
             refused = post(other, session, {"id": same, "method": "ping"})
             said = json.loads(refused.read())
             assert (refused.status, said["id"], said["error"]["code"]) == (400, same, -32600)
-            assert "is not answered yet" in said["error"]["message"]
+            assert "has not been answered yet" in said["error"]["message"]
         assert b'"result":{}' in post(other, session, {"id": 8, "method": "ping"}).read()
 
 

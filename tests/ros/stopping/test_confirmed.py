@@ -62,7 +62,7 @@ def test_a_goal_that_was_sent_as_a_raw_call(server, observer) -> None:
 
 
 @pytest.mark.promise("README", "Services that were called, and topics of other types that were published on, are named")
-@pytest.mark.promise("ros2_stop", "names the services called and topics published on that it cannot stop")
+@pytest.mark.promise("ros2_stop", "which called services and published topics it cannot stop")
 @pytest.mark.promise("stopping", "this server has called a service or published on a topic of another type since")
 def test_a_service_that_was_called_is_named_and_not_confirmed(server, observer) -> None:
     """The last that uses the server of this file: from then on it cannot confirm a stop."""

@@ -436,7 +436,7 @@ def test_a_service_is_called_only_by_rule_and_within_its_limits(bench) -> None:
     assert "data is False, only True is allowed" in call(it, "/lamp", SET_BOOL, ask(data=False))
     assert "not allowed" in call(it, "/siren", SET_BOOL, ask(data=True))
     assert "not allowed" in call(it, "/lamp", TRIGGER, None)
-    assert "no full name" in call(it, "lamp", SET_BOOL, ask(data=True))
+    assert "not a full ROS name" in call(it, "lamp", SET_BOOL, ask(data=True))
 
 
 @pytest.mark.parametrize(

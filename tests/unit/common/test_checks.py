@@ -84,7 +84,7 @@ def test_a_float32_is_judged_as_the_number_that_was_meant() -> None:
         (Checks(count={"a": (1, 2)}), {"a": [1, 2, 3]}, "a has 3 elements, 1 to 2 are allowed"),
         (Checks(count={"a": (1, 2)}), {"a": "xy"}, "a has -1"),
         (Checks(range={"a[].v[]": (-1, 1)}), {"a": [{"v": [0, 1]}, {"v": [0, 2]}]}, "a[1].v[1] is 2"),
-        (Checks(range={"a[]": (-1, 1)}), {"a": 3}, "a is no list"),
+        (Checks(range={"a[]": (-1, 1)}), {"a": 3}, "a is not a list"),
         (Checks(range={"a": (-1, 1)}), {"a": [[0], [0, 7]]}, "a[1][1] is 7"),
         (Checks(range={"a": (0, 2**60)}), {"a": str(2**61)}, "a is 2.30584e+18"),
     ],

@@ -92,7 +92,7 @@ def test_the_only_robot_of_a_file_needs_no_name(write: Write) -> None:
         ("robots:\n  lab:\n    at: local?domain_id=1\n    domain_id: 1", 4, "the address names a domain_id, too"),
         ("robots:\n  lab:\n    at: local\n    read_only: yes", 4, "read_only must be true or false"),
         ("robots:\n  lab:\n    at: local\n    env:\n      A-B: c", 5, "«A-B» is not a name of a variable"),
-        ("robots:\n  ../up:\n    at: local", 3, "«../up» is not a valid name of a robot"),
+        ("robots:\n  ../up:\n    at: local", 3, "«../up» is not a valid robot name"),
         ("robots:\n  lab:\n    at: local\n  lab:\n    at: local", 4, "'lab' is there twice"),
         ("robots:\n  lab: {at: [", 2, "not valid YAML"),
     ],
@@ -107,7 +107,7 @@ def test_a_mistake_is_told_with_its_line(write: Write, text: str, line: int, pro
 def test_a_file_that_others_can_write_names_no_robots(write: Write) -> None:
     path = write("robots:\n  lab:\n    at: local\n")
     path.chmod(0o666)
-    with pytest.raises(BadInput, match="it can be written by others"):
+    with pytest.raises(BadInput, match="it can be written by users other than its owner"):
         entries_of(settings_of(path))
 
 
@@ -117,7 +117,7 @@ def test_a_file_that_others_can_write_names_no_robots(write: Write) -> None:
         (("lab=local?domain_id=1", "Lab=local?domain_id=2"), "Two robots are called 'lab'"),
         (("lab=local?domain_id=1", "yard=local?domain_id=1"), "lab and yard are one robot"),
         (("lab=ssh://a@host", "yard=ssh://b@host"), "lab and yard are one robot"),
-        (("lab=local", f"{'x' * 33}=local?domain_id=2"), "is not a valid name of a robot"),
+        (("lab=local", f"{'x' * 33}=local?domain_id=2"), "is not a valid robot name"),
     ],
 )
 def test_names_and_robots_differ(robots: tuple[str, ...], problem: str) -> None:

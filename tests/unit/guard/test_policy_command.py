@@ -57,7 +57,7 @@ def test_check_names_the_line_of_a_mistake_and_the_nearest_right_key(
         (f'publish /cmd_vel {TWIST} {{"liner": {{"x": 9}}, "linear": {{"x": 0.1}}}}', 0, "not bounded: liner.x ("),
         ('call /a/set_parameters rcl_interfaces/srv/SetParameters {"gain": 1.2}', 1, "no 'gain'. It takes parameters."),
         (f"publish /cmd_vel {TWIST} rate=3", 1, "rate=3"),
-        (f"publish /cmd_vel {TWIST} {{x}}", 1, "no JSON"),
+        (f"publish /cmd_vel {TWIST} {{x}}", 1, "not JSON"),
     ],
 )
 def test_explain_says_what_is_decided_and_why(
@@ -140,8 +140,8 @@ def test_a_table_is_asked_row_by_row(folder: Path, capsys: pytest.CaptureFixture
         ("publish,/x,,,,,,maybe,", "maybe"),
         ("publish,/x,,,,,,allow,", "No type is given"),
         (f"publish,/x,{TWIST},{{,,,,allow,", "Column value is no JSON"),
-        ("transition,/x,,activate,,,,allow,", "A text needs quotation marks"),
-        (f"publish,/x,{TWIST},,,,7,allow,", "Column facts is no JSON object"),
+        ("transition,/x,,activate,,,,allow,", "A string needs quotes"),
+        (f"publish,/x,{TWIST},,,,7,allow,", "Column facts is not a JSON object"),
         (f"publish,/x,{TWIST},,fast,,,allow,", "Column rate_hz is not a number: 'fast'"),
         (f"publish,/x,{TWIST}", "as many columns"),
     ],

@@ -81,7 +81,7 @@ def test_the_folder_is_for_its_owner_alone(tmp_path: Path) -> None:
     folder = StateFolder(tmp_path / "below" / "robot")
     assert folder.make().stat().st_mode & 0o777 == 0o700
     folder.path.chmod(0o777)
-    with pytest.raises(StateUnusable, match="Others than its owner can write"):
+    with pytest.raises(StateUnusable, match="Users other than its owner can write"):
         folder.make()
 
 
@@ -90,7 +90,7 @@ def test_a_folder_that_others_could_exchange_is_refused(tmp_path: Path) -> None:
     folder = StateFolder(tmp_path / "open" / "robot")
     folder.make()
     folder.path.parent.chmod(0o777)
-    with pytest.raises(StateUnusable, match="Another user can exchange"):
+    with pytest.raises(StateUnusable, match="Another user can replace"):
         folder.make()
     folder.path.parent.chmod(0o1777)  # as /tmp is: only the owner may rename
     folder.make()

@@ -66,7 +66,7 @@ def test_every_part_of_a_policy_is_said() -> None:
         "j 0",
         "the length of k at most 5",
         "points at most 0.3 per second between points, the first not before 2 s",
-        "Cancel anybody's goals of /g",
+        "Cancel any client's goals of /g",
         "Set parameters of /node: only speed; speed from 0 to 6",
         "only activate",
         "Record /scan",

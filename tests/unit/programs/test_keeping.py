@@ -79,7 +79,7 @@ async def test_a_new_version_is_asked_for_and_the_former_one_is_named(made, sett
     ("inputs", "problem"),
     [
         ([{"name": "a", "type": "nmber"}], "'nmber' is not a type. Did you mean number"),
-        ([{"name": "a"}, {"name": "a"}], "The input a is there twice"),
+        ([{"name": "a"}, {"name": "a"}], "The input a is given twice"),
         ([{"naem": "a"}], "'naem' means nothing here"),
         ([{"name": "a", "type": "integer", "default": "x"}], "default: .*whole number"),
     ],

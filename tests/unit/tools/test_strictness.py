@@ -37,7 +37,7 @@ async def test_what_is_no_object_is_never_published_as_a_message_of_defaults(not
 @pytest.mark.parametrize("text", ["1 ", "1", "nan", "", "null", "true"])
 async def test_a_text_is_no_number_where_the_tool_acts(text: str) -> None:
     said = await refusal("ros2_topic_publish", **TWIST, data=GO, frequency=text, duration=1)
-    assert said.startswith("BadInput: frequency: a text is given, a number is expected.")
+    assert said.startswith("BadInput: frequency: a string is given, a number is expected.")
     several = [{**TWIST, "data": GO}, {**TWIST, "data": GO, "duration": text}]
     assert "topics[1].duration: a text" in await refusal("ros2_publish_multiple_topics", topics=several)
     relay = {"source_topic": "/a", "destination_topic": "/b", "tolerances": {"x": text}}

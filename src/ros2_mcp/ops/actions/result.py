@@ -58,8 +58,8 @@ async def request_result(
     waits: bool = True,
     report: Report = silent,
 ) -> GoalResult:
-    """Wait for the result of a goal of any client; if it `waits`, wait for its server to appear, too. A time-out does
-    not cancel the goal.
+    """Wait for the result of a goal of any client. With `waits`, also wait for the action server to appear. A time-out
+    does not cancel the goal.
 
     Raises:
         NotFound: if there is no such action, or its server left before the goal ended.

@@ -16,7 +16,9 @@ _LEAST_LETTERS = 3
 
 
 def led_nowhere(topics: Mapping[str, TopicEndpoints]) -> Mapping[str, TopicEndpoints]:
-    """For each awaited topic the topic that was most likely meant for it; nothing where several topics may be meant."""
+    """Return, for each topic with subscribers but no publisher, the topic that was probably meant: the only similar one
+    of the same type with publishers but no subscriber. Topics with several such candidates are absent.
+    """
     seen = [one for name, one in topics.items() if name not in OF_EVERY_NODE and not names.is_hidden(name)]
     unheard = [topic for topic in seen if topic.publishers and not topic.subscribers]
     found: dict[str, TopicEndpoints] = {}
@@ -28,8 +30,8 @@ def led_nowhere(topics: Mapping[str, TopicEndpoints]) -> Mapping[str, TopicEndpo
 
 
 def _is_near(one: TopicEndpoints, other: TopicEndpoints) -> bool:
-    """Whether they have the same last name or the same words, one name is the other with a word more, or they are
-    misspelt.
+    """Return whether two topics have the same last name or the same words, or last names that differ by added words or
+    a misspelling. False if one node publishes the one and subscribes to the other.
     """
     if {each.node for each in one.publishers} & {each.node for each in other.subscribers}:
         return False  # a node that hears what it publishes itself is no case of a remapping

@@ -39,7 +39,7 @@ _WHOLE = {"int64": np.int64, "uint64": np.uint64}
 
 @dataclass
 class Room:
-    """The numbers that all topics of one measurement may still keep: at eight bytes each, 24 MB and 32 MB."""
+    """How many times and values all topics of one measurement may still keep: at eight bytes each, 24 MB and 32 MB."""
 
     times: int = 3_000_000
     values: int = 4_000_000
@@ -97,8 +97,8 @@ class Arrivals:
         return len(self._times) == self.count
 
     def rate_hz(self, holes: Holes = ()) -> float | None:
-        """Return messages per second between the first and the last, without the time of holes; all messages count,
-        kept or not. None if there are no two different times.
+        """Return the rate in messages per second from the first message to the last. Times that the recording cannot
+        give (`holes`) do not count; messages whose times are not kept do. None if no two times differ.
         """
         if self.all_kept:
             return rate_hz(self.times_ns, holes)
@@ -257,7 +257,9 @@ class Column:
         return rows, numbers
 
     def add(self, rows: Sequence[int], parts: Parts, times_s: Numbers, first_row: int | None) -> None:
-        """Add the result of `read`; `first_row` is the row from which on it is kept, None: it is not kept."""
+        """Add the result of `read`. `first_row` is the kept row of the first of these messages; None: keep none of
+        them.
+        """
         if not rows:
             return
         numbers = parts.ravel() if isinstance(parts, np.ndarray) else np.concatenate(parts)

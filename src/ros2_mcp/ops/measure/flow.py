@@ -80,7 +80,9 @@ def usual_s(periods: NDArray[Any]) -> float:
 
 
 def rate_hz(times_ns: Times, holes: Holes = ()) -> float | None:
-    """Return messages per second between the first and the last; None if there are no two different times."""
+    """Return the rate in messages per second, without periods that overlap a hole of the recording; None if no two
+    times differ.
+    """
     import numpy as np
 
     periods_ns = np.diff(times_ns)[~over_holes(times_ns, holes)]

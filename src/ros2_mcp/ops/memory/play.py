@@ -336,8 +336,8 @@ class Playback(Job):
         self._progress = 1.0
 
     def _latched(self) -> list[tuple[str, Sample]]:
-        """Return the latched messages from before that part of the bag: a late subscriber would have received them at
-        its beginning.
+        """Return the latched messages from before the part of the bag that is played: at its beginning, a late
+        subscriber would have received them.
         """
         span = replace(self._span, start_ns=self._start_ns)
         return [(name, one) for name, topic in self._topics.items() for one in latched_before(self._bag, topic, span)]
@@ -465,8 +465,8 @@ _REMAP = 'Give it a name of ROS with remaps, such as {"vehicle.speed": "/vehicle
 async def _installed(
     robot: Robot, request: PlayRequest, topics: Mapping[str, StoredTopic]
 ) -> tuple[Mapping[str, StoredTopic], Mapping[str, str]]:
-    """The topics whose types the robot knows, and why the others are left out; raises `UnknownInterface` if an unknown
-    topic was asked for by name, or no topic is left.
+    """Return the topics whose types the robot knows, and why each of the other topics is left out. Raises
+    `UnknownInterface` if one of these was requested by name, or no topic is left.
     """
     errors: dict[str, UnknownInterface] = {}
     for name in {topic.type for topic in topics.values()}:
@@ -485,7 +485,7 @@ async def _installed(
 
 
 async def _check(robot: Robot, request: PlayRequest, topics: Mapping[str, StoredTopic]) -> None:
-    """Raises as `play`, for the topics as they are on the robot now."""
+    """Check the topics against the robot's graph as it is now. Raises the same errors as `play`."""
     own = robot.graph.own_nodes  # the bridge keeps publishers ready that publish nothing
     ours = {topic: job.id for job in robot.jobs.running(Job) for topic in job.moves}
     busy: list[str] = []
@@ -495,7 +495,7 @@ async def _check(robot: Robot, request: PlayRequest, topics: Mapping[str, Stored
         present = await robot.graph.endpoints(destination)
         if present.types and topic.type not in present.types:
             raise TypeConflict(
-                f"{destination} has the type {present.types[0]}, the bag's {named(name)} is a {named(topic.type)}."
+                f"{destination} has the type {present.types[0]}, but the bag's {named(name)} is a {named(topic.type)}."
             )
         publishers = [publisher.node for publisher in present.publishers if publisher.node not in own]
         publishers += [ours[destination]] if destination in ours else []

@@ -135,7 +135,7 @@ async def given_topic(robot: Robot, given: str, argument: str, types: Sequence[s
     present = await robot.graph.wait_for(topic, publishers=1, timeout_s=_FIRST_S)  # it may have just appeared
     found = await robot.types.topic(present)
     if found not in types:
-        raise BadInput(f"{named(topic)} has the type {named(found)}, {argument} needs {' or '.join(types)}.")
+        raise BadInput(f"{named(topic)} has the type {named(found)}, but {argument} needs {' or '.join(types)}.")
     return Found(topic, found)
 
 

@@ -147,7 +147,7 @@ class _Ending:
         ending = {goal.action_name for goal, why in zip(running, told, strict=True) if not why}
         self.ended |= dict.fromkeys(sorted(ending))
         self.left = [
-            f"{named(goal.action_name)} goes on with its goal: {why.rstrip('.')}. To end it: {goal.ended_by}."
+            f"{named(goal.action_name)} continues its goal: {why.rstrip('.')}. To end it: {goal.ended_by}."
             for goal, why in zip(running, told, strict=True)
             if why
         ]

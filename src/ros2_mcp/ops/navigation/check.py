@@ -34,8 +34,8 @@ _MOST = 8
 class NavChecked:
     """What keeps the robot from navigating, the worst first; each with its cause, its proof and a remedy.
 
-    `FINE` means that nothing was found, and that all evidence for this was read; `NOT KNOWN` that some was not:
-    `unread` says which, and why. `seen` has the figures behind the verdict, `not_checked` the checks that could not be
+    `FINE` means that nothing was found and all the evidence was read; `NOT KNOWN` that some of it could not be read:
+    `unread` says what, and why. `seen` has the figures behind the verdict, `not_checked` the checks that could not be
     run.
     """
 
@@ -86,7 +86,7 @@ async def check_navigation(robot: Robot, to: object = None, action: str = "") ->
 
 
 def judged(evidence: NavEvidence, missed: Mapping[str, str] | None = None) -> NavChecked:
-    """The verdict on what was read; `missed` has the parts that could not be, and why."""
+    """Return the verdict on the evidence. `missed` has the parts that could not be read, each with the reason."""
     findings = nav_findings_in(evidence)
     unread = unread_in(evidence, missed)
     verdict: Verdict = _VERDICTS[findings[0].rank] if findings else "FINE"

@@ -61,12 +61,12 @@ _ENDINGS = frozenset(STATUS[code] for code in TERMINAL)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NavDocked:
-    """What came of docking or undocking. `job_id` waits on while it is `under way`.
+    """The state or outcome of docking or undocking. `job_id` is the job that continues while it is `under way`.
 
-    `states` are those that were seen, in their order; `retries` is their number as Nav2 tells it. `error` is Nav2's
-    code in words. `away_m` and `heading_off_deg` say how far the robot is from the dock's pose, `moved_m` how far it
-    moved by its odometry (null: not known). `is_charging` and `battery` are what the battery's topic says, which is
-    another witness than Nav2 (null: not known).
+    `states` are those that were seen, in order; `retries` is Nav2's count. `error` is Nav2's error code in words.
+    `away_m` and `heading_off_deg` are the robot's distance and heading difference from the dock's pose, `moved_m` is
+    how far it moved by odometry (null: not known). `is_charging` and `battery` are what the battery's topic reports,
+    independently of Nav2 (null: not known).
     """
 
     outcome: Outcome = field(metadata=SAID)
@@ -139,7 +139,7 @@ async def dock(
     if request.job_id:
         goal = robot.jobs.find(Goal, request.job_id)
         if goal.action_type not in (DOCK, UNDOCK):
-            raise NotFound(f"The job {quoted(request.job_id)} is no docking.", "ros2_action_status lists goals.")
+            raise NotFound(f"The job {quoted(request.job_id)} is not a docking job.", "ros2_action_status lists goals.")
         attempt = robot.kept.get(_Attempts, _Attempts).find(goal.id)
         attempt = attempt or _Attempt(robot, session, goal.action, goal.action_type)
         return await attempt.wait(goal, timeout_s, report)
@@ -168,7 +168,9 @@ async def dock(
 
 
 class _Attempt:
-    """One goal of docking or undocking: what is known before it, and what is seen of it."""
+    """Follows one docking or undocking goal: keeps the robot's pose before it and what Nav2 reports, and makes the
+    result.
+    """
 
     def __init__(self, robot: Robot, session: Session, action: str, kind: str) -> None:
         self._robot, self._session, self._action, self._kind = robot, session, action, kind

@@ -77,8 +77,9 @@ class Battery:
 
 
 async def battery_of(robot: Robot, charging: bool | None = None) -> Battery | None:
-    """Return what the battery says now; wait a little until it says that it is, or is not, `charging`. None if no
-    battery is published. Raises no `RobotError`."""
+    """Return the present state of the battery. With `charging`, wait a little until the battery reports that it is (or
+    is not) charging. None if no battery state is published. Raises no `RobotError`.
+    """
     try:
         rows = [row.name for row in await robot.graph.topics() if _BATTERY in row.types and row.publishers]
         if not rows:

@@ -202,7 +202,9 @@ class DriveWatch:
         return " ".join(f"Nav2 recovers: {name}, for {now - since:.0f} s." for name, since in self._running.items())
 
     def _late(self, now: float) -> str:
-        """Describe a controller that sends more seldom than it is set to; "" if it does not, or is not driving."""
+        """Describe a controller that publishes less often than the rate it is set to; "" if it keeps the rate, or is
+        not driving.
+        """
         link = self._links.get(self._controller)
         if not (link and self._wanted_hz and len(self._sent) > 1 and now - link.heard_at < _NEW_S):
             return ""

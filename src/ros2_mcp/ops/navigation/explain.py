@@ -52,7 +52,7 @@ class Failure:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Explanation:
-    """Why a goal failed. `cause` and `helps` are sentences, the rest is what they stand on.
+    """Why a goal failed. `cause` and `helps` are sentences; the other fields are the evidence for them.
 
     `goal_cost` and `start_cost` say what the costmap has there; `is_feasible` whether there is a way on it from the
     robot to the goal (null: not known); `local_costmap` what stands nearest to the robot on the local one;

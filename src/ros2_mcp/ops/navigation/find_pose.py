@@ -50,8 +50,9 @@ class PoseFit:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """The poses, the best first; `doubt` says why the first may not be the robot's, "" if it is; `how` how it was
-    found."""
+    """The poses that were found, the best first. `how` says how, and `doubt` why the first may not be the robot's ("":
+    no doubt).
+    """
 
     poses: Sequence[PoseFit]
     how: str

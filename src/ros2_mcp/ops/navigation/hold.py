@@ -71,7 +71,7 @@ class Shift:
 
 
 class Pausing:
-    """What a navigation and the tool that pauses it tell each other."""
+    """The state shared by a navigation and the tool that pauses it."""
 
     def __init__(self) -> None:
         self.requested = asyncio.Event()

@@ -16,8 +16,9 @@ HOME = "home"
 
 
 class FirstStood(Kept):
-    """Where the robot stood when the first navigation of this server began. It is only told, never driven to by itself:
-    the robot may have been localised anew since."""
+    """The robot's pose when the first navigation of this server began. It is only reported: this server never drives
+    there by itself, because the robot may have been localised anew since.
+    """
 
     def __init__(self) -> None:
         self.where: Whereabouts | None = None

@@ -87,7 +87,7 @@ class Places(Kept):
         name = place.name.strip()
         if not name or len(name) > MOST_CHARACTERS or not is_unicode(name) or not name.isprintable():
             raise BadInput(
-                f"{quoted(name) if name else 'An empty text'} is no name for a place.",
+                f"{quoted(name) if name else 'An empty string'} is not a valid name for a place.",
                 f"Give 1 to {MOST_CHARACTERS} printable characters.",
             )
         if not all(map(math.isfinite, (place.x_m, place.y_m, place.yaw_rad or 0.0))):

@@ -94,8 +94,9 @@ class LastPose(Kept):
         self._seen_at = 0.0
 
     async def seen(self, robot: Robot) -> ScanOnMap | str:
-        """Return a scan from now on the map, which is read again only after some minutes: a large one takes seconds
-        over a slow network."""
+        """Return a current scan, and the map to compare it with. The map is read again only after some minutes: a large
+        one takes seconds over a slow network.
+        """
         known = self._seen if monotonic() - self._seen_at < _MAP_KEPT_S else None
         seen = await scan_on_map(robot, known)
         if isinstance(seen, ScanOnMap) and known is None:

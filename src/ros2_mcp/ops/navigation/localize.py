@@ -49,12 +49,12 @@ class LocalizeRequest:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NavLocalized:
-    """The pose that was told (m, degrees, in `frame`), and where the transforms say the robot is before and after.
+    """The initial pose (m, degrees, in `frame`), and where the transforms say the robot is before and after.
 
-    `is_published` false: nothing was told, and `doubt` says why; x, y and yaw are those of the best pose, if there is
-    one. `is_taken` says whether localisation now has it there (null: its pose is not known); `fit_before` and
-    `fit_after` the share of laser beams that end at something the map has there (null: not known). `found` are the
-    poses that a search found, the best first, or the one that was kept.
+    If `is_published` is false, nothing was sent, and `doubt` says why; x, y and yaw are then those of the best pose, if
+    there is one. `is_taken`: whether localisation now has the robot at that pose (null: not known). `fit_before` and
+    `fit_after` are the shares of laser beams that end at something on the map (null: not known). `found` has the poses
+    that a search found, the best first, or the stored one.
     """
 
     topic_name: str
@@ -107,8 +107,8 @@ async def localize(robot: Robot, session: Session, request: LocalizeRequest, rep
     listening = (await robot.graph.endpoints(request.topic or TOPIC)).subscribers
     if not any(not one.ours for one in listening):
         raise await robot.graph.missing(
-            f"Nobody listens to {named(request.topic or TOPIC)}: no localiser runs, or on another topic. Nothing was "
-            "sent.",
+            f"{named(request.topic or TOPIC)} has no subscriber: no localiser is running, or it uses another topic. "
+            "Nothing was sent.",
             "ros2_topic_list pattern=initialpose shows such topics: give topic_name.",
         )
     before, fit_before = await asyncio.gather(whereabouts(robot, MAP_FRAME), scan_fit(robot))
@@ -179,7 +179,7 @@ def _target(robot: Robot, request: LocalizeRequest) -> Target | None:
         )
     (target, *more) = targets_of(request.at, places_of(robot))
     if more:
-        raise BadInput("The robot is at one place.", "Give one pose, or the name of one place.")
+        raise BadInput("The robot can be at only one place.", "Give one pose, or the name of one place.")
     if target.frame != MAP_FRAME:
         raise BadInput(f"An initial pose is in {MAP_FRAME}, not in {named(target.frame)}.", "Give the pose in map.")
     return target

@@ -102,8 +102,8 @@ class MapSeen:
 class NavMap:
     """What was done, through which service, and whether it succeeded (null: only shown, or the service does not say).
 
-    `maps` are the maps that are published now. `verified` says what was looked at afterwards; `services` and `files`
-    are those that there are: name (type), and node: file.
+    `maps` are the maps that are published now. `verified` says what was checked afterwards. `services` lists the
+    services found, as name (type), and `files` the map files, as node: file.
     """
 
     done: str = field(metadata=SAID)
@@ -132,7 +132,9 @@ class NavMap:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MapRequest:
-    """What to do with the map at `path`, on the computer of the service; `at`: where slam_toolbox goes on."""
+    """What to do with the map at `path`, on the computer of the service. `at`: the pose at which slam_toolbox
+    continues.
+    """
 
     what: MapVerb = "show"
     path: str = ""
@@ -156,7 +158,8 @@ async def nav_map(robot: Robot, session: Session, request: MapRequest, report: R
         raise BadInput("`path` is missing.", "Give a path on the robot's computer, such as /maps/floor1.")
     if request.at is not None and not (request.what == "load" and request.pose_graph):
         raise BadInput(
-            "`at` says where slam_toolbox goes on in a pose graph.", "Leave `at` out; see ros2_nav_localize."
+            "`at` is only for a pose graph: it says where slam_toolbox continues.",
+            "Leave `at` out; see ros2_nav_localize.",
         )
     service, kind = await _service(robot, request)
     await robot.values.learn(kind)
@@ -259,7 +262,7 @@ async def _shown(robot: Robot) -> NavMap:
     offered = [(row.name, kind) for row in services for kind in row.types if kind in MAP_SERVICES]
     if not rows and not offered:
         raise await robot.graph.missing(
-            "No map is published, and no service loads or saves one.", "map_server or slam_toolbox does not run."
+            "No map is published, and no service loads or saves one.", "Neither map_server nor slam_toolbox is running."
         )
     hosts = sorted(name.rpartition("/")[0] for name, kind in offered if kind == LOAD_MAP)
     files = [f"{host}: {file}" for host in hosts if (file := await _file_of(robot, host))]

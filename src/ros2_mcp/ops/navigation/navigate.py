@@ -193,7 +193,7 @@ class Navigation(Job):
         return await self._replaced_by()
 
     async def _stay(self, wait_s: float) -> bool:
-        """Wait at a place; a pause comes on top. Return whether to go on."""
+        """Wait at a place; time spent paused does not count. Return whether to go on."""
         until = monotonic() + wait_s
         while self.pausing.requested.is_set() or monotonic() < until:
             self._doing = f"Waiting here for {wait_s:g} s."
@@ -470,7 +470,7 @@ class Navigation(Job):
             outcome = "paused" if self.pausing.hold else "under way"
         note = ""
         if self.pausing.hold:
-            note = f"{self.pausing.hold.sentence} ros2_nav_pause(resume=true) goes on with the rest; ros2_stop ends it."
+            note = f"{self.pausing.hold.sentence} ros2_nav_pause(resume=true) resumes it; ros2_stop ends it."
         elif outcome == "under way":
             note = f'The robot is still under way: wait with {self.tool}(job_id="{self.id}"); ros2_stop ends it.'
             note = f"{self._doing} {note}".lstrip()
@@ -536,7 +536,7 @@ def known_job(robot: Robot, to: object, job_id: str) -> Navigation:
     if not job_id:
         raise BadInput("`to` is missing: it says where to go.", "Give a place, a pose, or a list of them.")
     if to is not None:
-        raise BadInput("job_id waits for a navigation under way: it takes no new place.", "Give one of both.")
+        raise BadInput("job_id waits for a navigation under way: it takes no new place.", "Give one of the two.")
     return robot.jobs.find(Navigation, job_id)
 
 

@@ -17,12 +17,12 @@ LegState = Literal["under way", "paused", "reached", "failed", "rejected", "canc
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Leg:
-    """One of the goals, and what became of it.
+    """One goal of a navigation, and its outcome.
 
-    `place` is its name, if it has one; the pose is in `frame` (m, degrees). `duration_s` is how long it took so far.
-    `away_m` and `heading_off_deg` say where the robot is by its transforms, from the goal (null: not known, or any
-    heading). `recoveries` is how often it had to free itself, `recovered_by` which recoveries were seen, `remaining_m`
-    the distance that Nav2 last said was left of a goal that is not reached.
+    `place` is its name, if it has one; the pose is in `frame` (m, degrees). `duration_s` is the time taken so far.
+    `away_m` and `heading_off_deg` are the robot's distance and heading difference from the goal, by its transforms
+    (null: not known, or any heading). `recoveries` is the number of Nav2's recoveries, `recovered_by` names those that
+    were seen, and `remaining_m` is the distance to a goal not reached, as Nav2 last reported it.
     """
 
     place: str
@@ -43,10 +43,11 @@ class Leg:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Navigated:
-    """How far it came. `job_id` is the job that goes on while it is `under way`; `explanation` says why one failed.
+    """The state of a navigation. `job_id` is the job that continues while it is `under way`; `explanation` says why a
+    goal failed.
 
-    `health` are, while it is under way, sentences on localisation, costmaps, sensors, servers, and on what may hold the
-    base up.
+    While it is under way, `health` has sentences on localisation, costmaps, sensors, servers, and what may keep the
+    base from moving.
     """
 
     outcome: LegState = field(metadata=SAID)

@@ -55,7 +55,7 @@ class NavPaused:
     def summary(self) -> str:
         """Return one line."""
         since = f" for {self.paused_s:.0f} s" if self.paused_s and self.paused_s >= 1 else ""
-        rest = f" Left: {', '.join(self.left)}." if self.left else ""
+        rest = f" Still to visit: {', '.join(self.left)}." if self.left else ""
         return f"{self.state}{since}. {self.note}{rest}"
 
 
@@ -100,7 +100,7 @@ async def _pause(job: Navigation, report: Report) -> NavPaused:
         y_m=_rounded(hold.where.y_m),
         paused_s=round(monotonic() - hold.since, 1),
         left=_left(job),
-        note=f"{hold.sentence} ros2_nav_pause(resume=true) goes on; ros2_stop ends it.",
+        note=f"{hold.sentence} ros2_nav_pause(resume=true) resumes it; ros2_stop ends it.",
     )
 
 

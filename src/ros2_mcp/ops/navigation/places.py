@@ -39,7 +39,7 @@ class PlaceEntry:
 
 @dataclass(frozen=True, slots=True)
 class PlaceList:
-    """The places that are kept, and the file, if it exists."""
+    """The stored places, and their file, if it exists."""
 
     places: Sequence[PlaceEntry]
     kept_in: str

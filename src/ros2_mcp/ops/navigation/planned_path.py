@@ -97,7 +97,9 @@ def _problem(keep_out: KeepOut, result: Mapping[str, Any], start: Pose | None) -
 
 
 def _beside(action: str) -> str:
-    """Return the planner's action beside a navigator's, for a robot in a namespace; "" for any name of one's own."""
+    """Return the planner's action in the namespace of a navigator's action; "" if the navigator does not have its usual
+    name.
+    """
     namespace, _, name = action.rpartition("/")
     return f"{namespace}/compute_path_to_pose" if name == "navigate_to_pose" else ""
 

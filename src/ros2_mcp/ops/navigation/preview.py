@@ -47,12 +47,13 @@ _TURN_RAD = math.radians(30)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Preview(WithPictures):
-    """A way: its length, some of its points (m in `frame`), the dearest cost of the costmap along it, and its turns.
+    """A path: its length, some of its points (m in `frame`), the highest cost of the costmap along it, and its turns.
 
-    `narrowest` says in words, and the four numbers beside it, how near the way leads past what is occupied there
-    (`clearance_m`, from its middle line) and through which gap (`gap_m`), each with its place; null where nothing is
-    within 3 m, or no costmap is there. `grid_topic` is where costs and narrowness are from.
-    `is_feasible` is false where there is no way; then `explanation` says why. It is null where no planner was asked.
+    `narrowest` is a sentence on how close the path comes to anything occupied on the costmap: `clearance_m` is the
+    distance from its centre line, `gap_m` the width of the narrowest gap, each with its position; null if nothing is
+    within 3 m, or without a costmap. `grid_topic` is the costmap that was used.
+
+    `is_feasible` is false if there is no path; `explanation` then says why. It is null if no planner was asked.
     """
 
     is_feasible: bool | None
@@ -78,7 +79,7 @@ class Preview(WithPictures):
     def summary(self) -> list[str]:
         """Return one line; without a path, also the cause."""
         if self.is_feasible:
-            dearest = f"; its dearest place is {self.dearest}" if self.dearest else ""
+            dearest = f"; the costliest cell along it is {self.dearest}" if self.dearest else ""
             narrowest = f" {self.narrowest[0].upper()}{self.narrowest[1:]}." if self.narrowest else ""
             return [
                 f"A path of {self.length_m:.2f} m ({self.straight_m:.2f} m straight), "

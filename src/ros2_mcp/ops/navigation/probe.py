@@ -56,10 +56,10 @@ _LONGEST_STEP_S = 0.1
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NavProbed:
-    """Whether the robot moves as it is commanded, and as its odometry, laser and gyro say: `AS COMMANDED`, `WRONG` (see
+    """Whether the robot moves as it is commanded, by its odometry, laser and gyro: `AS COMMANDED`, `WRONG` (see
     `findings`), or `NOT KNOWN`.
 
-    `measured` is what was commanded and what each witness measured, for each motion.
+    For each motion, `measured` says what was commanded and what each sensor measured.
     """
 
     verdict: Literal["AS COMMANDED", "WRONG", "NOT KNOWN"] = field(metadata=SAID)

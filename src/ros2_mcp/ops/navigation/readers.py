@@ -82,7 +82,9 @@ _logger = logging.getLogger(__name__)
 async def read_evidence(
     robot: Robot, needs: Collection[Need], target: Target | None = None, action: str = ""
 ) -> tuple[NavEvidence, Mapping[str, str]]:
-    """The evidence, and the parts that could not be read, each with why. Raises what reading the graph raises."""
+    """Read the evidence. Return it, and the reason for each part that could not be read. Raises the errors of reading
+    the graph.
+    """
     await load("ros2_mcp.values.cdr", "ros2_mcp.world.costmap", "ros2_mcp.world.scans")  # with numpy
     source = Live(robot)
     graph = await source.graph()
@@ -159,7 +161,7 @@ async def _heard(robot: Robot, graph: GraphSnapshot) -> Mapping[str, Heard]:
 
 
 def _of_types(graph: GraphSnapshot, *types: str) -> list[str]:
-    """Return the visible topics whose publishers all have the same type, one of these."""
+    """Return the visible topics whose publishers all have the same type, if it is one of these types."""
     return [
         name
         for name, topic in sorted(graph.topics.items())
@@ -316,8 +318,8 @@ async def _grids(robot: Robot, graph: GraphSnapshot, action: str) -> Grids:
     maps = [name for name in _of_types(graph, GRID) if "costmap" not in name and name.rpartition("/")[2] == "map"]
 
     async def the_maps() -> list[CostGrid]:
-        """One message; several different messages where several nodes publish the topic: each node keeps its own for
-        later subscribers.
+        """Return the map; if several nodes publish it, each different map: every publisher keeps its own for late
+        subscribers.
         """
         if not maps:
             return []

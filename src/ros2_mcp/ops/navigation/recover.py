@@ -160,7 +160,7 @@ async def _move(robot: Robot, session: Session, what: str, amount: float | None,
     amount = amount if amount is not None else _ANGLE_DEG if is_turn else _DISTANCE_M
     most, unit = (MOST_DEG, "degrees") if is_turn else (MOST_M, "m")
     if not (0 < abs(amount) <= most) or (amount < 0 and not is_turn):
-        raise BadInput(f"{amount:g} is no amount of {what}.", f"Give more than 0 and at most {most:g} {unit}.")
+        raise BadInput(f"{amount:g} is not a valid amount of {what}.", f"Give more than 0 and at most {most:g} {unit}.")
     action = await action_of(robot, MOVES[what])
     takes_s = math.radians(abs(amount)) / _LOWEST_RADPS if is_turn else amount / SPEED_MPS
     allowed_s = math.ceil(takes_s + _SPARE_S)
@@ -233,7 +233,7 @@ def _chosen(stacks: Sequence[Stack], node: str) -> Stack:
         wanted = node if node.startswith("/") else f"/{node}"
         found = [stack for stack in stacks if stack.host == wanted]
         if not found:
-            raise NotFound(f"{named(node)} is no lifecycle manager.", f"There are: {hosts}.")
+            raise NotFound(f"{named(node)} is not a lifecycle manager.", f"There are: {hosts}.")
         return found[0]
     driving = [stack for stack in stacks if any(one.endswith("/controller_server") for one in stack.nodes)]
     if len(driving or stacks) > 1:

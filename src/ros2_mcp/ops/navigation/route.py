@@ -30,9 +30,10 @@ _MOST_SAID = 12
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RoutePlace:
-    """One of the places, and what became of its last visit; how often it was `reached` and `missed`.
+    """One place of a route, with the outcome of its last visit; `reached` and `missed` count its visits.
 
-    `cause` and `helps` are of the last miss. `away_m` is how far the robot was from it at the end of the last visit.
+    `cause` and `helps` belong to the last miss. `away_m` is the robot's distance from the place at the end of the last
+    visit.
     """
 
     place: str
@@ -52,9 +53,10 @@ class RoutePlace:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Routed:
-    """How far a route came: `done` once all places were tried, `failed` if it ended before that.
+    """The state of a route: `done` once all places were tried, `failed` if it ended before that.
 
-    `job_id` is the job that goes on while it is `under way` or `paused`; then `health` has sentences on what is seen.
+    `job_id` is the job that continues while it is `under way` or `paused`; `health` then has sentences on what was
+    observed.
     """
 
     outcome: RouteState = field(metadata=SAID)

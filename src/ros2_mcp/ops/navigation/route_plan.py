@@ -52,7 +52,7 @@ class Visits:
 
 
 def headed(targets: Sequence[Target], start: tuple[float, float] | None, frame: str, loops: int) -> list[Target]:
-    """Return the targets with the headings of arrival of targets that allow any heading: each seen from the target
+    """Return the targets; those that allow any heading get the direction in which they are reached from the target
     before.
 
     The first is seen from `start` (m in `frame`), or in several loops from the last, so that all loops are alike.
@@ -76,7 +76,7 @@ class PendingRoutes(Kept):
     _pending: dict[tuple[Any, ...], list[Target]] = field(default_factory=dict[tuple[Any, ...], list[Target]])
 
     def take(self, key: tuple[Any, ...]) -> list[Target] | None:
-        """Return the targets that were asked for, and forget them."""
+        """Return the targets that were stored for a call, and forget them; None if there are none."""
         return self._pending.pop(key, None)
 
     def note(self, key: tuple[Any, ...], targets: list[Target]) -> None:
@@ -92,5 +92,5 @@ def pending_routes(robot: Robot) -> PendingRoutes:
 
 
 def key_of(principal: Principal, action: str, targets: Sequence[Target], plan: RoutePlan) -> tuple[Any, ...]:
-    """Return what makes a call a repetition of another."""
+    """Return a key that is equal for repetitions of the same call."""
     return (principal, action, tuple(targets), plan.loops, tuple(plan.waits_s), plan.goes_on)

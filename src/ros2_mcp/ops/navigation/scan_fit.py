@@ -30,8 +30,9 @@ _LEAST_HITS = 20
 
 @dataclass(frozen=True, slots=True)
 class ScanFit:
-    """`share` of the beams that end within 0.15 m of an occupied cell of the map, of `beams` that end on it, of `hits`
-    that end at something."""
+    """How well a scan fits the map: `hits` beams end at something, `beams` of these end on the map, and the `share` of
+    `beams` ends within 0.15 m of an occupied cell.
+    """
 
     share: float
     beams: int
@@ -41,7 +42,7 @@ class ScanFit:
 
     @property
     def of_all(self) -> float:
-        """The share if beams that leave the map count as not fitting, as they do where a pose is in doubt."""
+        """The share of fitting beams if beams that leave the map count as not fitting, as for a doubtful pose."""
         return self.share * self.beams / self.hits if self.share else 0.0
 
     def __str__(self) -> str:
@@ -85,8 +86,9 @@ async def scan_fit(robot: Robot) -> ScanFit | str:
 
 
 async def scan_on_map(robot: Robot, known: ScanOnMap | None = None) -> ScanOnMap | str:
-    """Return the map and a scan from now, for poses other than the estimated one, or a sentence on what is missing. The
-    map of `known` is not read again. Raises no `RobotError`."""
+    """Return the map and a current scan, to test poses other than the estimated one; or a sentence on what is missing.
+    The map of `known` is not read again. Raises no `RobotError`.
+    """
     await load("ros2_mcp.world.scans", "ros2_mcp.world.map_fit")  # with numpy: not before it is needed
     from ros2_mcp.ops.space.frames import frames_of
     from ros2_mcp.world.no_transform import why_none

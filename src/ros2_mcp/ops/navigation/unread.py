@@ -15,7 +15,7 @@ _LATE = "no answer in time"
 
 
 def unread_in(evidence: NavEvidence, why: Mapping[str, str] | None = None) -> list[str]:
-    """What was not read, each with why; `why` has the reasons of whole parts."""
+    """Return what was not read, each part with the reason; `why` has the reasons for whole parts."""
     reasons = why or {}
     found = [*_states(evidence, reasons), *_parameters(evidence, reasons)]
     if evidence.frames is None:

@@ -151,8 +151,8 @@ def _offers(rows: Sequence[NamedTypes]) -> list[Offer]:
 
 
 def _actions(services: Sequence[NamedTypes]) -> list[Offer]:
-    """Return the actions among these services. The graph shows an action as its services; the hidden one that takes
-    goals has its name and type.
+    """Return the actions among these services. In the graph an action appears as its services; its hidden `send_goal`
+    service gives the action's name and type.
     """
     return [
         Offer(row.name.removesuffix(_SEND_GOAL), " | ".join(row.types).removesuffix("_SendGoal"))

@@ -20,9 +20,7 @@ APPEAR_S = 1.0
 
 
 def service_of(node: str, kind: str) -> str:
-    """Return the service of a node with this type, from which its name follows: `get_state` for
-    `lifecycle_msgs/srv/GetState`.
-    """
+    """Return the name of a node's service of this type: `/node/get_state` for `lifecycle_msgs/srv/GetState`."""
     return f"{node}/{re.sub(r'(?<=[a-z])(?=[A-Z])', '_', kind.rpartition('/')[2]).lower()}"
 
 
@@ -36,8 +34,8 @@ async def ask_node(
 async def parameter_values(
     robot: Robot, node: str, asked: Sequence[str], *, timeout_s: float, wait_s: float | None = None
 ) -> dict[str, Any]:
-    """Return the values of a node's parameters by name, without those that it does not have or that are not set. Raises
-    the same errors as `Robot.ask_service`; the time-out is that of each request.
+    """Return the values of a node's parameters by name; parameters that do not exist or are not set are absent. The
+    time-out applies to each request. Raises the same errors as `Robot.ask_service`.
     """
 
     def asking(kind: str, key: str) -> Ask:
@@ -54,8 +52,9 @@ async def parameter_values(
 
 
 async def set_values(get: Ask, types: Ask, asked: Sequence[str]) -> dict[str, Any]:
-    """Return the values that `get` answers, as `parameter_values` does. `types` tells which parameters are not set,
-    where the answer is too short."""
+    """Return the values that `get` answers, by name. If its answer is too short, `types` shows which parameters are not
+    set.
+    """
     answers = await get(asked) if asked else ()
     if len(answers) != len(asked):  # one request more for the types, in place of a dozen in halves
         kinds = await types(asked)
@@ -68,7 +67,7 @@ async def set_values(get: Ask, types: Ask, asked: Sequence[str]) -> dict[str, An
 
 
 async def by_name(ask: Ask, asked: Sequence[str]) -> dict[str, Any]:
-    """Return what a node answers for each name, without the names for which it has no answer.
+    """Return the node's answer for each name; names without an answer are absent.
 
     One parameter that is declared but not set makes rclcpp and rclpy answer for none (or leave out those after it). So
     if the answer is shorter than the request, it is requested again in halves.

@@ -153,7 +153,7 @@ class SetOne:
 
 @dataclass(frozen=True, slots=True)
 class SetResult:
-    """Whether the node took each value. With `atomic` it took all or none."""
+    """Whether the node accepted each value. With `atomic`, it accepted all or none."""
 
     node: str = field(metadata=SAID)
     successful: bool
@@ -318,7 +318,7 @@ async def dump(robot: Robot, node: str, asked: Sequence[str] | None = None, *, w
 
 def _part_of(name: str, part: re.Match[str], value: Any) -> Any:
     if not isinstance(value, (str, list)):
-        raise BadValue(name, "it is neither a text nor a list.", f"Ask for {named(part['name'])}.")
+        raise BadValue(name, "it is neither a string nor a list.", f"Ask for {named(part['name'])}.")
     start, end = (int(part[bound]) if part[bound] else None for bound in ("start", "end"))
     return cast("str | list[Any]", value)[start:end]
 
@@ -463,7 +463,7 @@ async def _read(robot: Robot, node: str, asked: Sequence[str], declared: Collect
 
 
 async def _of_each(robot: Robot, node: str, kind: str, key: str, asked: Sequence[str]) -> dict[str, Any]:
-    """Return what a node answers for each name, without the names for which it has no answer."""
+    """Return the node's answer for each name; names without an answer are absent."""
 
     async def ask(wanted: Sequence[str]) -> Sequence[Any]:
         return (await _response(robot, node, kind, {"names": list(wanted)}))[key]

@@ -102,7 +102,7 @@ async def or_error(work: Awaitable[R], failed: Callable[..., R]) -> R:
 
 
 class Outcome(Protocol):
-    """One of several results; `error` is empty if it did not fail."""
+    """One of several results; `error` is empty if it succeeded."""
 
     @property
     def error(self) -> str:

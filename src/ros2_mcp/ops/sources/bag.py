@@ -408,7 +408,7 @@ class Bags(SourceKind):
             if BLACK_BOX not in store.own:
                 hint = f"Name the recording with bag. {await asyncio.to_thread(store.which)}"
                 asked = " and ".join(request.names)
-                raise BadInput(f"{asked}: no recording is named.", hint)
+                raise BadInput(f"{asked} needs a recording, but no recording is named.", hint)
             name = BLACK_BOX
         if not name:
             return None
@@ -454,7 +454,7 @@ async def learn(definitions: Definitions, topic: StoredTopic, robot: Robot | Non
         while lacking := definitions.unknown_in(topic.type):  # some writers leave out what a definition refers to
             name = lacking[0]
             if name in asked:
-                raise UnknownInterface(f"No definition of {named(name)} is known, which {named(topic.type)} contains.")
+                raise UnknownInterface(f"{named(topic.type)} contains {named(name)}, whose definition is not known.")
             asked.add(name)
             found = await definitions_of(StoredTopic(topic.name, name), robot)
             definitions.add({name: text for name, text in found.items() if not definitions.knows(name)})

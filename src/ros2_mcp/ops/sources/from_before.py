@@ -61,8 +61,8 @@ class FromBefore:
 
 
 def from_before(source: Source, stream: Stream, samples: Sequence[Sample]) -> FromBefore:
-    """Return which of some samples of a live stream are from before; none for a recording, because a recording is never
-    called live.
+    """Count the samples of a live stream that were sent before the call; 0 for a recording, whose messages are never
+    reported as live.
     """
     if not source.is_live:
         return FromBefore()

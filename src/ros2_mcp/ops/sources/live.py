@@ -131,7 +131,9 @@ class _LiveStream(Stream):
 
     @property
     def _keeps_coming(self) -> bool:
-        """Return whether more has come than the first burst of kept messages."""
+        """Return whether messages still arrive after the first burst, in which a latched topic replays its kept
+        messages.
+        """
         return self._received_ns is not None and self._received_ns[1] - self._received_ns[0] > _BURST_NS
 
     @property
@@ -412,8 +414,8 @@ class Live(Source):
         )
 
     async def hung(self, nodes: Sequence[str]) -> Sequence[str]:
-        """Return some of these nodes if none of these nodes answers: the graph shows killed or disconnected nodes for
-        another 20 s.
+        """Return some of these nodes if none of them answers; else empty. The graph shows killed or disconnected nodes
+        for another 20 s.
         """
         offered = {row.name for row in await self._robot.graph.services()}
         asked = [node for node in dict.fromkeys(nodes) if is_of_robot(node) and service_of(node, _QUESTION) in offered]

@@ -52,7 +52,7 @@ class RecordedGraph(Graph):
         return Rows([TopicRow(found.topic, found.types, len(found.publishers), 0) for found in recorded], settled=True)
 
     async def topics_and_absence(self, count_most: int) -> tuple[Rows[TopicRow], str]:  # noqa: ARG002 - all are known
-        """Return the recorded topics, and no absence: the recording is always there."""
+        """Return the recorded topics, and "" in place of the reason why a robot is absent: a recording never is."""
         return await self.topics(), ""
 
     async def absence(self, within_s: float | None = None, found: Rows[NodeRow] | None = None) -> str:  # noqa: ARG002

@@ -175,8 +175,8 @@ class Stream:
         return True
 
     def is_replayed(self, sample: Sample) -> bool:
-        """Return whether a sample was sent before the source's time, and came only
-        because late subscribers get it, too.
+        """Return whether a sample was sent before the source's time, and was received only because its publisher keeps
+        messages for late subscribers.
         """
         return sample.received_ns < self.start_ns or 0 < sample.source_ns < self.asked_ns
 
@@ -334,8 +334,8 @@ class Source(ABC):
         return self
 
     async def lightest(self, topic: str) -> str:
-        """Return the topic with the same pictures that is smallest to read; the topic itself
-        if there is no such difference.
+        """Return the topic with the same pictures that is smallest to read, such as the compressed one; by default the
+        topic itself.
         """
         return topic
 
@@ -357,7 +357,7 @@ class Source(ABC):
         return GraphSnapshot({})
 
     async def hung(self, nodes: Sequence[str]) -> Sequence[str]:  # noqa: ARG002 - a recording cannot be asked
-        """Return some of these nodes if none of them answers a question that every node answers."""
+        """Return some of these nodes if none of them answers a request that every node serves; else empty."""
         return ()
 
     async def captures(

@@ -68,8 +68,8 @@ async def meaning_of(source: Source, topic: str, type_name: str, message: Any, a
 
 
 async def _intrinsics(source: Source, topic: str, image: Any) -> Intrinsics | None:
-    """Return the intrinsics of the camera that took the image, from the CameraInfo with the same frame and size whose
-    topic name is nearest; None if there is none.
+    """Return the intrinsics of the camera that took the image: from the CameraInfo with the same frame and size whose
+    topic name begins most like the image's; None if there is none.
     """
     from ros2_mcp.world.depths import intrinsics_of
 

@@ -60,8 +60,9 @@ async def nav2_active(robot: Robot, source: Source, graph: GraphSnapshot) -> str
 
 
 def with_active(stacks: Sequence[str], active: str) -> list[str]:
-    """Return the names of the stacks, with the number of active servers after Nav2, and who says why not all are. AMCL
-    is one of those servers."""
+    """Return the names of the stacks; Nav2 with its number of active servers, AMCL among them, and with the tool that
+    explains why some are not active.
+    """
     count, _, whole = active.removesuffix(" active").partition(" of ")
     why = "" if count == whole else " (ros2_health_check or ros2_nav_check says why)"
     told = [stack for stack in stacks if stack != "amcl"] if "Nav2" in stacks and active else stacks

@@ -77,7 +77,9 @@ def test_two_types_on_one_topic_never_meet() -> None:
 def test_an_output_that_nobody_reads_is_named_with_where_the_base_listens_though_a_recorder_hears_it() -> None:
     ends = topic("/cmd_vel_out", TWIST, ["/collision_monitor"], ["/rosbag2_recorder"])
     (finding,) = found(*made(*CHAIN[:2]), ends, topic("/cmd_vel", TWIST, [], ["/base"]), topic(*CHAIN[3]))
-    assert "/cmd_vel_out, which nobody reads; /base listens on /cmd_vel, where nobody sends" in finding.cause
+    assert (
+        "/cmd_vel_out, which no node subscribes to; /base listens on /cmd_vel, where no node publishes" in finding.cause
+    )
 
 
 def test_a_multiplexer_that_lacks_the_input_is_named() -> None:
@@ -86,7 +88,7 @@ def test_a_multiplexer_that_lacks_the_input_is_named() -> None:
     (finding,) = found(
         *made(*CHAIN[:2]), topic("/cmd_vel", TWIST, ["/collision_monitor"], []), mux, out, topic(*CHAIN[3])
     )
-    assert "/cmd_vel, which nobody reads; /twist_mux listens on /mux/navigation" in finding.cause
+    assert "/cmd_vel, which no node subscribes to; /twist_mux listens on /mux/navigation" in finding.cause
 
 
 def test_who_sends_beside_nav2_is_a_cause_and_who_only_may_is_none() -> None:
@@ -218,7 +220,7 @@ def test_the_minority_runs_on_another_time_or_all_on_one_that_stands() -> None:
     display = {"/rviz2": {"use_sim_time": False}, **{f"/n{number}": {"use_sim_time": True} for number in range(3)}}
     assert found(clock, heard={}, frames=WELL, parameters=display) == []
     stands = {"/ekf": {"use_sim_time": True}, "/n": {"use_sim_time": False}}
-    assert "nobody publishes /clock" in told(found(heard={}, frames=WELL, parameters=stands))[0]
+    assert "/clock has no publisher" in told(found(heard={}, frames=WELL, parameters=stands))[0]
 
 
 def test_frames_that_are_well_have_no_finding_though_amcl_stamps_ahead_and_static_stamps_are_old() -> None:
@@ -245,7 +247,7 @@ def test_odometry_without_its_transform_names_the_switch() -> None:
     causes = told(
         found(*READ, **parts_of(no_odom, {**SCANS, **ODOMS}, diff_drive_controller={"enable_odom_tf": False}))
     )
-    assert any("Nobody tells the transform from odom" in one and "enable_odom_tf" in one for one in causes)
+    assert any("No node publishes the transform from odom" in one and "enable_odom_tf" in one for one in causes)
 
 
 def test_a_frame_that_nobody_tells_is_named_with_the_one_that_is_meant() -> None:
@@ -275,7 +277,7 @@ def test_a_costmap_that_listens_elsewhere_is_told_where_the_scan_is() -> None:
     wrong = topic("/robot1/local_costmap/scan", SCAN, [], ["/robot1/local_costmap/local_costmap"])
     right = topic("/robot1/scan", SCAN, ["/lidar"], ["/robot1/amcl"])
     (finding,) = found(wrong, right, heard={})
-    assert "where nobody publishes; the LaserScan is on /robot1/scan" in finding.cause
+    assert "which has no publisher; the LaserScan is on /robot1/scan" in finding.cause
 
 
 def test_a_volatile_map_and_no_map_are_told() -> None:

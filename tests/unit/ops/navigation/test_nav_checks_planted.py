@@ -189,10 +189,10 @@ def test_a_costmap_that_takes_its_map_from_another_topic_is_told_where_the_map_i
     takes = {"/global_costmap/global_costmap": {"static_layer.map_topic": "/office/map_v2"}}
     wanted = topic("/office/map_v2", GRID, [], ["/global_costmap/global_costmap"])
     (finding,) = found(THE_MAP, wanted, parameters=takes)
-    assert "takes its map from /office/map_v2, where nobody publishes; the map is on /map" in finding.cause
+    assert "takes its map from /office/map_v2, which has no publisher; the map is on /map" in finding.cause
     assert (finding.rank, finding.remedy) == ("stops everything", "Set its map_topic to /map, or remap it.")
     (alone,) = found(wanted, parameters=takes)
-    assert "There is no map: nobody publishes /office/map_v2" in alone.cause
+    assert "waits for /office/map_v2, which has no publisher" in alone.cause
 
 
 def test_odometry_that_comes_late_while_its_transform_with_the_same_stamp_is_in_time_is_no_clock() -> None:

@@ -85,4 +85,4 @@ def test_a_scale_that_is_wrong_is_told_as_a_share_and_a_small_one_is_not() -> No
 
 def test_wheels_that_slip_and_encoders_that_count_nothing_are_told() -> None:
     assert "motion that nothing else sees" in only(drive(0.2, 0.01)).cause
-    assert "stands while the robot moves" in only(turn(0, 30, 30)).cause
+    assert "no motion while the robot moves" in only(turn(0, 30, 30)).cause

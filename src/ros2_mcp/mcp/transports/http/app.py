@@ -289,7 +289,7 @@ class _Readable:
         if isinstance(message, JSONRPCRequest) and session:
             key = _key(session, message.id)
             if key in self._in_flight:
-                message = [Refusal(message.id, INVALID_REQUEST, "A request of this id is not answered yet")]
+                message = [Refusal(message.id, INVALID_REQUEST, "A request with this id has not been answered yet")]
             else:
                 self._in_flight.add(key)
                 try:

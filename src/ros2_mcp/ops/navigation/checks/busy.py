@@ -23,7 +23,9 @@ _MOST_NAMES = 4
 
 
 def busy_in(evidence: NavEvidence) -> NavFinding | None:
-    """That nearly nobody answers, or that all come slowly and answer late; one finding for all of them."""
+    """Find an overloaded computer: nearly no service answers, or all topics are slow and services answer late. One
+    finding covers all of it.
+    """
     states = evidence.states or {}
     silent = [node for node, state in states.items() if not state]
     series = [one for one in evidence.of(*_LOW_HZ) if one.nodes]
@@ -50,7 +52,9 @@ def busy_in(evidence: NavEvidence) -> NavFinding | None:
 
 
 def without_what_is_late(evidence: NavEvidence) -> NavEvidence:
-    """The evidence without what is no evidence on a busy computer: no answer, no message, a transform that is late."""
+    """Return the evidence without what an overloaded computer may explain: missing answers, silent topics, late
+    transforms.
+    """
     states = evidence.states
     if states is not None:
         states = States({node: state for node, state in states.items() if state}, getattr(states, "answered_s", {}))

@@ -44,7 +44,7 @@ def _simulated(evidence: NavEvidence) -> Iterator[NavFinding]:
             rank="stops everything",
             subject=simulated[0],
             cause=f"{listed(simulated, _MOST_NAMES)} {'runs' if len(simulated) == 1 else 'run'} on simulated time, "
-            "which stands still: nobody publishes /clock.",
+            "which stands still: /clock has no publisher.",
             proof=f"use_sim_time is true at {listed(simulated, _MOST_NAMES)}, and false at {len(by_wall)} others.",
             remedy="Set use_sim_time to false on a real robot, or start what publishes /clock.",
             covers=("map → odom", "odom → base"),
@@ -103,8 +103,9 @@ def _offsets(evidence: NavEvidence) -> Iterator[NavFinding]:
 
 
 def _of_localiser(evidence: NavEvidence, offsets: Mapping[str, float]) -> dict[str, str]:
-    """The transforms to odom whose offset is that of a scan that is off, each with it: stamped as the scan is, or
-    ahead of that by a tolerance."""
+    """Return the transforms to odom whose offset is due to a scan with a wrong offset, each with that scan: the
+    localiser stamps them with the stamp of the scan, or with a tolerance added to it.
+    """
     scans = {
         one.topic: offsets[one.topic]
         for one in evidence.of(SCAN)
@@ -119,7 +120,9 @@ def _of_localiser(evidence: NavEvidence, offsets: Mapping[str, float]) -> dict[s
 
 
 def _come_late(evidence: NavEvidence, offsets: Mapping[str, float]) -> set[str]:
-    """The odometry topics that come late while a transform with the same stamps comes in time: no clock is off."""
+    """Return the odometry topics that arrive late although a transform with the same stamps arrives in time: no clock
+    is wrong.
+    """
     found = set[str]()
     edges = evidence.frames.tree.edges.values() if evidence.frames else ()
     for one in evidence.of(ODOMETRY):

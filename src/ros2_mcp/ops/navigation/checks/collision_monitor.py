@@ -136,8 +136,9 @@ def stop_polygons(values: Mapping[str, Any]) -> Iterator[tuple[str, int]]:
 
 
 def _holds_back(evidence: NavEvidence, node: str, values: Mapping[str, Any]) -> bool:
-    """Whether a collision monitor passes nothing on of commands that come: all its actions but "stop" only slow the
-    robot, and near an obstacle hold it at last."""
+    """Return whether a collision monitor lets no motion through although commands arrive. Its actions other than "stop"
+    only slow the robot, but near an obstacle they, too, bring it to a stop.
+    """
     ends = (("cmd_vel_in_topic", "cmd_vel_smoothed"), ("cmd_vel_out_topic", "cmd_vel"))
     came, went = (
         (evidence.heard or {}).get(resolved(node, str(values.get(name) or default))) for name, default in ends

@@ -114,12 +114,12 @@ def _end(evidence: NavEvidence, topic: TopicEndpoints, publisher: Endpoint, chai
         )
         return
     waiting = _waiting(evidence, chain)
-    cause = f"{named(publisher.node)} publishes {where}, which nobody reads"
+    cause = f"{named(publisher.node)} publishes {where}, which no node subscribes to"
     if waiting:
         cause += (
             f"; {listed(nodes_of(waiting[0].subscribers), _MOST_NAMES)} listens on {named(waiting[0].topic)}, where"
         )
-        cause += " Nav2 does not send" if waiting[0].publishers else " nobody sends"
+        cause += " Nav2 does not send" if waiting[0].publishers else " no node publishes"
     to = named(waiting[0].topic) if waiting else "the topic of the base"
     yield NavFinding(
         rank="stops everything",

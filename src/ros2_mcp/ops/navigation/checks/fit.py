@@ -47,8 +47,8 @@ def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
         yield NavFinding(
             rank="stops everything",
             subject="localisation",
-            cause="Localisation is lost: the scan does not fit the map where the robot believes to be.",
-            proof=f"{share:.0%} of {count} beams end within {NEAR_M} m of what the map has there.{told}",
+            cause="Localisation is lost: the scan does not fit the map where the robot is believed to be.",
+            proof=f"{share:.0%} of {count} beams end within {NEAR_M} m of something on the map.{told}",
             remedy="Give it an initial pose (/initialpose) where the robot really is; or load the map of this place.",
         )
     elif share is None and deviation is not None and deviation > _WIDE_M:
@@ -67,8 +67,8 @@ def _turned(degrees: float, share: float, turned_share: float, count: int) -> Na
         subject="localisation",
         cause=f"The scan fits the map only if it is turned by {degrees:.0f}°: the heading of its pose is wrong, "
         "or its lidar is turned against its transform.",
-        proof=f"{share:.0%} of {count} beams end near what the map has there; turned, {turned_share:.0%} do.",
-        remedy="ros2_nav_probe moves a little and tells which. If the heading is wrong: give an initial pose "
+        proof=f"{share:.0%} of {count} beams end near something on the map; turned, {turned_share:.0%} do.",
+        remedy="ros2_nav_probe moves a little and shows which. If the heading is wrong: give an initial pose "
         "(ros2_nav_localize); if the lidar is turned: correct the yaw of its joint.",
     )
 

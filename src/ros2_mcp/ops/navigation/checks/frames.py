@@ -103,7 +103,7 @@ def _two_owners(frames: Frames, edge: Edge) -> NavFinding:
         rank="makes it worse" if is_left or not (_is_needed(edge) or edge.two_parents) else "stops everything",
         subject=_name(edge),
         cause=cause,
-        proof=f"It is told by {who}{left}.{far}",
+        proof=f"It is published by {who}{left}.{far}",
         remedy=remedy,
     )
 
@@ -147,7 +147,7 @@ def _odometry(evidence: NavEvidence, frames: Frames) -> Iterator[NavFinding]:
     yield NavFinding(
         rank="stops everything",
         subject="odom → base",
-        cause=f"Nobody tells the transform from odom to the base{f': {off[0]}' if off else ''}.",
+        cause=f"No node publishes the transform from odom to the base{f': {off[0]}' if off else ''}.",
         proof=f"{named(one.topic)} comes at {one.rate_hz:.3g} Hz from {listed(one.nodes, 2)}, and in "
         f"{frames.listened_s:.1f} s no transform of its frames. {_also(off)}".rstrip(),
         remedy="Set enable_odom_tf (publish_tf) of the base or the EKF to true, or start an EKF.",
@@ -156,8 +156,9 @@ def _odometry(evidence: NavEvidence, frames: Frames) -> Iterator[NavFinding]:
 
 
 def _switched_off(evidence: NavEvidence, owner: str = "") -> list[str]:
-    """Parameters by which a node is told to tell no transform: of its owner, as far as that is known, and of who
-    publishes the odometry that comes before others."""
+    """Return the parameters that keep a node from broadcasting its transform: those of `owner`, if it is given, and
+    first those of nodes that publish odometry.
+    """
     comes = [node for one in evidence.of(ODOMETRY) if one.count for node in one.nodes]
     nodes = [node for node in evidence.parameters or {} if not owner or node in re.split(r"[ ,]+", owner)]
     return [
@@ -188,7 +189,7 @@ def _stale(evidence: NavEvidence, frames: Frames, edge: Edge) -> NavFinding:
     odometry_comes = _name(edge) == "odom → base" and any(one.count for one in evidence.of(ODOMETRY))
     off = _switched_off(evidence, owner) if odometry_comes and not is_gone else []
     if off:
-        cause = f"Odometry comes, and nobody tells the transform from odom to the base: {off[0]}."
+        cause = f"Odometry is published, but no node publishes the transform from odom to the base: {off[0]}."
         proof += f" {_also(off)}".rstrip()
     elif inputs:
         cause = f"{cause[:-1]}, and what it waits for is silent: {listed(inputs, 3)}."
@@ -224,10 +225,10 @@ def _names(evidence: NavEvidence, frames: Frames) -> Iterator[NavFinding]:
         yield NavFinding(
             rank="stops everything",
             subject=frame,
-            cause=f"Nav2 wants the frame {named(frame)}, which no transform has"
+            cause=f"Nav2 needs the frame {named(frame)}, which no transform has"
             f"{f'; there is {near}' if (near := _near(frame, known)) else ''}.",
-            proof=f"It is {listed(who, _MOST_NAMES)}; {len(known)} frames were told in {frames.listened_s:.1f} s.",
-            remedy=f"Set it to {near or 'a frame that there is'}, or publish a static transform for it.",
+            proof=f"It is {listed(who, _MOST_NAMES)}; {len(known)} frames were received in {frames.listened_s:.1f} s.",
+            remedy=f"Set it to {near or 'an existing frame'}, or publish a static transform for it.",
             covers=("map → odom", "odom → base") if frame.rpartition("/")[2] in _BASES else (),
         )
     for one in evidence.of(SCAN, "sensor_msgs/msg/PointCloud2"):
@@ -239,7 +240,7 @@ def _names(evidence: NavEvidence, frames: Frames) -> Iterator[NavFinding]:
                 subject=one.topic,
                 cause=f"{named(one.topic)} is in the frame {named(one.frame_id)}, which no transform has"
                 f"{f'; there is {near}' if near else ''}.",
-                proof=f"{one.count} messages have it in their header; {len(known)} frames are told.",
+                proof=f"{one.count} messages have it in their header; {len(known)} frames are published.",
                 remedy=f"Set the driver's frame_id to {near}."
                 if near
                 else "Publish a static transform from the base to it.",

@@ -49,7 +49,7 @@ def _absent(evidence: NavEvidence, topic: TopicEndpoints, who: str) -> NavFindin
     kind = topic.types[0].rpartition("/")[2]
     is_needed = any(is_of_role(one.node, "amcl", "slam_toolbox", "local_costmap") for one in topic.subscribers)
     remedy, proof = f"Start what publishes {named(topic.topic)}, or correct the topic.", ""
-    cause = f"{who} listens on {named(topic.topic)}, where nobody publishes"
+    cause = f"{who} listens on {named(topic.topic)}, which has no publisher"
     if gone:
         cause, proof = f"{cause} any longer", f"{listed(list(gone), _MOST_NAMES)} published it earlier, and has left."
         remedy = "Start that node again; ros2_log_read may show why it ended."
@@ -140,8 +140,8 @@ def _heights(evidence: NavEvidence) -> Iterator[NavFinding]:
                 subject=node,
                 cause=f"{named(node)} ignores all of {named(heard.topic)}: the scanner is mounted outside of the "
                 "heights that it takes in.",
-                proof=f"It stands at {mount.pose.translation[2]:.2f} m; min and max_obstacle_height of {named(source)} "
-                f"are {least:g} and {most:g} m.",
+                proof=f"It is mounted at {mount.pose.translation[2]:.2f} m; min and max_obstacle_height of "
+                f"{named(source)} are {least:g} and {most:g} m.",
                 remedy=f"Set {source}.max_obstacle_height and min_obstacle_height around the scanner's height.",
             )
 

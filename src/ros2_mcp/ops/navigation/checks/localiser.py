@@ -39,7 +39,7 @@ def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
     yield NavFinding(
         rank="stops everything",
         subject=_EDGE,
-        cause="No localiser runs: nobody says where the robot is in the map.",
+        cause="No localiser runs: no node localises the robot on the map.",
         proof=f"None of {len(evidence.nodes)} nodes is AMCL, SLAM or the like, and the frame map has no transform in "
         f"{frames.listened_s:.1f} s.",
         remedy="Start AMCL with a map, or slam_toolbox.",

@@ -31,9 +31,9 @@ def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
             yield NavFinding(
                 rank=rank,
                 subject=topic.topic,
-                cause=f"{who} takes its map from {where}, where nobody publishes; the map is on {named(elsewhere[0])}."
+                cause=f"{who} takes its map from {where}, which has no publisher; the map is on {named(elsewhere[0])}."
                 if elsewhere
-                else f"There is no {what}: nobody publishes {where}, for which {who} waits.",
+                else f"There is no {what}: {who} waits for {where}, which has no publisher.",
                 proof=told or "Without one the costmap has its default size, and goals seem to lie outside of it.",
                 remedy=f"Set its map_topic to {elsewhere[0]}, or remap it."
                 if elsewhere

@@ -25,7 +25,7 @@ _MOST_NAMES = 3
 
 @dataclass(frozen=True, slots=True)
 class _Seen:
-    """What one kind of witness says of a motion: its topics, and the mean of what they say."""
+    """A motion as measured by one kind of sensor: the topics, and the mean of their values."""
 
     topics: Sequence[str]
     value: float
@@ -43,7 +43,9 @@ def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
 
 
 def _mean(values: Mapping[str, float]) -> _Seen | None:
-    """Return what the witnesses of one kind say together; None without a witness, or if they contradict each other."""
+    """Return the mean of what sensors of one kind measured; None if there is none, or if their signs contradict each
+    other.
+    """
     if not values or min(values.values()) < 0 < max(values.values()):
         return None
     return _Seen(sorted(values), sum(values.values()) / len(values))
@@ -53,7 +55,7 @@ def _mean(values: Mapping[str, float]) -> _Seen | None:
 
 
 def _seen_turning(probe: Probe) -> tuple[_Seen | None, _Seen | None, _Seen | None]:
-    """Return what odometry, gyro and laser say was turned."""
+    """Return the rotation that odometry, gyro and laser measured, in this order."""
     return (
         _mean({topic: one.turned_rad for topic, one in probe.odometry.items()}),
         _mean(dict(probe.gyro)),
@@ -183,7 +185,7 @@ def _driven(
 
 
 def _stood(probe: Probe, odometry: _Seen, truth: float, least: float) -> NavFinding | None:
-    """Find a robot that stands although it is commanded, or one of whose motions odometry knows nothing."""
+    """Find odometry that reports a motion although the robot stands, or none although the robot moves."""
     told = abs(odometry.value) >= least
     moved = abs(truth) >= least
     if told == moved or abs(probe.commanded) < least:
@@ -193,11 +195,11 @@ def _stood(probe: Probe, odometry: _Seen, truth: float, least: float) -> NavFind
     if moved and abs(odometry.value) > _STANDS * abs(truth):
         return None
     cause = (
-        "Odometry tells a motion that nothing else sees: its wheels slip or are lifted, or it is made from commands."
+        "Odometry reports a motion that nothing else sees: wheels slip or are lifted, or it only adds up the commands."
         if told
-        else "Odometry stands while the robot moves: its encoders count nothing."
+        else "Odometry reports no motion while the robot moves: the encoders count nothing."
     )
-    remedy = "See whether the robot stands on its wheels." if told else "Check the encoders and the base's driver."
+    remedy = "Check whether the robot stands on its wheels." if told else "Check the encoders and the base's driver."
     return _finding("stops everything", odometry, cause, in_words(probe), remedy)
 
 

@@ -75,7 +75,7 @@ def _by_supervisor(evidence: NavEvidence, supervisor: str, nodes: Sequence[str])
             rank="stops everything",
             subject=first,
             cause=f"{named(supervisor)} waits for {named(first)}, which does not run: it has brought nothing up.",
-            proof=f"node_names has {counted(len(nodes), 'node')}; nobody offers {named(first)}/get_state, and "
+            proof=f"node_names has {counted(len(nodes), 'node')}; no node offers {named(first)}/get_state, and "
             f"{counted(len(idle), 'other')} {'is' if len(idle) == 1 else 'are'} not active.",
             remedy=f"Start {named(first)}, or take it out of node_names of {named(supervisor)}.",
             covers=_covered(nodes),
@@ -298,7 +298,7 @@ def _missing(evidence: NavEvidence) -> Iterator[NavFinding]:
             yield NavFinding(
                 rank="stops everything",
                 subject=role,
-                cause=f"There is no {role}: nobody offers {action}, which bt_navigator calls.",
+                cause=f"There is no {role}: no node offers {action}, which bt_navigator calls.",
                 proof=f"No node of that name among {len(evidence.nodes)}, and no lifecycle manager.",
                 remedy=f"Start {role}, and its lifecycle manager.",
             )

@@ -24,7 +24,7 @@ def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
     yield NavFinding(
         rank="stops everything",
         subject=topic.topic,
-        cause=f"Different maps are published on {named(topic.topic)}, by {who}: who reads it has the last that came.",
+        cause=f"Different maps are published on {named(topic.topic)}, by {who}: a subscriber has the last one.",
         proof=f"{len(grids.maps)} maps came: {'; '.join(map(_in_words, grids.maps[:_MOST_MAPS]))}.",
         remedy="End one of them (a second map_server, or SLAM beside it), and load the right map again.",
         covers=("localisation",),
