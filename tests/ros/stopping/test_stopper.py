@@ -205,13 +205,16 @@ def test_the_zero_of_the_stopper_is_stamped_in_the_robots_frame_and_reaches_who_
 
 
 def publishing(server: Driver, topic: str) -> set[str]:
-    """The nodes that publish on a topic, as a server tells them."""
-    return {one["node"] for one in server.do("ros2_topic_info", topic_name=topic)["publishers"]}
+    """The nodes that publish on a topic, as a server tells them: never a stopper."""
+    nodes = {one["node"] for one in server.do("ros2_topic_info", topic_name=topic)["publishers"]}
+    assert "stopper" not in str(nodes)
+    return nodes
 
 
 def counted(server: Driver, topic: str) -> tuple[int, int]:
-    """How many publishers and subscribers of a topic a server lists."""
+    """How many publishers and subscribers of a topic that two servers drive a server lists: never a stopper."""
     listed = next(row for row in server.do("ros2_topic_list")["topics"] if topic in row.values())
+    assert listed["publishers"] <= 2
     return listed["publishers"], listed["subscribers"]
 
 
