@@ -83,6 +83,14 @@ def said(begun: tuple[int, HTTPConnection]) -> str:
     return begun[1].getresponse().read().decode()
 
 
+def hung_up(begun: list[tuple[int, HTTPConnection]], answer: str) -> bool:
+    """Ends connections after a round that is not judged, since a server takes 256; tells what was answered too soon."""
+    for _, connection in begun:
+        connection.close()
+    print("it had been read before:", answer)
+    return True
+
+
 @pytest.fixture(scope="module")
 def session(ros_environment: dict[str, str]) -> Iterator[Session]:
     with listening(ros_environment, "streamable-http") as (port, _), ExitStack() as stack:
@@ -135,8 +143,7 @@ def test_a_stop_drops_what_was_posted_before_it_and_is_still_being_read(session,
         assert all('"result":{}' in said(one) for one in slow)
         has_come(session, observer, watched)
         assert observer.moved(sent_after=answered_ns, topic=watched) == []
-        print(answer)
-        return "Stopped: " in answer
+        return "Stopped: " in answer or not hung_up(slow, answer)
 
     until(is_dropped, JUDGED_S)
     assert '"status":"published"' in said(publish(session, watched, padding=PADDING))
@@ -157,8 +164,7 @@ def test_what_is_cancelled_while_it_is_still_being_read_is_not_done(session, obs
         has_come(session, observer, watched)
         moved = observer.moved(sent_after=begun_ns, topic=watched)
         if any(one["sent"] < cancelled_ns for one in moved):
-            print("it had been read before:", answer)
-            return False
+            return not hung_up(slow, answer)
         assert "Request cancelled" in answer
         assert moved == []
         return True
