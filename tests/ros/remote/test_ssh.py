@@ -66,7 +66,7 @@ async def test_it_is_reached_and_answers(reach: Callable[..., Bridge], far: Sshd
 async def test_it_comes_up_while_the_server_is_still_being_imported(reach: Callable[..., Bridge], far: Sshd) -> None:
     bridge = reach()
     bridge.launch()
-    until(lambda: any(b"ros2_mcp_bridge" in line for line in far.command_lines()))  # nobody runs an event loop
+    until(lambda: any(b"ros2_mcp_bridge" in line for line in far.command_lines()), 60.0)  # nobody runs an event loop
     if FULL:
         await asyncio.sleep(OLD_HELLO_S)
     first = {"topic": "/first", "type": STRING, "qos": RELIABLE, "epoch": 0}
