@@ -12,7 +12,7 @@ from typing import Any
 from ros2_mcp.bags.stored import StoredTopic
 from ros2_mcp.bags.writer import BagWriter
 from ros2_mcp.model.samples import Sample
-from support.agent import DISCOVERY_S, Refusal, until
+from support.agent import Refusal, until
 from support.observer import Observer
 from support.raw_server import ANSWER_S, MODERN, RawServer
 from support.velocities import HUGE, TWIST, speed
@@ -20,6 +20,8 @@ from support.velocities import HUGE, TWIST, speed
 MOVING = 0.5
 LONG_S = 60
 """Longer than any test lets a motion go on."""
+COMES_UP_S = 90.0
+"""A bridge may need 40 s on a busy machine, one behind ssh more, and then it has to discover the others."""
 BAG = "moves"
 BAG_NS = 1_700_000_000_000_000_000
 
@@ -81,7 +83,7 @@ class Driver(RawServer):
             except Refusal:
                 return False
 
-        until(found, DISCOVERY_S)
+        until(found, COMES_UP_S)
 
     def bridge(self) -> int:
         """The process of its bridge, as soon as it has one."""
@@ -92,7 +94,7 @@ class Driver(RawServer):
             except Refusal:
                 return 0
 
-        return until(pid)
+        return until(pid, COMES_UP_S)
 
     def hear(self) -> None:
         """Take in what it has said by now."""
@@ -179,6 +181,23 @@ def going_on(server: Driver, observer: Observer, topic: str, request: int) -> in
         observer.forget_topic(topic=topic)
         request = drive(server, observer, topic)
         observer.until_driven(topic)
+    return request
+
+
+def until_driven(server: Driver, observer: Observer, way: str, topic: str, request: int, of: int = 1) -> int:
+    """Wait until so many subscribers of a topic were driven, and begin a drive anew that has ended by itself before:
+    its odometry may be discovered late, or be silent. Returns the request that drives.
+    """
+
+    def are_driven() -> bool:
+        nonlocal request
+        if way == "drive" and server.answered(request):
+            print("the drive ended by itself:", server.outcome(request))
+            observer.hush(topic=f"{topic}_odom")
+            request = drive(server, observer, topic)
+        return sum(count >= 1 for count in observer.driven(topic=topic).values()) >= of
+
+    until(are_driven, COMES_UP_S)
     return request
 
 

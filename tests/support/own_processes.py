@@ -15,8 +15,8 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import NamedTuple
 
-END_S = 10.0
-"""A node leaves within a second, a stopper 4 s after its bridge; a busy machine stretches that."""
+END_S = 25.0
+"""A node leaves within a second, a stopper 4 s after its bridge; a busy machine stretches that. Only ends a wait."""
 POLL_S = 0.02
 EXEC_S, EXEC_LOOK_S = 0.5, 0.001
 """How long a process that was forked may take to become another program, and how often it is looked at then."""

@@ -258,15 +258,16 @@ class Lifeline:
         """Steps that wait, once for each topic and at most 2 s, until the stoppers have matched the
         subscribers of the topic.
         """
-        key, started = (topic.name, topic.type), time.monotonic()
+        key, started, has_waited = (topic.name, topic.type), time.monotonic(), False
         while (
             (running := self._running())
             and key not in self._waited_for
             and any(stopper.matched.get(key, -1) < topic.matched() for stopper in running)
             and time.monotonic() - started < READY_S
         ):
+            has_waited = True
             yield POLL_S
-        waited_s = round(time.monotonic() - started, 3)
+        waited_s = round(time.monotonic() - started, 3) if has_waited else 0.0
         if not running:
             problems = [stopper.problem for stopper in self._stoppers if stopper.problem]
             return Guarded(waited_s, problems[0] if problems else "it has ended")

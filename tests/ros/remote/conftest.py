@@ -59,7 +59,7 @@ def laptop(
     servers: list[Driver] = []
 
     def begin(*options: str) -> Driver:
-        ssh = [f"--ssh-option={word}" for word in ("-oConnectTimeout=2", *far.options())]  # outages are short here
+        ssh = [f"--ssh-option={word}" for word in ("-oConnectTimeout=5", *far.options())]  # outages are short here
         given = ("--robot", far.address(link.port), *ssh, "--record-dir", str(tmp_path), "--tools", "all", *options)
         servers.append(Driver(laptop_environment, *given))
         return servers[-1]

@@ -28,8 +28,8 @@ def test_a_robot_is_reached_and_a_megabyte_goes_there_and_comes_back(server: Raw
     server.begin(MODERN)
     topic, kind, sent = "/from_a_laptop", "std_msgs/msg/String", "x" * 1_000_000
     data = {"topic_name": topic, "message_type": kind, "data": {"data": sent}}
-    repeat = server.send("tools/call", name="ros2_topic_publish", arguments={**data, "frequency": 5, "duration": 30})
-    came = server.call("ros2_topic_echo_wait", topic_name=topic, message_type=kind, timeout=20)["structuredContent"]
+    repeat = server.send("tools/call", name="ros2_topic_publish", arguments={**data, "frequency": 5, "duration": 100})
+    came = server.call("ros2_topic_echo_wait", topic_name=topic, message_type=kind, timeout=50)["structuredContent"]
     assert came["truncated"] == ["data"]  # more of it than is shown
     assert server.call("ros2_stop")["structuredContent"]["repeats_stopped"] == 1
     server.answer(repeat)

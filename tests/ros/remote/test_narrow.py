@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from support.agent import until
-from support.driver import BAG, Driver, fresh, repeat, write_bag
+from support.driver import BAG, LONG_S, Driver, fresh, repeat, write_bag
 from support.narrow_network import NarrowNetwork, narrow_network
 from support.network_link import NetworkLink
 from support.observer import Observer, observing
@@ -242,6 +242,7 @@ def test_a_link_that_is_cut_stops_the_robot(server: Driver, network: NarrowNetwo
     assert max(took) <= LEASE_S + 0.3
 
 
+@pytest.mark.timeout(300)
 def test_what_drives_goes_on_while_a_camera_fills_the_link_until_it_is_stopped(
     laptop: Callable[..., Driver], link: NetworkLink, observer: Observer, ros_environment: dict[str, str]
 ) -> None:
@@ -255,7 +256,8 @@ def test_what_drives_goes_on_while_a_camera_fills_the_link_until_it_is_stopped(
         link.bytes_per_s = KBIT * 1000 / 8
         end = camera(server)
         repeat(server, observer, topic)
-        observer.until_driven(topic, MESSAGES)
+        # The bridge of a busy machine leaves out what is late: as long as the repeat lasts.
+        until(lambda: observer.driven(topic=topic)[topic] >= MESSAGES, LONG_S - 5.0)
         stopped, _ = server.stop()
         assert stopped["repeats_stopped"] == 1
         assert observer.comes_to_rest(topic, PATIENCE_S) == []

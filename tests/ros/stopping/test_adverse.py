@@ -29,12 +29,14 @@ from support.velocities import TWIST, speed
 SPEED, BAR_S = 0.3, 0.5
 COMES_S = 30.0
 """For a zero that is late."""
+CONFIRMS_S = 60.0
+"""One try takes seconds on a busy machine, which may also hold up what the robot tells."""
 HOUR_S = 3600.0
 SERVER = (sys.executable, "-m", "ros2_mcp")
 LEFT_S = 15.0
 """A stopper looks for late subscribers for 4 s; a busy machine stretches that."""
 
-pytestmark = pytest.mark.timeout(3600 if FULL else 120)
+pytestmark = pytest.mark.timeout(3600 if FULL else 300)
 
 
 def drive(server: Driver, observer: Observer, topic: str, **how: Any) -> int:
@@ -148,7 +150,7 @@ def stops_although_it_is_full(
                 if death == "bridge":
                     until(lambda server=server, former=bridge: server.bridge() not in (0, former))
                     ours.append(server.bridge())
-                    until(lambda server=server: confirms(server), COMES_S)
+                    until(lambda server=server: confirms(server), CONFIRMS_S)
                 if death != "server":
                     server.close()
             finally:
@@ -237,7 +239,7 @@ def test_a_clock_that_jumps_by_an_hour_and_back_while_it_drives_keeps_no_stop_fr
         after_s, _ = stop(server, observer, topic, robot)
         took_s.append(after_s)
         server.outcome(request)
-    until(lambda: confirms(server), COMES_S)  # clocks are as before
+    until(lambda: confirms(server), CONFIRMS_S)  # clocks are as before
     assert in_time(*took_s)
 
 
@@ -245,7 +247,7 @@ def test_a_joint_that_moves_while_the_clocks_are_set_is_never_seen_to_stand(
     ground: tuple[Driver, CommandedProcess, str], clocks: SetClocks
 ) -> None:
     server, robot, _ = ground
-    until(lambda: confirms(server), COMES_S)
+    until(lambda: confirms(server), CONFIRMS_S)
     robot.push(joint_speed=0.15)
     try:
         for number in range(10 if FULL else 3):
@@ -257,7 +259,7 @@ def test_a_joint_that_moves_while_the_clocks_are_set_is_never_seen_to_stand(
     finally:
         robot.push()
         clocks.set(0.0, *WHOSE["all"])
-    until(lambda: confirms(server), COMES_S)
+    until(lambda: confirms(server), CONFIRMS_S)
 
 
 @pytest.mark.full

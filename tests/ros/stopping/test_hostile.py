@@ -45,7 +45,7 @@ FED_FROM = {
 }
 VECTOR = "geometry_msgs/msg/Vector3"
 
-pytestmark = pytest.mark.timeout(1500 if FULL else 120)
+pytestmark = pytest.mark.timeout(1500 if FULL else 300)
 
 
 class Field:

@@ -27,7 +27,7 @@ ACTION_S = 3.0 if FULL else 30.0
 
 Way = Callable[[Driver, Observer, str], int]
 
-pytestmark = pytest.mark.timeout(1500 if FULL else 120)
+pytestmark = pytest.mark.timeout(1500 if FULL else 300)
 
 
 @pytest.fixture
@@ -51,8 +51,14 @@ def has_ended(server: Driver, observer: Observer, topic: str, answered_ns: int) 
     """
     assert observer.comes_to_rest(topic, REST_S) == [], "the stop has sent the zero, not this test"
     since_ns = time.time_ns()
-    server.do("ros2_topic_publish", topic_name=topic, message_type=TWIST, data=speed(TWIST, 0.0))
-    until(lambda: not observer.behind(topic=topic, since=since_ns))
+
+    def has_zero() -> bool:
+        """Who has just joined may not be discovered yet, as by a new bridge: then it is published again."""
+        with suppress(Refusal):
+            server.do("ros2_topic_publish", topic_name=topic, message_type=TWIST, data=speed(TWIST, 0.0))
+        return not observer.behind(topic=topic, since=since_ns)
+
+    until(has_zero, 60.0)
     until(lambda: not observer.moving(topic=topic))
     assert observer.moved(sent_after=answered_ns, topic=topic) == []
 
@@ -98,7 +104,7 @@ def test_a_call_that_waits_for_its_server(server, observer, chance) -> None:
         server.outcome(sent)
         # What left late has come before this one. Its answer may get lost: Fast DDS gives an answer up that a busy
         # machine's client is not ready for.
-        server.outcome(server.tool("ros2_service_call", **asked, timeout_sec=10))
+        server.outcome(server.tool("ros2_service_call", **asked, timeout_sec=30))
         until(lambda service=service: observer.asked(service=service))
         assert len(observer.asked(service=service)) == 1
 

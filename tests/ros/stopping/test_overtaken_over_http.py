@@ -23,12 +23,18 @@ PATIENCE_S = 60.0
 VERSION = "2025-11-25"
 CLIENT = {"name": "posts by hand", "version": "1"}
 HEADERS = {"Accept": "application/json, text/event-stream", "Content-Type": "application/json", "Authorization": BEARER}
-SLOW = {"x": [{str(number): 0} for number in range(49_000)]}
-"""0.7 MB that take 15 to 50 ms to read, with nearly as many objects as a request may have."""
+SLOW = json.dumps({"x": [{str(number): 0} for number in range(49_000)]})
+"""0.7 MB that take 15 to 50 ms to read, with nearly as many objects as a request may have; written once, so that it is
+posted sooner than it is read.
+"""
 SEVERAL = 64
 """So many of them are read for longer than a stop takes to come: what is posted after them waits."""
 PADDING = " " * 25_000
 """What is larger than 20 kB is not read at once."""
+JUDGED_S = 200.0
+"""A round takes seconds, on a busy machine 20; one is not judged where this process was held up in it."""
+
+pytestmark = pytest.mark.timeout(400)
 
 
 class Session:
@@ -44,8 +50,12 @@ class Session:
 
     def begin(self, method: str, params: dict[str, Any], padding: str = "") -> tuple[int, HTTPConnection]:
         """Posts a request."""
+        return self.begin_written(method, json.dumps(params), padding)
+
+    def begin_written(self, method: str, params: str, padding: str = "") -> tuple[int, HTTPConnection]:
+        """Posts a request whose parameters are JSON already."""
         self._id += 1
-        body = padding + json.dumps({"jsonrpc": "2.0", "id": self._id, "method": method, "params": params})
+        body = f'{padding}{{"jsonrpc": "2.0", "id": {self._id}, "method": "{method}", "params": {params}}}'
         return self._id, self._post(body)
 
     def tell(self, method: str, params: dict[str, Any]) -> None:
@@ -71,6 +81,14 @@ class Session:
 def said(begun: tuple[int, HTTPConnection]) -> str:
     """What is answered."""
     return begun[1].getresponse().read().decode()
+
+
+def hung_up(begun: list[tuple[int, HTTPConnection]], answer: str) -> bool:
+    """Ends connections after a round that is not judged, since a server takes 256; tells what was answered too soon."""
+    for _, connection in begun:
+        connection.close()
+    print("it had been read before:", answer)
+    return True
 
 
 @pytest.fixture(scope="module")
@@ -111,29 +129,44 @@ def session_stop(session: Session) -> int:
 @pytest.fixture
 def behind(session: Session) -> Callable[[], list[tuple[int, HTTPConnection]]]:
     """Begins what is read for long."""
-    return lambda: [session.begin("ping", SLOW) for _ in range(SEVERAL)]
+    return lambda: [session.begin_written("ping", SLOW) for _ in range(SEVERAL)]
 
 
 def test_a_stop_drops_what_was_posted_before_it_and_is_still_being_read(session, observer, watched, behind) -> None:
-    slow = behind()
-    late = publish(session, watched, padding=PADDING)
-    session.has_come()
-    answered_ns = session_stop(session)
-    refused = said(late)
-    assert "Stopped: " in refused, refused
-    assert all('"result":{}' in said(one) for one in slow)
-    has_come(session, observer, watched)
-    assert observer.moved(sent_after=answered_ns, topic=watched) == []
+    def is_dropped() -> bool:
+        """Not so where it had been read before the stop came: then this round judges only that nothing follows it."""
+        slow = behind()
+        late = publish(session, watched, padding=PADDING)
+        session.has_come()
+        answered_ns = session_stop(session)
+        answer = said(late)
+        assert all('"result":{}' in said(one) for one in slow)
+        has_come(session, observer, watched)
+        assert observer.moved(sent_after=answered_ns, topic=watched) == []
+        return "Stopped: " in answer or not hung_up(slow, answer)
+
+    until(is_dropped, JUDGED_S)
     assert '"status":"published"' in said(publish(session, watched, padding=PADDING))
     session_stop(session)
 
 
 def test_what_is_cancelled_while_it_is_still_being_read_is_not_done(session, observer, watched, behind) -> None:
-    slow = behind()
-    late = publish(session, watched, frequency=20, duration=2, padding=PADDING)
-    session.has_come()
-    session.tell("notifications/cancelled", {"requestId": late[0]})
-    assert "Request cancelled" in said(late)
-    assert all('"result":{}' in said(one) for one in slow)
-    has_come(session, observer, watched)
-    assert observer.moved(sent_after=0, topic=watched) == []
+    def is_not_done() -> bool:
+        """Not judged where it had been read, and moved the robot, before it was cancelled."""
+        slow = behind()
+        begun_ns = time.monotonic_ns()  # what was published before may be heard only now
+        late = publish(session, watched, frequency=20, duration=2, padding=PADDING)
+        session.has_come()
+        cancelled_ns = time.monotonic_ns()
+        session.tell("notifications/cancelled", {"requestId": late[0]})
+        answer = said(late)
+        assert all('"result":{}' in said(one) for one in slow)
+        has_come(session, observer, watched)
+        moved = observer.moved(sent_after=begun_ns, topic=watched)
+        if any(one["sent"] < cancelled_ns for one in moved):
+            return not hung_up(slow, answer)
+        assert "Request cancelled" in answer
+        assert moved == []
+        return True
+
+    until(is_not_done, JUDGED_S)

@@ -7,6 +7,7 @@ from __future__ import annotations
 import os
 import signal
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 
 import pytest
 
@@ -16,7 +17,11 @@ from support.driver import Driver, fresh
 from support.velocities import TWIST
 
 ROUNDS = 20 if FULL else 1
+AGAIN_S = 90.0
+"""One stop takes seconds on a busy machine, and a robot that was killed expires in the graph after 20 s."""
 SPEED = 0.24
+
+pytestmark = pytest.mark.timeout(300)
 
 
 class Ground:
@@ -34,6 +39,8 @@ class Ground:
         for kind, topic in (("odometry", "odom"), ("joints", "joint_states")):
             if which.get(kind, True):
                 until(lambda name=f"{self.base}/{topic}": self._publishes(name))
+        if which.get("arm"):
+            self.server.knows(f"{self.base}/arm/joint_trajectory", 1)
         return self.base
 
     def _publishes(self, topic: str) -> bool:
@@ -74,7 +81,7 @@ class Ground:
             print("again:", stopped["note"])
             return stopped["confirmed"]
 
-        until(is_confirmed)
+        until(is_confirmed, AGAIN_S)
 
     def begin_again(self) -> None:
         """Another process in the place of one that was killed, or is frozen."""
@@ -97,6 +104,20 @@ def rounds(once: Callable[[], dict], count: int = ROUNDS) -> list[dict]:
     return stopped
 
 
+def observed(once: Callable[[], dict], is_seen: Callable[[dict], bool]) -> list[dict]:
+    """What the stops of all rounds said, the last of which saw what the robot tells: in a single one a busy machine may
+    hold that up for as long as a stop waits for it. In full, all have to see it.
+    """
+    said: list[dict] = []
+
+    def has_seen() -> bool:
+        said.extend(rounds(once))
+        return FULL or is_seen(said[-1])
+
+    until(has_seen, AGAIN_S)
+    return said
+
+
 def is_never_confirmed(stopped: list[dict]) -> None:
     print("\n".join(sorted({one["note"] for one in stopped})))
     assert [(one["confirmed"], one["observed"]) for one in stopped] == [(False, "not observed")] * len(stopped)
@@ -110,10 +131,10 @@ def test_a_robot_that_stands_is_confirmed_although_its_subscription_is_best_effo
     def once() -> dict:
         ground.drive()
         stopped = ground.server.stop()[0]
-        assert ground.robot.state()["speed"] == 0.0
+        assert not stopped["confirmed"] or ground.robot.state()["speed"] == 0.0
         return stopped
 
-    stopped = rounds(once)
+    stopped = observed(once, lambda one: one["confirmed"])[-ROUNDS:]
     print([one["note"] for one in stopped])
     assert [(one["confirmed"], one["observed"]) for one in stopped] == [(True, "observed still")] * ROUNDS
     assert all(one["topics"][0]["acknowledged"] is None for one in stopped)
@@ -156,11 +177,11 @@ def test_an_arm_that_somebody_else_moves_is_seen_though_the_base_stands(ground: 
         ground.robot.push(joint_speed=0.3)
         return ground.stop(moves=True)
 
-    stopped = rounds(once)
+    stopped = observed(once, lambda one: "shoulder moves" in one["note"])
     is_never_confirmed(stopped)
-    assert all("shoulder moves" in one["note"] for one in stopped)
+    assert all("shoulder moves" in one["note"] for one in stopped[-ROUNDS:])
     ground.robot.push()
-    assert ground.stop(moves=False)["confirmed"]
+    until(lambda: ground.stop(moves=False)["confirmed"], AGAIN_S)
 
 
 def test_a_base_that_somebody_else_drives_is_seen(ground: Ground) -> None:
@@ -197,9 +218,8 @@ def test_a_base_that_took_a_velocity_and_is_gone_leaves_stops_unconfirmed_until_
         is_never_confirmed(said)
         assert "has left the graph: it may still move" in said[-1]["note"]
         assert ground.robot.state()["speed"] == 0.3
-        ground.robot.put(base=base)
-        ground.server.knows(f"{base}/cmd_vel", 1)
-        return ground.server.stop()[0]
+        ground.put()
+        return until(lambda: (stopped := ground.server.stop()[0])["confirmed"] and stopped, AGAIN_S)
 
     ended = rounds(once)
     assert all((one["confirmed"], one["observed"]) == (True, "observed still") for one in ended), ended
@@ -264,8 +284,16 @@ def test_a_base_that_stands_does_not_say_that_an_arm_without_joint_states_does(g
 def test_a_harmless_service_leaves_only_the_next_stop_unconfirmed(ground: Ground) -> None:
     base = ground.put()
     until(lambda: f"{base}/beep" in str(ground.server.do("ros2_service_list")))
-    ground.server.do("ros2_service_call", service_name=f"{base}/beep", fields={})
-    first, second = (ground.stop(moves=False) for _ in range(2))
+
+    def stops() -> list[dict]:
+        """Two after a call, once both have observed the robot, whose messages a busy machine may hold up."""
+        with suppress(Refusal):  # its answer may get lost, where its server knows the client late
+            ground.server.do("ros2_service_call", service_name=f"{base}/beep", fields={})
+        said = [ground.stop(moves=False) for _ in range(2)]
+        assert not said[0]["confirmed"]
+        return said if all(one["observed"] == "observed still" for one in said) else []
+
+    first, second = until(stops, AGAIN_S)
     assert (first["confirmed"], first["observed"]) == (False, "observed still")
     assert "NOT judged" in first["note"] and "NOT judged" not in second["note"]
     assert (second["confirmed"], second["unknown_services"]) == (True, first["unknown_services"])

@@ -11,7 +11,7 @@ from statistics import median
 import pytest
 
 from support.agent import FULL, Refusal, until
-from support.driver import Driver, fresh
+from support.driver import COMES_UP_S, Driver, fresh
 from support.observer import Observer, observing
 from support.standstill import STOOD_STILL_S, undisturbed
 from support.velocities import (
@@ -29,6 +29,7 @@ from support.velocities import (
 
 MOST_S, ROUNDED_NS = 0.1, 10
 """DDS has the time at which something was written in steps of 2**-32 s."""
+pytestmark = pytest.mark.timeout(1500 if FULL else 300)
 FUTURE, ZERO = {"sec": 2_000_000_000, "nanosec": 5}, {"sec": 0, "nanosec": 0}
 
 
@@ -77,7 +78,9 @@ def test_a_velocity_that_is_not_finite_is_refused_with_its_path_and_never_sent(s
     assert sound["status"] == "published"
     until(lambda: observer.counts(topic=topic)[topic])
     assert observer.unsound(topic=topic) == []
-    assert observer.counts(topic=topic)[topic] == 1
+    first, *others = observer.messages(topic=topic)
+    # Nothing before it; a stopper may send its zero after it, where a busy machine holds up the bridge.
+    assert any(first["values"]) and not any(any(one["values"]) for one in others)
     server.stop()
 
 
@@ -96,9 +99,14 @@ def motion_and_zero(server: Driver, observer: Observer, topic: str, kind: str, s
     since_ns = time.time_ns()
     data = speed(kind, 0.5, {"stamp": stamp, "frame_id": "wheels"})
     one = {"topic_name": topic, "message_type": kind, "data": data}
-    server.do("ros2_topic_publish", **one, frequency=50, duration=0.5)
-    server.do("ros2_topic_publish", **one)
-    until(lambda: observer.driven(topic=topic)[topic] >= 10)
+
+    def has_moved() -> bool:
+        """A bridge that is held up leaves out what is late of a repeat: then it is asked for another one."""
+        server.do("ros2_topic_publish", **one, frequency=50, duration=0.5)
+        server.do("ros2_topic_publish", **one)
+        return observer.driven(topic=topic)[topic] >= 10
+
+    until(has_moved, COMES_UP_S)
     stopped_ns = time.time_ns()
     server.stop()
     observer.until_stopped(topic, stopped_ns, full_s=1.0)
@@ -141,6 +149,7 @@ def test_the_zero_of_a_bridge_that_follows_a_killed_one_has_the_frame_and_the_ti
     server.knows(topic, 1)
     data = speed(TWIST_STAMPED, 0.5, {"stamp": FUTURE, "frame_id": "wheels"})
     server.do("ros2_topic_publish", topic_name=topic, message_type=TWIST_STAMPED, data=data)
+    observer.until_driven(topic)
     former, since_ns = server.bridge(), time.time_ns()
     os.kill(former, signal.SIGKILL)
     observer.until_stopped(topic, since_ns, full_s=15.0)
@@ -190,11 +199,11 @@ def test_a_robot_with_simulated_time_gets_its_own(server, observer, factor: floa
             motion_and_zero(server, observer, topic, TWIST_STAMPED, FUTURE)
             return not observer.untold(topic=topic) and observer.last(topic=topic)[topic]["stamp"] > told
 
-        until(is_of_now)  # until now nobody needed the clock: the bridge has to discover it first
+        until(is_of_now, COMES_UP_S)  # until now nobody needed the clock: the bridge has to discover it first
         told = observer.told()
         motion_and_zero(server, observer, topic, TWIST_STAMPED, FUTURE)
         assert observer.untold(topic=topic) == []
-        until(is_of_now)
+        until(is_of_now, COMES_UP_S)
     finally:
         observer.clock(factor=0)
 

@@ -11,7 +11,7 @@ from contextlib import suppress
 import pytest
 
 from support.agent import FULL, Refusal, until
-from support.driver import WAYS, calm, fresh, going_on
+from support.driver import WAYS, calm, fresh, going_on, until_driven
 from support.standstill import undisturbed
 
 ROUNDS = 200
@@ -22,7 +22,7 @@ GOAL_S = LIMIT_S + 0.3
 AWAKE_S = 0.5
 """What a server does when it is continued, it does at once."""
 
-pytestmark = pytest.mark.timeout(1800 if FULL else 120)
+pytestmark = pytest.mark.timeout(1800 if FULL else 300)
 
 
 @pytest.fixture(autouse=True)
@@ -35,7 +35,7 @@ def awake(server) -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def action(server, observer) -> str:
-    """An action that the server knows, with goals that last a minute."""
+    """An action that the server knows, with goals that last five minutes."""
     name = fresh("far")
     observer.act(action=name)
     until(lambda: name in str(server.do("ros2_list_actions")))
@@ -52,11 +52,12 @@ class Round:
             observer.join(by=topic, topic=topic, kind="geometry_msgs/msg/Twist")
             observer.join(by=f"{topic} lossy", topic=topic, kind="geometry_msgs/msg/Twist", best_effort=True)
         server.knows(topic, 2)
-        goal = {"action_name": self.action, "goal_fields": {"order": 600}, "wait_for_result": True}
-        self.goal = server.tool("ros2_send_action_goal", **goal)
+        goal = {"action_name": self.action, "goal_fields": {"order": 3000}, "wait_for_result": True}
+        self.goal = server.tool("ros2_send_action_goal", **goal, timeout_sec=300)
         self.requests = {way: WAYS[way](server, observer, topic) for way, topic in self.topics.items()}
         for way, topic in self.topics.items():
-            observer.until_driven(topic, 1, of=1 if way == "once" else 2)  # what is said once may escape the lossy one
+            of = 1 if way == "once" else 2  # what is said once may escape the lossy one
+            self.requests[way] = until_driven(server, observer, way, topic, self.requests[way], of)
         until(lambda: [one["status"] for one in observer.goals_of(action=self.action)] == ["running"])
         self.requests["drive"] = going_on(server, observer, self.topics["drive"], self.requests["drive"])
 

@@ -49,7 +49,16 @@ pytestmark = pytest.mark.timeout(max(3600, 12 * ROUNDS) if FULL else 300)
 def processes(server: Driver) -> dict[str, int]:
     """Server, bridge and stoppers."""
     bridge = children(server.process.pid)[0]
-    by_name = {Path(f"/proc/{pid}/comm").read_text().strip(): pid for pid in children(bridge)}
+
+    def named() -> dict[str, int]:
+        """By their names, which they take as they begin."""
+        found = dict[str, int]()
+        for pid in children(bridge):
+            with suppress(FileNotFoundError, ProcessLookupError):  # it has ended
+                found[Path(f"/proc/{pid}/comm").read_text().strip()] = pid
+        return found if set(STOPPERS) <= found.keys() else {}
+
+    by_name = until(named)
     return {
         "server": server.process.pid,
         "bridge": bridge,
@@ -103,10 +112,12 @@ def test_the_stopper_that_is_left_sends_the_zero_before_any_successor_is_there(
 ) -> None:
     server = start_server()
     topic, _ = begin(server, observer)
+    observer.until_guarded(topic)
     found = processes(server)
     since_ns = time.time_ns()
     for victim in victims:
-        os.kill(found[victim], signal.SIGKILL)
+        with suppress(ProcessLookupError):  # where this one was held up, a stopper may have done all and left
+            os.kill(found[victim], signal.SIGKILL)
     if "server" not in victims and "bridge" in victims:
         until(lambda: server.bridge() != found["bridge"])
     successor_ns = time.time_ns()

@@ -8,7 +8,7 @@ import pytest
 
 from ros2_mcp.guard.state import StateFolder
 from support.agent import until
-from support.driver import WAYS, Driver, calm, fresh
+from support.driver import WAYS, Driver, calm, fresh, going_on, until_driven
 from support.observer import Observer
 
 
@@ -23,9 +23,11 @@ def test_what_it_ends_says_who_has_set_it_and_why(
     moving = WAYS[way](server, observer, topic)
     begun = {} if way in ("repeat", "drive") else server.result(moving)
     try:
-        observer.until_driven(topic)
+        moving = until_driven(server, observer, way, topic, moving)
     except AssertionError as error:  # what the server knows of it is the way to the cause
         raise AssertionError(f"{begun}: {job(server, begun) if begun else server.do('ros2_status')}") from error
+    if way == "drive":
+        moving = going_on(server, observer, topic, moving)
     latch.set(by="watchdog", reason="it moves at 0.5 m/s, and was told to stand")
     try:
         if way in ("repeat", "drive"):
