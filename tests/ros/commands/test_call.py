@@ -111,7 +111,7 @@ def test_a_goal_that_does_not_succeed_is_a_call_that_failed(
 def test_a_call_that_drives_is_ended_by_ctrl_c_with_its_zero_and_not_by_the_stop_of_another_call(
     ros_environment: dict[str, str], field: PeerProcess
 ) -> None:
-    with begun(ros_environment, *driving(field), "frequency=50", f"duration={END_S}") as process:
+    with begun(ros_environment, *driving(field), "frequency=50", "duration=600") as process:  # as long as is needed
         wait_for(lambda: moves(field) > 5)
         with begun(ros_environment, "call", "ros2_stop", "--json") as stop:
             answer, said = stop.communicate(timeout=END_S)
@@ -123,7 +123,7 @@ def test_a_call_that_drives_is_ended_by_ctrl_c_with_its_zero_and_not_by_the_stop
         said = process.communicate(timeout=END_S)[1]
     assert f"{field.name('cmd_vel')}: the call has ended, and a zero command was sent to 1 subscriber.\n" in said
     assert process.returncode == 130 and "Traceback" not in said
-    assert field.driven()[-1][1] == 0.0
+    wait_for(lambda: field.driven()[-1][1] == 0.0)  # the field's own thread may take it later than the process ends
 
 
 def test_one_velocity_is_ended_by_a_zero_with_the_call_and_that_is_said(
@@ -132,7 +132,8 @@ def test_one_velocity_is_ended_by_a_zero_with_the_call_and_that_is_said(
     before = moves(field)
     with begun(ros_environment, *driving(field)) as process:
         said = process.communicate(timeout=END_S)[1]
-    assert (moves(field), field.driven()[-1][1], process.returncode) == (before + 1, 0.0, 0)
+    wait_for(lambda: moves(field) > before and field.driven()[-1][1] == 0.0)
+    assert (moves(field), process.returncode) == (before + 1, 0)
     assert f"{field.name('cmd_vel')}: the call has ended, and a zero command was sent to 1 subscriber.\n" in said
 
 
