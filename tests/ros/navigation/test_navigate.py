@@ -103,8 +103,16 @@ def test_a_preview_takes_a_start_and_a_planner_that_the_server_has(agent):
 @pytest.mark.promise("ros2_navigate", "After a time-out, call again with the job_id")
 @pytest.mark.promise("ros2_navigate", "ros2_stop ends the job")
 def test_what_is_not_waited_for_goes_on_and_a_stop_in_the_middle_ends_it(agent):
-    begun = agent.call("ros2_navigate", to=[{"x": -1.5, "y": -1.5}, {"x": 0.0, "y": 0.0}], timeout_s=0)
-    assert begun["outcome"] == "under way"
+    def begin() -> dict | None:
+        """Begun; anew where a busy machine let not every part of its health be read in time."""
+        begun = agent.call("ros2_navigate", to=[{"x": -1.5, "y": -1.5}, {"x": 0.0, "y": 0.0}], timeout_s=0)
+        assert begun["outcome"] == "under way"
+        if "could not be determined" not in str(begun["health"]):
+            return begun
+        agent.call("ros2_stop")
+        return None
+
+    begun = until(begin)
     told = " ".join(begun["health"])
     assert "Localised: base_link is at (" in told and "s old." in told
     assert "The costmap /global_costmap/costmap is" in told
