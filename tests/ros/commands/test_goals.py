@@ -139,8 +139,7 @@ def test_waiting_reports_feedback_as_readable_progress(agent, robot) -> None:
         assert {whole for _, whole, _ in heard} == {60.0}
         return [line for _, _, line in heard]
 
-    lines = reported()
-    assert len(lines) >= 3
+    lines = until(lambda: len(told := reported()) >= 3 and told)  # a bridge that is held up brings many at once
     assert any(line and line.startswith("sequence «[0,1") for line in lines)
 
 
