@@ -63,12 +63,13 @@ def test_a_recording_runs_until_it_is_interrupted(
 
 
 def test_a_relay_runs_until_its_time_is_over(ros_environment: dict[str, str]) -> None:
-    words = ("source_topic=/rosout", "destination_topic=/rosout_again", "duration_sec=0.5")
+    words = ("source_topic=/rosout", "destination_topic=/rosout_again", "duration_sec=3")
     types = ("message_type=rcl_interfaces/msg/Log",)
     with begun(ros_environment, "call", "ros2_relay_start", *words, *types) as process:
         said = process.communicate(timeout=END_S)[1]
     assert process.returncode == 0
-    assert "runs for at most 0.5 s; Ctrl+C ends it before." in said and "/rosout_again: ended" in said
+    # Of a relay that is over before a busy machine comes to say so, neither is said.
+    assert "runs for at most 3 s; Ctrl+C ends it before." in said and "/rosout_again: ended" in said
 
 
 def test_a_goal_is_followed_to_its_end_with_its_feedback(ros_environment: dict[str, str], robot: PeerProcess) -> None:

@@ -129,6 +129,8 @@ def test_a_small_move_tells_what_only_a_motion_shows(
         robot.tell("plant", fault)
     try:
         probed = agent.call("ros2_nav_probe")
+        if probed["verdict"] == "NOT KNOWN":  # of a motion that a busy machine has cut short
+            probed = agent.call("ros2_nav_probe")
     finally:
         for fault in faults:
             robot.tell("heal", fault)
