@@ -20,7 +20,7 @@ from support.processes import peer_command
 COMMAND_S = 60.0
 LEAVES_S = 15.0
 """Far more than a participant takes to say goodbye; Fast DDS 2.14 deadlocks in it now and then, and is then ended."""
-KNOWN_S = 20.0
+KNOWN_S = 45.0
 """How long the middleware may take until two processes know each other, on a busy machine."""
 SPARES = 2
 _NUMBERS = itertools.count(1)

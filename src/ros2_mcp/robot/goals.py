@@ -248,11 +248,12 @@ class WhenMet:
     """The report of a met condition, and the response to the cancel request.
 
     `report` is that of `ros2_mcp_bridge.motion.asking.Asking`; `was_taken` is whether the action server cancels the
-    goal.
+    goal, `is_unknown` whether it does not know the goal: it may not have accepted it yet.
     """
 
     report: Mapping[str, Any]
     was_taken: bool
+    is_unknown: bool = False
 
 
 async def cancel_when(core: Core, asked: CancelWhen, name: str) -> WhenMet:
@@ -286,7 +287,8 @@ async def cancel_when(core: Core, asked: CancelWhen, name: str) -> WhenMet:
             await asyncio.sleep(_AGAIN_S)
         else:
             response = await core.values.in_full(f"{CANCEL_TYPE}_Response", reply.body)
-            return WhenMet(reply.ok["report"], bool(response["goals_canceling"]))
+            is_unknown = response["return_code"] == UNKNOWN_GOAL
+            return WhenMet(reply.ok["report"], bool(response["goals_canceling"]), is_unknown)
 
 
 def ended(core: Core, action: str, goal_id: str, how: str = "") -> None:

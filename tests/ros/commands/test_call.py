@@ -63,12 +63,13 @@ def test_a_recording_runs_until_it_is_interrupted(
 
 
 def test_a_relay_runs_until_its_time_is_over(ros_environment: dict[str, str]) -> None:
-    words = ("source_topic=/rosout", "destination_topic=/rosout_again", "duration_sec=0.5")
+    words = ("source_topic=/rosout", "destination_topic=/rosout_again", "duration_sec=3")
     types = ("message_type=rcl_interfaces/msg/Log",)
     with begun(ros_environment, "call", "ros2_relay_start", *words, *types) as process:
         said = process.communicate(timeout=END_S)[1]
     assert process.returncode == 0
-    assert "runs for at most 0.5 s; Ctrl+C ends it before." in said and "/rosout_again: ended" in said
+    # Of a relay that is over before a busy machine comes to say so, neither is said.
+    assert "runs for at most 3 s; Ctrl+C ends it before." in said and "/rosout_again: ended" in said
 
 
 def test_a_goal_is_followed_to_its_end_with_its_feedback(ros_environment: dict[str, str], robot: PeerProcess) -> None:
@@ -111,7 +112,7 @@ def test_a_goal_that_does_not_succeed_is_a_call_that_failed(
 def test_a_call_that_drives_is_ended_by_ctrl_c_with_its_zero_and_not_by_the_stop_of_another_call(
     ros_environment: dict[str, str], field: PeerProcess
 ) -> None:
-    with begun(ros_environment, *driving(field), "frequency=50", f"duration={END_S}") as process:
+    with begun(ros_environment, *driving(field), "frequency=50", "duration=600") as process:  # as long as is needed
         wait_for(lambda: moves(field) > 5)
         with begun(ros_environment, "call", "ros2_stop", "--json") as stop:
             answer, said = stop.communicate(timeout=END_S)
@@ -123,7 +124,7 @@ def test_a_call_that_drives_is_ended_by_ctrl_c_with_its_zero_and_not_by_the_stop
         said = process.communicate(timeout=END_S)[1]
     assert f"{field.name('cmd_vel')}: the call has ended, and a zero command was sent to 1 subscriber.\n" in said
     assert process.returncode == 130 and "Traceback" not in said
-    assert field.driven()[-1][1] == 0.0
+    wait_for(lambda: field.driven()[-1][1] == 0.0)  # the field's own thread may take it later than the process ends
 
 
 def test_one_velocity_is_ended_by_a_zero_with_the_call_and_that_is_said(
@@ -132,7 +133,8 @@ def test_one_velocity_is_ended_by_a_zero_with_the_call_and_that_is_said(
     before = moves(field)
     with begun(ros_environment, *driving(field)) as process:
         said = process.communicate(timeout=END_S)[1]
-    assert (moves(field), field.driven()[-1][1], process.returncode) == (before + 1, 0.0, 0)
+    wait_for(lambda: moves(field) > before and field.driven()[-1][1] == 0.0)
+    assert (moves(field), process.returncode) == (before + 1, 0)
     assert f"{field.name('cmd_vel')}: the call has ended, and a zero command was sent to 1 subscriber.\n" in said
 
 

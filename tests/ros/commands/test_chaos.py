@@ -32,7 +32,7 @@ pytestmark = pytest.mark.timeout(1800 if FULL else 180)
 
 def side_by_side(one_round: Callable[[], None]) -> None:
     def in_time() -> None:
-        for _ in range(2):  # a machine that stalls spoils one try
+        for _ in range(4):  # a machine that stalls spoils one try
             with suppress(TooLate):
                 return one_round()
         return one_round()
@@ -151,8 +151,8 @@ def test_an_action_server_that_is_killed_while_executing_and_started_again(agent
         if FULL:
             assert time.monotonic() - started < 1.5 + LATE_S
         again = start_peer("counting", namespace=peer.namespace, is_new=True)
-        wait_until(lambda: status(agent, action, ended["goal_id"]) == "UNKNOWN")
-        assert begin_goal(agent, action, 1, 10.0).result(60)["status"] == "SUCCEEDED"
+        wait_until(lambda: status(agent, action, ended["goal_id"]) == "UNKNOWN", within_s=60.0)
+        assert begin_goal(agent, action, 1, 30.0).result(60)["status"] == "SUCCEEDED"
         again.leave()
 
     side_by_side(one_round)

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import time
+from contextlib import suppress
 
 import pytest
 
 from support.agent import FULL, until
+from support.standstill import TIMES
 
 FIBONACCI = "test_msgs/action/Fibonacci"
 UNKNOWN_ID = "0123456789abcdef" * 2
+LONG = 2000
+"""Steps of 0.05 s: a goal that is ended long before its end, however busy the machine is."""
 
 
 def send(agent, action: str, order: int, **options):
@@ -37,7 +41,7 @@ def test_a_result_whose_answer_is_lost_is_asked_for_again(agent, start_peer) -> 
     peer = start_peer("lossy")
     ended = send(agent, peer.name("lossy"), 1, wait_for_result=True, timeout_sec=60)
     assert (ended["status"], ended["result"]) == ("SUCCEEDED", {"sequence": [7]})
-    assert peer.count(name="lossy") == 2
+    assert peer.count(name="lossy") >= 2  # once more where a busy machine is late with the second answer
 
 
 @pytest.mark.promise(
@@ -65,15 +69,15 @@ def test_a_goal_that_is_not_waited_for_is_accepted_and_its_result_asked_for_late
         assert ended["result"] == {"sequence": [0, 1, 2, 3, 4, 5]}
 
 
-def test_a_goal_that_nobody_waits_for_is_seen_to_end(start_agent, robot) -> None:
-    agent = start_agent()
-    status = robot.name("count/_action/status")
-    agent.until_answered("ros2_topic_info", topic_name=status)
+def test_a_goal_that_nobody_waits_for_is_seen_to_end(agent, start_agent, robot) -> None:
+    own, action = start_agent(), robot.name("count")
+    own.until_answered("ros2_topic_info", topic_name=f"{action}/_action/status")
 
-    send(agent, robot.name("count"), 60)  # 3 s
-    until(lambda: is_followed(agent, robot.name("count")))
-    until(lambda: not is_followed(agent, robot.name("count")))
-    assert agent.call("ros2_stop")["goals"] == []
+    sent = send(own, action, LONG)
+    until(lambda: is_followed(own, action))
+    cancel(agent, action, goal_id_hex=sent["goal_id"])  # by another client: its server alone tells the sender
+    until(lambda: not is_followed(own, action))
+    assert own.call("ros2_stop")["goals"] == []
 
 
 @pytest.mark.promise("ros2_send_action_goal", "Send a goal to an action server")
@@ -135,15 +139,14 @@ def test_waiting_reports_feedback_as_readable_progress(agent, robot) -> None:
         assert {whole for _, whole, _ in heard} == {60.0}
         return [line for _, _, line in heard]
 
-    lines = reported()
-    assert len(lines) >= 3
+    lines = until(lambda: len(told := reported()) >= 3 and told)  # a bridge that is held up brings many at once
     assert any(line and line.startswith("sequence «[0,1") for line in lines)
 
 
 def test_cancelling_the_call_that_waits_cancels_its_goal(agent, robot) -> None:
     before, cancelled = robot.count(name="count executing"), robot.count(name="canceled")
     waiting = agent.begin(
-        "ros2_send_action_goal", action_name=robot.name("count"), goal_fields={"order": 200}, wait_for_result=True
+        "ros2_send_action_goal", action_name=robot.name("count"), goal_fields={"order": LONG}, wait_for_result=True
     )
     wait_until(lambda: robot.count(name="count executing") > before)
     waiting.cancel()
@@ -151,11 +154,14 @@ def test_cancelling_the_call_that_waits_cancels_its_goal(agent, robot) -> None:
 
 
 def test_a_cancelled_call_cancels_a_goal_that_is_accepted_only_then(agent, robot) -> None:
-    judged, cancelled = robot.count(name="hesitate"), robot.count(name="canceled")
-    sending = agent.begin("ros2_send_action_goal", action_name=robot.name("hesitate"), goal_fields={"order": 600})
-    wait_until(lambda: robot.count(name="hesitate") > judged)
-    sending.cancel()
-    wait_until(lambda: robot.count(name="canceled") > cancelled)
+    for _ in range(TIMES):  # again where the answer came before a busy machine had cancelled the call
+        judged, cancelled = robot.count(name="hesitate"), robot.count(name="canceled")
+        sending = agent.begin("ros2_send_action_goal", action_name=robot.name("hesitate"), goal_fields={"order": 200})
+        wait_until(lambda judged=judged: robot.count(name="hesitate") > judged)
+        with suppress(AssertionError):
+            if sending.cancel():
+                return wait_until(lambda cancelled=cancelled: robot.count(name="canceled") > cancelled, 8.0)
+    raise AssertionError("the goal was not cancelled with its call")
 
 
 @pytest.mark.promise("ros2_wait_until", "Hidden topics work too, such as /navigate_to_pose/_action/status")
@@ -179,7 +185,7 @@ def test_goals_are_waited_for_on_the_hidden_topics_of_their_action(agent, robot)
 def test_goals_of_another_client_are_followed_and_cancelled(agent, robot, start_peer) -> None:
     action, other = robot.name("count"), start_peer()
     assert other.reaches(service=robot.name("there"))
-    goal_id = other.send_goal(action=action, order=600)
+    goal_id = other.send_goal(action=action, order=LONG)
     feedback = agent.call(
         "ros2_action_subscribe_feedback", action_name=action, goal_id_hex=goal_id, duration_sec=20, max_messages=5
     )
@@ -211,13 +217,16 @@ def test_the_states_of_a_goal_of_another_client_are_followed(agent, robot, start
     action, other = robot.name("count"), start_peer()
     assert other.reaches(service=robot.name("there"))
 
-    goal_id = other.send_goal(action=action, order=600)
-    follow = agent.begin("ros2_action_subscribe_status", action_name=action, duration_sec=3)
-    until(lambda: is_followed(agent, action))
-    assert cancel(agent, action, goal_id_hex=goal_id)["goals_canceling"][0]["goal_id"] == goal_id
-    frames = follow.result(60)["frames"]
-    seen = [s["status"] for frame in frames for s in frame["statuses"] if s["goal_id"] == goal_id]
-    assert (seen[0], seen[-1]) == ("EXECUTING", "CANCELED")
+    def seen() -> list[str]:
+        """The states of a goal that is cancelled meanwhile: in the 3 s of the call, unless the machine is busy."""
+        goal_id = other.send_goal(action=action, order=LONG)
+        follow = agent.begin("ros2_action_subscribe_status", action_name=action, duration_sec=3)
+        until(lambda: follow.done() or is_followed(agent, action))
+        assert cancel(agent, action, goal_id_hex=goal_id)["goals_canceling"][0]["goal_id"] == goal_id
+        frames = follow.result(60)["frames"]
+        return [s["status"] for frame in frames for s in frame["statuses"] if s["goal_id"] == goal_id]
+
+    until(lambda: (states := seen()) and (states[0], states[-1]) == ("EXECUTING", "CANCELED"))
 
 
 def is_followed(agent, action: str) -> bool:
@@ -234,7 +243,7 @@ def test_feedback_of_no_goal_says_that_none_came(agent, robot) -> None:
 
 def test_every_cancel_code_is_told(agent, robot) -> None:
     count, stubborn = robot.name("count"), robot.name("refuse_once")
-    running = send(agent, count, 200)["goal_id"]
+    running = send(agent, count, LONG)["goal_id"]
     done = cancel(agent, count, goal_id_hex=running)
     assert (done["service"], done["return_code"], done["return_code_text"]) == (
         f"{count}/_action/cancel_goal",
@@ -257,10 +266,10 @@ def test_every_cancel_code_is_told(agent, robot) -> None:
 @pytest.mark.promise("ros2_cancel_action_goal", "or all goals")
 def test_all_goals_or_those_up_to_a_time_are_cancelled(agent, robot) -> None:
     action = robot.name("count")
-    first = send(agent, action, 200)
-    between_ns = at_ns(first["send_goal_stamp"]) + 50_000_000  # its server notes it a moment later
+    first = send(agent, action, LONG)
+    between_ns = at_ns(first["send_goal_stamp"]) + 1_000_000_000  # its server notes it a moment later
     until(lambda: time.time_ns() > between_ns)
-    second = send(agent, action, 200)
+    second = send(agent, action, LONG)
     sec, nanosec = divmod(between_ns, 10**9)
     older = cancel(agent, action, cancel_all=True, stamp_sec=sec, stamp_nanosec=nanosec)
     assert [goal["goal_id"] for goal in older["goals_canceling"]] == [first["goal_id"]]
@@ -291,7 +300,8 @@ def test_a_goal_that_the_server_never_knew_or_has_forgotten_is_unknown(agent, ro
     never = result(agent, action, UNKNOWN_ID)
     assert never["status"] == "UNKNOWN"
     assert never["note"] == "The server does not know this goal: the id is wrong, or the server has dropped the goal."
-    sent = send(agent, action, 1, wait_for_result=True)
+    # Of a goal that is kept for a second: who is held up for longer asks for one that has been forgotten.
+    sent = until(lambda: (one := send(agent, action, 1, wait_for_result=True))["status"] == "SUCCEEDED" and one)
     wait_until(lambda: result(agent, action, sent["goal_id"])["status"] == "UNKNOWN")
     ended = result(agent, action, sent["goal_id"])
     assert (ended["status_code"], ended["result"]) == (0, None)

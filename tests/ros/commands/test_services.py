@@ -144,7 +144,8 @@ def test_a_service_that_came_back_with_another_type_is_told(agent, start_peer) -
     assert agent.call("ros2_service_call", **asked)["called"]
     before.leave()
     start_peer("changed", namespace=name)
-    assert agent.refusal("ros2_service_call", **asked).startswith(f"TypeConflict: {name}/switch has the type std_srvs")
+    told = f"TypeConflict: {name}/switch has the type std_srvs"
+    until(lambda: agent.refusal("ros2_service_call", **asked).startswith(told))  # the old one's goodbye may be late
 
 
 def test_a_server_that_appears_within_the_time_out_is_used(agent, start_peer) -> None:
@@ -189,8 +190,12 @@ def late_server_s(agent, start_peer, timeout_s: int) -> float:
 
 
 def test_a_service_that_never_answers_is_reported_as_that(agent, robot) -> None:
-    _, said = refused(agent, timeout_sec=0.4, **never_answered(robot))
-    assert said == f"TimedOut: {robot.name('slow')} did not answer within 0.4 s. {HINT}"
+    def said() -> str:
+        """Why; nothing where a bridge that was held up had sent nothing until the time was over."""
+        _, told = refused(agent, timeout_sec=0.4, **never_answered(robot))
+        return "" if "nothing was sent" in told else told
+
+    assert until(said) == f"TimedOut: {robot.name('slow')} did not answer within 0.4 s. {HINT}"
 
 
 @pytest.mark.full
@@ -247,7 +252,7 @@ def test_a_hundred_calls_in_flight_are_all_answered_each_with_its_own(agent, rob
 def test_more_calls_than_the_queue_of_a_slow_server_holds_are_all_answered(agent, robot) -> None:
     """A server that takes one request after the other loses what does not fit its queue of ten."""
     calls = [
-        agent.begin("ros2_service_call", service_name=robot.name("serial"), fields={"data": True}, timeout_sec=20)
+        agent.begin("ros2_service_call", service_name=robot.name("serial"), fields={"data": True}, timeout_sec=50)
         for _ in range(40)
     ]
     assert all(call.result(60)["result"]["success"] for call in calls)

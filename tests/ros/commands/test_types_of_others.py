@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from support.agent import Agent, agent_for
+from support.agent import Agent, agent_for, until
 from support.demo_robot import build_interfaces, with_interfaces
 from support.foreign_bags import Channel, numbers, write_mcap
 from support.processes import peer_command, running
@@ -99,8 +99,12 @@ def test_messages_of_a_type_that_is_not_installed_are_read(
 
 
 def test_what_is_measured_of_such_topics_is_their_rate_and_the_frames_in_them(stranger: Agent) -> None:
-    (measured,) = stranger.call("ros2_topic_stats", topic_names=["/state"], duration_s=2)["topics"]
-    assert 5 < measured["rate_hz"] < 15
+    def is_ten_hz() -> bool:
+        """Of two seconds in which a busy machine has held up nobody."""
+        (measured,) = stranger.call("ros2_topic_stats", topic_names=["/state"], duration_s=2)["topics"]
+        return 5 < (measured["rate_hz"] or 0.0) < 15
+
+    until(is_ten_hz)
     found = stranger.call("ros2_tf_lookup", target_frame="map", source_frame="base_link")
     assert found["translation"]["x"] == 2.5
 
@@ -160,7 +164,7 @@ def test_a_message_that_contains_it_is_refused_with_the_message_and_the_field(sp
 def test_the_events_of_a_service_are_read_live(
     stranger: Agent, topic: str, asked: dict[str, object], answered: dict[str, object]
 ) -> None:
-    events = stranger.call("ros2_topic_subscribe", topic_name=topic, message_limit=8, duration=20)["messages"]
+    events = stranger.call("ros2_topic_subscribe", topic_name=topic, message_limit=16, duration=20)["messages"]
     assert {event["info"]["event_type"] for event in events} == {0, 1, 2, 3}
     assert asked in [event["request"][0] for event in events if event["request"]]
     assert answered in [event["response"][0] for event in events if event["response"]]

@@ -213,4 +213,4 @@ def test_without_interface_packages_it_says_what_it_leaves_out_and_ends_with_its
     with start_robot([], domain_id, "--until-stdin-closes", "--namespace", "r2") as process:
         assert "/navigate_to (no ros2_mcp_demo_interfaces)" in process.ready_line
         process.stdin.close()
-        assert process.wait(20) == 0
+        assert process.wait(40) == 0

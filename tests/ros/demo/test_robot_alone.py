@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from support.agent import until
 from support.demo_robot import build_interfaces
 from support.raw_server import RawServer
 
@@ -58,7 +59,7 @@ def robots_alone():
         for process in started:
             process.terminate()
         for process in started:
-            process.communicate(timeout=20)
+            process.communicate(timeout=60)
 
 
 def graph_of(process):
@@ -87,8 +88,8 @@ def test_it_keeps_to_itself_and_the_line_that_it_prints_leads_a_client_to_it(rob
     client = RawServer({**bare, **entry["env"]}, *entry["args"], command=[entry["command"]])
     try:
         client.begin("2025-11-25")
-        answer = client.ask("tools/call", name="ros2_node_list", arguments={})
-        assert "/base_controller" in answer["result"]["content"][0]["text"]
+        # Discovery may take longer than the first call waits for it.
+        until(lambda: "/base_controller" in str(client.ask("tools/call", name="ros2_node_list", arguments={})))
     finally:
         client.end()
 

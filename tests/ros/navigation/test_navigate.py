@@ -103,18 +103,26 @@ def test_a_preview_takes_a_start_and_a_planner_that_the_server_has(agent):
 @pytest.mark.promise("ros2_navigate", "After a time-out, call again with the job_id")
 @pytest.mark.promise("ros2_navigate", "ros2_stop ends the job")
 def test_what_is_not_waited_for_goes_on_and_a_stop_in_the_middle_ends_it(agent):
-    begun = agent.call("ros2_navigate", to=[{"x": -1.5, "y": -1.5}, {"x": 0.0, "y": 0.0}], timeout_s=0)
-    assert begun["outcome"] == "under way"
+    def begin() -> dict | None:
+        """Begun; anew where a busy machine let not every part of its health be read in time."""
+        begun = agent.call("ros2_navigate", to=[{"x": -1.5, "y": -1.5}, {"x": 0.0, "y": 0.0}], timeout_s=0)
+        assert begun["outcome"] == "under way"
+        if "could not be determined" not in str(begun["health"]):
+            return begun
+        agent.call("ros2_stop")
+        return None
+
+    begun = until(begin)
     told = " ".join(begun["health"])
     assert "Localised: base_link is at (" in told and "s old." in told
     assert "The costmap /global_costmap/costmap is" in told
     assert "/navigator may send velocities on /cmd_vel_nav, as Nav2 does." in told, "the rover has a second navigator"
     waiting = agent.begin("ros2_navigate", job_id=begun["job_id"], timeout_s=60)
     before = position(agent)
-    until(lambda: math.dist(position(agent), before) > 0.05 or waiting.done())
+    until(lambda: math.dist(position(agent), before) > 0.1 or waiting.done())
     stopped = agent.call("ros2_stop")
     assert "navigate_to_pose" in str(stopped)
-    done = waiting.result(20)
+    done = waiting.result(60)
     assert [leg["outcome"] for leg in done["legs"]] == ["canceled", "not begun"], done
     assert "ros2_stop" in done["note"]
     if FULL:
@@ -122,7 +130,7 @@ def test_what_is_not_waited_for_goes_on_and_a_stop_in_the_middle_ends_it(agent):
     else:
         until(lambda: speed(agent) < 0.01)
     first = position(agent)
-    assert speed(agent) < 0.01 and math.dist(first, position(agent)) < 0.05
+    assert speed(agent) < 0.01 and math.dist(first, position(agent)) < 0.06  # two poses, 8 mm wrong each: five sigma
     assert "There is no navigation" in agent.refusal("ros2_navigate", job_id="navigation_none")
 
 

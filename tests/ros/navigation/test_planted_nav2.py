@@ -80,7 +80,7 @@ def agent(environment: dict[str, str], robot: Planted) -> Iterator[Agent]:
     """A client whose server has found nothing wrong, with the decoys planted."""
     with agent_for(environment, "--tools", "all") as agent:
         agent.knows("/global_costmap/costmap", "/local_costmap/costmap", "/cmd_vel", "/wheel/odom")
-        until(lambda: agent.call("ros2_nav_check")["servers"] == "Nav2: 9 of 9 active", 60.0)
+        until(lambda: agent.call("ros2_nav_check")["servers"] == "Nav2: 9 of 9 active", 90.0)
         for decoy in DECOYS:
             robot.tell("plant", decoy)
         yield agent
@@ -92,8 +92,9 @@ def said(agent: Agent, **arguments: Any) -> list[str]:
 
 
 def test_nothing_is_found_while_it_is_well_beside_decoys_and_the_answer_is_short(agent: Agent) -> None:
-    until(lambda: agent.call("ros2_nav_check")["verdict"] == "FINE", 30.0)  # on a busy machine not all may be read
-    assert said(agent) == []
+    # On a busy machine not all may be read.
+    fine = until(lambda: (found := agent.call("ros2_nav_check"))["verdict"] == "FINE" and found, 60.0)
+    assert fine["findings"] == []
     told: Any = agent.whole("ros2_nav_check", {}).content[0]
     assert len(told.text.encode()) <= 1500
     assert "Nav2: 9 of 9 active" in str(agent.call("ros2_robot")["stacks"])
@@ -128,6 +129,8 @@ def test_a_small_move_tells_what_only_a_motion_shows(
         robot.tell("plant", fault)
     try:
         probed = agent.call("ros2_nav_probe")
+        if probed["verdict"] == "NOT KNOWN":  # of a motion that a busy machine has cut short
+            probed = agent.call("ros2_nav_probe")
     finally:
         for fault in faults:
             robot.tell("heal", fault)
@@ -169,7 +172,7 @@ def test_a_planted_cause_is_the_first_that_is_told_and_no_decoy_is(agent: Agent,
         return bool(seen[-1]) and bool(re.search(CAUSES[fault], seen[-1][0]))
 
     try:
-        until(first_is_right, 30.0)
+        until(first_is_right, 60.0)  # each look takes seconds on a busy machine
     except AssertionError as error:
         raise AssertionError(seen[-1]) from error
     finally:
@@ -179,10 +182,19 @@ def test_a_planted_cause_is_the_first_that_is_told_and_no_decoy_is(agent: Agent,
 
 def test_a_dead_server_is_one_finding_of_the_health_check(agent: Agent) -> None:
     """It died in the test before: nothing of it heals."""
-    health = agent.call("ros2_health_check")
-    of_nav2 = [row for row in health["findings"] if "planner" in row["problem"] or row["subject"] == "lifecycle"]
-    assert len(of_nav2) == 1 and "/planner_server died" in of_nav2[0]["problem"], health["findings"]
-    assert health["verdict"] == "CRITICAL"
+    seen: list[dict[str, Any]] = []
+
+    def is_one() -> bool:
+        """Of a look in which a busy machine has let every node answer."""
+        seen.append(agent.call("ros2_health_check"))
+        rows = seen[-1]["findings"]
+        of_nav2 = [row["problem"] for row in rows if "planner" in row["problem"] or row["subject"] == "lifecycle"]
+        return len(of_nav2) == 1 and "/planner_server died" in of_nav2[0] and seen[-1]["verdict"] == "CRITICAL"
+
+    try:
+        until(is_one)
+    except AssertionError as error:
+        raise AssertionError(seen[-1]["findings"]) from error
 
 
 @pytest.mark.full

@@ -14,7 +14,9 @@ from support.agent import Agent, agent_for, until
 from support.commanded import CommandedProcess
 
 NEAR, MIDDLE, FAR = {"x": 0.3, "y": 0.0}, {"x": 0.6, "y": 0.0}, {"x": 4.0, "y": 0.0}
-POSE = {"header": {"frame_id": "map"}, "pose": {"position": {"x": 3.0}, "orientation": {"w": 1.0}}}
+POSE = {"header": {"frame_id": "map"}, "pose": {"position": {"x": 6.0}, "orientation": {"w": 1.0}}}
+ROLLS_M = 0.2
+"""How far from its place the base may stand: without a command it drives on for 0.5 s, at 0.3 m/s."""
 ASKS = """
 policy: 1
 name: asks
@@ -54,10 +56,11 @@ def test_a_route_in_loops_goes_on_after_a_missed_place_and_tells_all_in_the_firs
     assert (done["outcome"], done["loop"], states(done)) == ("done", 2, ["reached", "missed", "reached"]), done
     assert [(place["reached"], place["missed"]) for place in done["places"]] == [(2, 0), (0, 2), (2, 0)]
     assert navigator.goals() == [0.3, 0.6, 0.0] * 2
-    assert nav2.x() == pytest.approx(0.0, abs=0.1) and nav2.speed() == 0.0
+    until(lambda: nav2.speed() == 0.0)  # its zero is on its way from node to node
+    assert nav2.x() == pytest.approx(0.0, abs=ROLLS_M)
     first = done["summary"].splitlines()[0]
     assert "4 of 6 places reached, 2 MISSED" in first and "2 (0.60, 0.00) MISSED 2× (" in first
-    assert done["places"][1]["cause"] and done["places"][0]["away_m"] < 0.1
+    assert done["places"][1]["cause"] and done["places"][0]["away_m"] < ROLLS_M
 
 
 def test_a_route_ends_at_a_missed_place_unless_it_shall_go_on(nav_agent: Agent, navigator: CommandedProcess) -> None:
@@ -72,21 +75,21 @@ def test_a_route_ends_at_a_missed_place_unless_it_shall_go_on(nav_agent: Agent, 
 def test_a_paused_navigation_stands_keeps_its_rest_and_tells_that_the_robot_was_moved(
     nav_agent: Agent, nav2: CommandedProcess, navigator: CommandedProcess
 ) -> None:
-    begun = nav_agent.call("ros2_navigate", to=[{"x": 1.5, "y": 0.0}, NEAR], timeout_s=0)
+    begun = nav_agent.call("ros2_navigate", to=[FAR, {"x": 3.7, "y": 0.0}], timeout_s=0)
     until(lambda: nav2.speed() > 0.1)
     paused = nav_agent.call("ros2_nav_pause")
     assert nav2.speed() == 0.0 and "follow_path" in nav2.cancels()
     assert (paused["state"], paused["stands"], paused["job_id"]) == ("paused", True, begun["job_id"])
     assert paused["x_m"] == pytest.approx(nav2.x(), abs=0.05)
-    assert paused["left"] == ["(1.50, 0.00)", "(0.30, 0.00)"]
+    assert paused["left"] == ["(4.00, 0.00)", "(3.70, 0.00)"]
     assert nav_agent.call("ros2_navigate", job_id=begun["job_id"], timeout_s=30)["outcome"] == "paused"
-    nav2.push(x=paused["x_m"] - 1.0)
+    nav2.push(x=paused["x_m"] + 3.0)
     resumed = nav_agent.call("ros2_nav_pause", resume=True)
     assert resumed["state"] == "under way" and resumed["is_moved"] is True
-    assert resumed["moved_m"] == pytest.approx(1.0, abs=0.05) and "1.0" in resumed["summary"]
+    assert resumed["moved_m"] == pytest.approx(3.0, abs=0.05) and "3.0" in resumed["summary"]
     done = nav_agent.call("ros2_navigate", job_id=begun["job_id"], timeout_s=50)
-    assert done["outcome"] == "reached" and navigator.goals() == [1.5, 1.5, 0.3]
-    assert nav2.x() == pytest.approx(0.3, abs=0.1)
+    assert done["outcome"] == "reached" and navigator.goals() == [4.0, 4.0, 3.7]
+    assert nav2.x() == pytest.approx(3.7, abs=ROLLS_M)
     assert "has ended (reached)" in nav_agent.refusal("ros2_nav_pause")
 
 
@@ -123,10 +126,10 @@ def test_a_paused_route_does_not_go_on_while_another_client_has_the_robot_drive(
     until(lambda: nav2.speed() > 0.1)
     refused = nav_agent.refusal("ros2_nav_pause", resume=True)
     assert "another client's goal" in refused and "ros2_cancel_action_goal(" in refused
-    (running,) = nav_agent.call("ros2_stop")["running"]
+    (running,) = until(lambda: nav_agent.call("ros2_stop")["running"])  # as soon as its state was read in time
     nav_agent.call("ros2_cancel_action_goal", action_name="/navigate_to_pose", goal_id_hex=running["goal_id"])
     until(lambda: nav2.speed() == 0.0)
-    assert nav_agent.call("ros2_nav_route", job_id=job)["outcome"] == "canceled" and navigator.goals() == [0.3, 3.0]
+    assert nav_agent.call("ros2_nav_route", job_id=job)["outcome"] == "canceled" and navigator.goals() == [0.3, 6.0]
 
 
 # ── under a policy ─────────────────────────────────────────────────────────────────────────────────────────────────
@@ -169,5 +172,5 @@ def test_a_person_approves_a_list_once_and_reads_all_of_it(
     assert asking.refusal("ros2_nav_route", **{**route, "loops": 3}) and navigator.goals() == []
     done = asking.call("ros2_nav_route", **route)
     assert (done["outcome"], navigator.goals()) == ("done", [0.3, 0.6, 0.3, 0.6])
-    assert nav2.x() == pytest.approx(0.6, abs=0.1)
+    assert nav2.x() == pytest.approx(0.6, abs=ROLLS_M)
     assert "needs_approval" in asking.refusal("ros2_nav_route", **route), "an approval is used once"

@@ -19,7 +19,7 @@ def standing(nav2: CommandedProcess) -> None:
     nav2.put()
 
 
-def until_seen(agent: Agent, words: str) -> dict:
+def until_seen(agent: Agent, *words: str) -> dict:
     """The state of a navigation as soon as it tells these words; it is ended."""
     begun = agent.call("ros2_navigate", to=FAR, timeout_sec=0)
     job = begun["job_id"]
@@ -27,7 +27,7 @@ def until_seen(agent: Agent, words: str) -> dict:
         return until(
             lambda: (
                 (now := agent.call("ros2_navigate", job_id=job, timeout_sec=0.5))
-                and words in str(now["health"])
+                and all(one in str(now["health"]) for one in words)
                 and now
             )
         )
@@ -47,20 +47,22 @@ def test_a_robot_that_is_commanded_and_does_not_move_is_told(nav_agent, nav2, na
 def test_the_polygon_that_holds_the_robot_is_told_while_it_drives(nav_agent, nav2, navigator) -> None:
     begun = nav_agent.call("ros2_navigate", to=FAR, timeout_sec=0)
     until(lambda: nav2.speed() > 0.1)
-    nav2.hold(polygon="PolygonStop")
-    until(
-        lambda: (
-            "holds the robot" in str(nav_agent.call("ros2_navigate", job_id=begun["job_id"], timeout_sec=0.5)["health"])
-        )
-    )
+
+    def is_told() -> bool:
+        """The monitor publishes its state once: again, for a watch that a busy machine delays."""
+        nav2.hold(polygon="")
+        nav2.hold(polygon="PolygonStop")
+        now = nav_agent.call("ros2_navigate", job_id=begun["job_id"], timeout_sec=0.5)
+        return "holds the robot" in str(now["health"])
+
+    until(is_told)
     nav2.hold(polygon="")
     nav_agent.call("ros2_stop")
 
 
 def test_a_recovery_and_a_longer_way_are_told_by_name(nav_agent, nav2, navigator) -> None:
     navigator.put(recovers=True, longer_m=3.0)
-    seen = until_seen(nav_agent, "Nav2 recovers: spin")
-    assert "became 3.0 m longer" in str(seen["health"])
+    seen = until_seen(nav_agent, "Nav2 recovers: spin", "became 3.0 m longer")
     assert seen["legs"][0]["recovered_by"] == "spin"
 
 

@@ -159,7 +159,7 @@ def _names(server: RawServer) -> list[str]:
 
 
 def _wait_for(server: RawServer, method: str) -> dict[str, Any]:
-    deadline = time.monotonic() + 20
+    deadline = time.monotonic() + 60
     while time.monotonic() < deadline:
         for line in server.lines():
             if line.get("method") == method:

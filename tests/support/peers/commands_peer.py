@@ -201,10 +201,11 @@ def actions(peer: Peer) -> None:
     _action(peer, "abort", _abort)
     _action(peer, "refuse_cancel", _count, cancel=CancelResponse.REJECT)
     _action(peer, "refuse_once", _until_refused, cancel=CancelResponse.REJECT)
+    _action(peer, "go_on", _go_on, cancel=CancelResponse.REJECT)
     _action(peer, "ignore_cancel", _ignore_cancel)
     _action(peer, "held", _held)
     _action(peer, "hesitate", _count, hesitation_s=1.0)
-    _action(peer, "burst", _burst)
+    _action(peer, "burst", _burst, feedback_pub_qos_profile=QoSProfile(depth=100))  # it forgets none itself
     _action(peer, "forget", _burst, result_timeout=1)
     _action(peer, "fatal", lambda _peer, _goal: os._exit(1))
 
@@ -353,6 +354,23 @@ def _count(peer: Peer, goal: Any) -> Fibonacci.Result:
         done.append(number)
         goal.publish_feedback(Fibonacci.Feedback(sequence=done))
         time.sleep(STEP_S)
+    goal.succeed()
+    return Fibonacci.Result(sequence=done)
+
+
+def _go_on(peer: Peer, goal: Any) -> Fibonacci.Result:
+    """Counts until it was asked to end, which is refused, and a second more: the refusal comes before the result."""
+    done: list[int] = []
+
+    def step() -> None:
+        done.append(len(done))
+        goal.publish_feedback(Fibonacci.Feedback(sequence=done))
+        time.sleep(STEP_S)
+
+    while not peer.counts["go_on cancel"] and len(done) < goal.request.order:
+        step()
+    for _ in range(20):
+        step()
     goal.succeed()
     return Fibonacci.Result(sequence=done)
 

@@ -55,8 +55,10 @@ class Navigator:
     def put(
         self, refuses: bool = False, longer_m: float = 0.0, recovers: bool = False, misses: tuple[float, ...] = ()
     ) -> None:
-        """Whether it refuses to cancel, how much longer its way becomes after a second, whether it spins then; the
-        goals (by their x) to which it finds no path."""
+        """Whether it refuses to cancel, how much longer its way becomes every other second, and then stays where it
+        is; whether it spins after a second, which it tells each second; the goals (by their x) to which it finds no
+        path. What is told again is for those who subscribe late.
+        """
         self._refuses, self._longer_m, self._recovers, self._misses = refuses, longer_m, recovers, list(misses)
 
     def goals(self) -> list[float]:
@@ -92,12 +94,13 @@ class Navigator:
                 self._wait(ended)
                 handle.canceled()
                 return NavigateToPose.Result()
-            if count == 10 and self._recovers:
+            if count % 10 == 0 and self._recovers:
                 self._tell("Spin", "IDLE", "RUNNING")
+            if count == 10 and self._recovers:
                 self._spin.send_goal_async(Spin.Goal(target_yaw=4.0))
             feedback = NavigateToPose.Feedback(number_of_recoveries=int(self._recovers and count > 10))
-            left_m -= 0.3 * STEP_S
-            feedback.distance_remaining = max(0.0, left_m) + (self._longer_m if count > 10 else 0.0)
+            left_m -= 0.0 if self._longer_m else 0.3 * STEP_S
+            feedback.distance_remaining = max(0.0, left_m) + (self._longer_m if count // 10 % 2 else 0.0)
             handle.publish_feedback(feedback)
         handle.succeed()
         return NavigateToPose.Result()

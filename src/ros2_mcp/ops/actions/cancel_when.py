@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import re
+from contextlib import suppress
+from dataclasses import replace
 
 import anyio
 
@@ -23,6 +25,8 @@ _BEGUN_POLL_S = 0.01
 milliseconds; the goal is not sent before."""
 _BEGUN_S = 10.0
 """Time for the bridge to load the type of a topic: mostly milliseconds, a second if its package is large."""
+_ACCEPTED_S = 10.0
+"""Time for a server to accept the goal, if the condition was met before: as long as the call waits for that."""
 
 
 class ConditionalCancel(Job):
@@ -61,13 +65,24 @@ class ConditionalCancel(Job):
 
     async def _ask(self) -> None:
         try:
-            self.met = await self._robot.cancel_when(self.asked, self.id)
+            met = self.met = await self._robot.cancel_when(self.asked, self.id)
         except RobotError as error:
             if not self.has_begun:
                 raise
             self.problem = str(error)
             if goal := self._robot.jobs.get(Goal, self.asked.goal_id):
                 await goal.request_cancel(CANCELLED_S)  # the condition is no longer evaluated
+            return
+        if met.is_unknown:  # met before the server accepted the goal, which would go on
+            await self._ask_again(met)
+
+    async def _ask_again(self, met: WhenMet) -> None:
+        """Request the cancellation until the server has accepted the goal."""
+        while not (goal := self._robot.jobs.get(Goal, self.asked.goal_id)):
+            await asyncio.sleep(_BEGUN_POLL_S)
+        with suppress(RobotError):  # then the note says that it was not cancelled
+            response = await goal.request_cancel(_ACCEPTED_S)
+            self.met = replace(met, was_taken=bool(response["goals_canceling"]))
 
     def note(self) -> str:
         """Return whether the condition cancelled the goal, as a sentence; empty if it was not met."""
