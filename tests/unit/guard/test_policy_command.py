@@ -139,7 +139,7 @@ def test_a_table_is_asked_row_by_row(folder: Path, capsys: pytest.CaptureFixture
         ("publsh,/x,,,,,,allow,", "publish"),
         ("publish,/x,,,,,,maybe,", "maybe"),
         ("publish,/x,,,,,,allow,", "No type is given"),
-        (f"publish,/x,{TWIST},{{,,,,allow,", "Column value is no JSON"),
+        (f"publish,/x,{TWIST},{{,,,,allow,", "Column value is not JSON"),
         ("transition,/x,,activate,,,,allow,", "A string needs quotes"),
         (f"publish,/x,{TWIST},,,,7,allow,", "Column facts is not a JSON object"),
         (f"publish,/x,{TWIST},,fast,,,allow,", "Column rate_hz is not a number: 'fast'"),

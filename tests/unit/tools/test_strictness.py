@@ -39,9 +39,9 @@ async def test_a_text_is_no_number_where_the_tool_acts(text: str) -> None:
     said = await refusal("ros2_topic_publish", **TWIST, data=GO, frequency=text, duration=1)
     assert said.startswith("BadInput: frequency: a string is given, a number is expected.")
     several = [{**TWIST, "data": GO}, {**TWIST, "data": GO, "duration": text}]
-    assert "topics[1].duration: a text" in await refusal("ros2_publish_multiple_topics", topics=several)
+    assert "topics[1].duration: a string" in await refusal("ros2_publish_multiple_topics", topics=several)
     relay = {"source_topic": "/a", "destination_topic": "/b", "tolerances": {"x": text}}
-    assert "tolerances.x: a text" in await refusal("ros2_relay_start", **relay)
+    assert "tolerances.x: a string" in await refusal("ros2_relay_start", **relay)
 
 
 async def test_an_id_that_is_none_is_refused_beside_cancel_all() -> None:
