@@ -52,7 +52,11 @@ class CollisionMonitor(Managed, LifecyclePart):
         self._states = self.create_publisher(state_type, "collision_monitor_state", 10)
         self._held = None
         self.create_subscription(Twist, "cmd_vel_smoothed", self._pass_on, 10)
-        self.create_subscription(LaserScan, "scan", lambda _: None, qos_profile_sensor_data)
+        self._scanned_at = -math.inf
+        self.create_subscription(LaserScan, "scan", self._see, qos_profile_sensor_data)
+
+    def _see(self, _):
+        self._scanned_at = time.monotonic()
 
     def publish_on(self, topic):
         """Publish the commands on another topic."""
@@ -78,7 +82,7 @@ class CollisionMonitor(Managed, LifecyclePart):
         if len(self.setting("observation_sources")) > 1:
             return "invalid source"
         ranges = self.robot.ranges
-        if ranges is None:
+        if ranges is None or time.monotonic() - self._scanned_at > self.setting("source_timeout"):
             return "invalid source"
         corners = np.array(json.loads(self.setting("PolygonStop.points")))
         angles = -math.pi + np.arange(len(ranges)) * (2 * math.pi / len(ranges))

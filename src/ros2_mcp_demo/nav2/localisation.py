@@ -122,7 +122,7 @@ class Amcl(Managed, LifecyclePart):
     def __init__(self, robot, namespace, **parameters):
         super().__init__("amcl", robot, namespace)
         declare(self, parameters)
-        self.is_told = True
+        self.is_told = self.setting("set_initial_pose")
         self.off = (0.0, 0.0, 0.0)
         self.deviation_m = 0.0
         self._random = random.Random(3)

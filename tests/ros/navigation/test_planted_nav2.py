@@ -201,7 +201,7 @@ def test_a_dead_server_is_one_finding_of_the_health_check(agent: Agent) -> None:
 @pytest.mark.parametrize(
     ("fault", "to", "cause"),
     [
-        ("12 no initial pose", None, "/amcl was never told where the robot is"),
+        ("12 no initial pose", None, "/amcl does not know where the robot is"),
         ("32 unknown space", {"x": 5.4, "y": 0.5}, "lies in unknown space, and the planner may not enter it"),
     ],
 )

@@ -73,7 +73,8 @@ class Heard:
 
     `messages` are (time of receipt in ns, message, number of the publisher; 0 if unknown); of scans and poses only the
     first and last ones may be decoded. `count` is the number received. `kept` are messages that were sent before the
-    subscription, to late subscribers. `ages_s` are receipt minus stamp for messages with a header.
+    subscription, to late subscribers. `ages_s` are receipt minus stamp for messages with a header. `longest_gap_s` is
+    the longest time without a message.
     """
 
     topic: str
@@ -85,6 +86,7 @@ class Heard:
     kept: Sequence[Any] = ()
     ages_s: Sequence[float] = ()
     frame_id: str = ""
+    longest_gap_s: float = 0.0
 
     @property
     def newest(self) -> Any:

@@ -149,7 +149,7 @@ def _request(is_turn: bool) -> DriveRequest:
 
 def _ended(driven: Driven) -> str:
     """Say how a motion ended that neither came to its end nor used up its time; wrong odometry explains such an end."""
-    return "" if driven.outcome in ("reached", "time_out", "missed") else driven.summary()
+    return "" if driven.outcome in ("reached", "timeout", "missed") else driven.summary()
 
 
 def _judged(probes: Sequence[Probe], note: str) -> NavProbed:

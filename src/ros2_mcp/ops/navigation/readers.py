@@ -9,6 +9,7 @@ import asyncio
 import logging
 from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from time import monotonic
 from typing import Any
 
@@ -51,6 +52,9 @@ from ros2_mcp.values.writers import Writers
 LISTENED_S = 2.0
 """A slow laser scans five times a second and AMCL publishes its transform ten times: a stalled one shows within this
 time."""
+_SLOW_S = 2.5
+"""Additional time for scans of which only one came: together long enough to show a period of more than 2 s, the usual
+time-out of a collision monitor's source."""
 _GIVEN_UP_S = 8.0
 """For a part as a whole. On a quiet machine all are there within three seconds; on a busy one a late answer is better
 than none."""
@@ -111,6 +115,8 @@ async def read_evidence(
             missed[need] = str(error).splitlines()[0]
 
     await asyncio.gather(*(made(need) for need in needs if need in makers))
+    # Endpoints may be discovered seconds after their nodes: what is missing counts only if it is still missing now.
+    graph = replace(graph, topics=(await source.graph()).topics)
     if frames := found.get("frames"):  # the tree was updated while other parts were read
         found["frames"] = replace(frames, at_ns=robot.now_ns())
     goal = await _goal(robot, target, found.get("grids")) if target else None
@@ -151,13 +157,29 @@ async def _heard(robot: Robot, graph: GraphSnapshot) -> Mapping[str, Heard]:
         source.captures(whole, _Kept), source.captures(stamps, _Kept, times_only=True)
     )
     heard: dict[str, Heard] = {}
+    slow = [one for one in in_full if isinstance(one, Capture) and one.type == SCAN and len(one.kept.new) == 1]
+    again = await Live(robot).lasting(_SLOW_S).captures([one.topic for one in slow], _Kept) if slow else ()
+    later = {one.topic: one for one in again if isinstance(one, Capture)}
     for one in in_full:
         if isinstance(one, Capture):
-            heard[one.topic] = await asyncio.to_thread(_decoded, one)
+            heard[one.topic] = await asyncio.to_thread(_decoded, _joined(one, later.get(one.topic)))
     for one in times:
         if isinstance(one, Capture):
             heard[one.topic] = _as_heard(one)
     return heard
+
+
+def _joined(one: Capture[_Kept], later: Capture[_Kept] | None) -> Capture[_Kept]:
+    """Return a capture that goes on until the end of a later one of the same topic."""
+    if later is None:
+        return one
+    one.kept.new += later.kept.new
+    return replace(one, end_ns=later.end_ns, received=one.received + later.received)
+
+
+def _longest_gap_s(capture: Capture[_Kept]) -> float:
+    times = [capture.start_ns, *(sample.received_ns for sample, _ in capture.kept.new), capture.end_ns]
+    return max(after - before for before, after in pairwise(times)) / 1e9
 
 
 def _of_types(graph: GraphSnapshot, *types: str) -> list[str]:
@@ -189,6 +211,7 @@ def _as_heard(
         kept=kept,
         ages_s=[(received_ns - stamp_ns) / 1e9 for received_ns, stamp_ns in stamps if stamp_ns],
         frame_id=str(header.frame_id).lstrip("/") if header else "",
+        longest_gap_s=_longest_gap_s(capture),
     )
 
 

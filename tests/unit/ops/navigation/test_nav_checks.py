@@ -264,7 +264,7 @@ def test_amcl_that_was_never_told_waits_and_no_localiser_is_another_cause() -> N
     the_map = topic("/map", GRID, ["/map_server"], ["/amcl"], durability="transient_local")
     well = {**SCANS, **ODOMS}
     amcl = found(*READ, the_map, states={}, log=(), **parts_of(lost, well, amcl={"set_initial_pose": False}))
-    assert "/amcl was never told where the robot is" in amcl[0].cause
+    assert "/amcl does not know where the robot is" in amcl[0].cause
     without = topic("/scan", SCAN, ["/lidar"], ["/local_costmap/local_costmap"])
     none = found(without, READ[1], states={}, log=(), **parts_of(lost, well))
     assert "No localiser runs" in none[0].cause

@@ -11,13 +11,14 @@ import numpy as np
 
 from ros2_mcp.ops.navigation.check import judged
 from ros2_mcp.ops.navigation.checks import nav_findings_in
-from ros2_mcp.ops.navigation.evidence import Grids, States
+from ros2_mcp.ops.navigation.evidence import Grids, Heard, States
 from ros2_mcp.ops.space.tellers import Publishers, Tellers
 from support.made_navigation import (
     ACTIVE,
     GRID,
     ODOMETRY,
     ODOMS,
+    POSE,
     READ,
     SCAN,
     SERVERS,
@@ -214,3 +215,30 @@ def test_odometry_that_comes_late_while_its_transform_with_the_same_stamp_is_in_
 
     assert causes(stamp_ns) == []
     assert "The stamps of /odom are 1.40 s behind" in causes(stamp_ns - 1_450_000_000)[0]
+
+
+def test_amcl_without_a_transform_is_a_cause_whether_its_last_pose_is_old_or_new() -> None:
+    comes = {**ODOMS, **heard("/scan", SCAN, ["/lidar"], [scan([2.0] * 60)] * 5, frame_id="laser")}
+    lost = frames(("odom", "base_link", 0.05), static=[("base_link", "laser")])
+    rows: dict[str, Any] = {"states": {}, "log": ()}
+
+    def cause(poses: dict[str, Heard], **amcl: Any) -> str:
+        return found(*READ, THE_MAP, **rows, **parts_of(lost, {**comes, **poses}, amcl=amcl))[0].cause
+
+    before = heard("/amcl_pose", POSE, ["/amcl"], kept=[SimpleNamespace()])
+    assert "does not know where the robot is: it waits" in cause(before, set_initial_pose=False)
+    assert "does not localise the robot now" in cause(before, set_initial_pose=True)
+    now = heard("/amcl_pose", POSE, ["/amcl"], [SimpleNamespace(pose=SimpleNamespace(covariance=[0.04] * 36))] * 5)
+    assert "publishes the robot's pose, but not the transform map → odom" in cause(now, tf_broadcast=False)
+
+
+def test_a_source_that_comes_more_seldom_than_the_monitor_waits_is_told() -> None:
+    monitor = {"observation_sources": ["scan"], "scan.topic": "/scan", "source_timeout": 2.0}
+
+    def causes(gap_s: float) -> list[str]:
+        slow = heard("/scan", SCAN, ["/lidar"], [scan([2.0] * 60)] * 2, frame_id="laser", longest_gap_s=gap_s)
+        rows = parts_of(WELL, {**slow, **ODOMS}, collision_monitor=monitor)
+        return [one.cause for one in found(*READ, nodes=["/collision_monitor"], **rows)]
+
+    assert causes(1.9) == []
+    assert causes(3.4) == ["/collision_monitor stops the robot again and again: its source scan comes too seldom."]

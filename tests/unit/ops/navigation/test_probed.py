@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from ros2_mcp.ops.navigation.checks.probed import CHECK
 from ros2_mcp.ops.navigation.evidence import Motion, NavEvidence, NavFinding, Probe
@@ -61,6 +62,13 @@ def test_odometry_that_turns_the_wrong_way_is_told_from_wheels_that_are_exchange
     seen = only(turn(-30, -30, -30)).cause
     assert "turns against its commands" in seen and "does not see" not in seen
     assert "Odometry turns the wrong way" in only(turn(-30, None, 31)).cause
+
+
+def test_of_odometries_that_contradict_each_other_the_wrong_one_is_named_and_its_drive_is_not_judged() -> None:
+    both = turn(-30, 30, 30)
+    several = replace(both, odometry={**both.odometry, "/wheel/odom_raw": Motion(0.0, 0.0, math.radians(30))})
+    assert "Odometry turns the wrong way: /odom, /wheel/odom." in only(several).cause
+    assert "turns the wrong way" in only(drive(-0.2, 0.2), several).cause
 
 
 def test_motors_whose_signs_are_wrong_are_no_turned_lidar() -> None:

@@ -77,6 +77,11 @@ def _sources(
         elif limit_s and heard and heard.ages_s and min(heard.ages_s) > limit_s:
             cause = f"{named(node)} holds the robot: its source {named(source)} is older than it allows."
             proof = f"{named(topic)} is {min(heard.ages_s):.2f} s old when it comes; source_timeout is {limit_s:g} s."
+        elif limit_s and heard and heard.count and heard.longest_gap_s > limit_s:
+            cause = f"{named(node)} stops the robot again and again: its source {named(source)} comes too seldom."
+            proof = (
+                f"On {named(topic)}, no message came for {heard.longest_gap_s:.1f} s; source_timeout is {limit_s:g} s."
+            )
         else:
             continue
         yield NavFinding(

@@ -48,13 +48,21 @@ def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
 
 def _waits(evidence: NavEvidence, amcl: str, *, was_told: bool) -> Iterator[NavFinding]:
     poses = [one for one in evidence.of(POSE) if amcl in one.nodes]
-    if any(one.newest is not None for one in poses):
+    if any(one.count for one in poses):
+        if not was_told:
+            yield _untold(evidence, amcl)
         return
+    had_pose = any(one.kept for one in poses)
+    if was_told and had_pose:
+        return  # the check of the frames reports how old its transform is
     said = evidence.lines("initial pose", "amcl")
     asks = evidence.value(amcl, "set_initial_pose")
     map_there = any(topic.publishers for topic in evidence.topics(GRID))
     heard = [one for one in (evidence.heard or {}).values() if one.type.endswith("LaserScan") and one.count]
-    proof = [f"It is active, {listed([one.topic for one in heard], 2)} comes, and it tells no pose and no transform."]
+    scans = listed([one.topic for one in heard], 2)
+    proof = [f"It is active, {scans} comes, and it publishes no pose and no transform."]
+    if had_pose:
+        proof.append("Its last pose was published before.")
     if asks is not None:
         proof.append(f"set_initial_pose is {str(asks).lower()}.")
     if said:
@@ -62,13 +70,29 @@ def _waits(evidence: NavEvidence, amcl: str, *, was_told: bool) -> Iterator[NavF
     if not heard or not map_there:
         return  # it waits for a scan or a map, which is told of these
     if was_told and asks is not False and not said:
-        return  # it told a place before: that it was started again, and waits, has no proof
+        return  # it published a pose before: that it was started again, and waits, has no proof
+    waits = asks is False or said or not had_pose
     yield NavFinding(
         rank="stops everything",
         subject=_EDGE,
-        cause=f"{named(amcl)} was never told where the robot is: it waits for /initialpose.",
+        cause=f"{named(amcl)} does not know where the robot is: it waits for /initialpose."
+        if waits
+        else f"{named(amcl)} does not localise the robot now; it may have been reset, and wait for /initialpose.",
         proof=" ".join(proof),
         remedy="Publish the robot's pose on /initialpose (ros2_topic_publish), or set set_initial_pose to true.",
+        covers=(_EDGE,),
+    )
+
+
+def _untold(evidence: NavEvidence, amcl: str) -> NavFinding:
+    """Return the finding that AMCL publishes poses, and no transform."""
+    is_off = evidence.value(amcl, "tf_broadcast") is False
+    return NavFinding(
+        rank="stops everything",
+        subject=_EDGE,
+        cause=f"{named(amcl)} publishes the robot's pose, but not the transform {_EDGE}.",
+        proof="tf_broadcast is false." if is_off else "Poses came from it, and no such transform on /tf.",
+        remedy="Set tf_broadcast to true." if is_off else "Check that its /tf is not remapped.",
         covers=(_EDGE,),
     )
 

@@ -38,7 +38,12 @@ class _Seen:
 def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
     probes = evidence.probes or ()
     against = any(one.is_turn and _turns_against(one) for one in probes)
-    found = [finding for one in probes for finding in (_turn(one) if one.is_turn else _drive(one, against=against))]
+    misled = any(one.is_turn and _is_misled(one) for one in probes)
+    found = [
+        finding
+        for one in probes
+        for finding in (_turn(one) if one.is_turn else _drive(one, against=against, misled=misled))
+    ]
     yield from sorted(found, key=lambda finding: finding.rank != "stops everything")
 
 
@@ -77,9 +82,23 @@ def _turns_against(probe: Probe) -> bool:
     return truth is not None and abs(truth) >= _LEAST_RAD and truth * probe.commanded < 0
 
 
+def _odometry_turning(probe: Probe, truth: float) -> _Seen | None:
+    """Return the angle by odometry; if several contradict each other, by those that contradict the truth."""
+    values = {topic: one.turned_rad for topic, one in probe.odometry.items()}
+    return _mean(values) or _mean({topic: value for topic, value in values.items() if value * truth < 0})
+
+
+def _is_misled(probe: Probe) -> bool:
+    """Whether an odometry turns the wrong way: the direction of what it says the robot drove is wrong, too."""
+    truth = _truth(probe)
+    odometry = None if truth is None else _odometry_turning(probe, truth)
+    return bool(truth and odometry and abs(truth) >= _LEAST_RAD and odometry.value * truth < 0)
+
+
 def _turn(probe: Probe) -> Iterator[NavFinding]:
-    odometry, gyro, laser = _seen_turning(probe)
+    _, gyro, laser = _seen_turning(probe)
     truth, proof = _truth(probe), in_words(probe)
+    odometry = None if truth is None else _odometry_turning(probe, truth)
     if truth is None or odometry is None:
         return
     yield from _mounted(probe, odometry, gyro, laser)
@@ -130,8 +149,9 @@ def _mounted(probe: Probe, odometry: _Seen, gyro: _Seen | None, laser: _Seen | N
 # ── driving ahead ──────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def _drive(probe: Probe, *, against: bool) -> Iterator[NavFinding]:
-    """Judge a drive; `against`: the robot turns against its commands, and so may drive against them, too."""
+def _drive(probe: Probe, *, against: bool, misled: bool) -> Iterator[NavFinding]:
+    """Judge a drive; `against`: the robot turns against its commands, and so may drive against them, too; `misled`:
+    odometry turns the wrong way, and so drives in a wrong direction, too."""
     odometry = _mean({topic: one.ahead_m for topic, one in probe.odometry.items()})
     if odometry is None:
         return
@@ -141,15 +161,15 @@ def _drive(probe: Probe, *, against: bool) -> Iterator[NavFinding]:
         if stood := _stood(probe, odometry, away_m, _LEAST_M):
             yield stood
         elif away_m >= _LEAST_M:
-            yield from _driven(probe, odometry, topic, away_m, way, proof, against=against)
+            yield from _driven(probe, odometry, topic, away_m, way, proof, against=against, misled=misled)
         return
 
 
 def _driven(
-    probe: Probe, odometry: _Seen, topic: str, away_m: float, way: float, proof: str, *, against: bool
+    probe: Probe, odometry: _Seen, topic: str, away_m: float, way: float, proof: str, *, against: bool, misled: bool
 ) -> Iterator[NavFinding]:
     is_back = abs(way) > _BACK_RAD
-    is_wrong = odometry.value * probe.commanded < 0
+    is_wrong = not misled and odometry.value * probe.commanded < 0
     if is_back and (against or is_wrong):
         unseen = "" if is_wrong else ", and odometry does not see it"
         yield _finding(
@@ -177,7 +197,7 @@ def _driven(
             proof=proof,
             remedy=f"Add {-off_deg:.0f}° to the yaw of its joint in the URDF (or of its static transform).",
         )
-    else:
+    elif not misled:
         yield from _scale(odometry, math.copysign(away_m, probe.commanded), proof, "drives", "wheel_radius")
 
 
