@@ -71,6 +71,12 @@ def test_of_odometries_that_contradict_each_other_the_wrong_one_is_named_and_its
     assert "turns the wrong way" in only(drive(-0.2, 0.2), several).cause
 
 
+def test_only_the_odometries_that_miscount_are_named_with_their_own_share() -> None:
+    half = drive(0.1, 0.2)
+    finding = only(replace(half, odometry={**half.odometry, "/wheel/odom_raw": Motion(0.2, 0, 0)}))
+    assert "Odometry counts 0.50 of what the robot drives: /odom." in finding.cause
+
+
 def test_motors_whose_signs_are_wrong_are_no_turned_lidar() -> None:
     causes = [one.cause for one in found(drive(0.2, 0.2, 179), turn(30, -30, -30))]
     assert len(causes) == 2 and not any("lidar" in cause for cause in causes)

@@ -127,7 +127,8 @@ def _turn(probe: Probe) -> Iterator[NavFinding]:
             "Exchange the wheels' encoders, or their signs, in the base's driver; the commands are right.",
         )
     else:
-        yield from _scale(odometry, truth, proof, "turns", "wheel_separation (or its multiplier)")
+        turned = {topic: one.turned_rad for topic, one in probe.odometry.items()}
+        yield from _scale(turned, truth, proof, "turns", "wheel_separation (or its multiplier)")
 
 
 def _mounted(probe: Probe, odometry: _Seen, gyro: _Seen | None, laser: _Seen | None) -> Iterator[NavFinding]:
@@ -198,7 +199,8 @@ def _driven(
             remedy=f"Add {-off_deg:.0f}° to the yaw of its joint in the URDF (or of its static transform).",
         )
     elif not misled:
-        yield from _scale(odometry, math.copysign(away_m, probe.commanded), proof, "drives", "wheel_radius")
+        ahead = {topic: one.ahead_m for topic, one in probe.odometry.items()}
+        yield from _scale(ahead, math.copysign(away_m, probe.commanded), proof, "drives", "wheel_radius")
 
 
 # ── both ───────────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -223,14 +225,15 @@ def _stood(probe: Probe, odometry: _Seen, truth: float, least: float) -> NavFind
     return _finding("stops everything", odometry, cause, in_words(probe), remedy)
 
 
-def _scale(odometry: _Seen, truth: float, proof: str, verb: str, setting: str) -> Iterator[NavFinding]:
-    share = odometry.value / truth
-    if _LOW <= share <= _HIGH:
+def _scale(values: Mapping[str, float], truth: float, proof: str, verb: str, setting: str) -> Iterator[NavFinding]:
+    """Find odometries, by topic, that count more or less than was moved."""
+    off = _mean({topic: value for topic, value in values.items() if not _LOW <= value / truth <= _HIGH})
+    if off is None:
         return
     yield _finding(
         "stops some goals",
-        odometry,
-        f"Odometry counts {share:.2f} of what the robot {verb}: {listed(odometry.topics, _MOST_NAMES)}.",
+        off,
+        f"Odometry counts {off.value / truth:.2f} of what the robot {verb}: {listed(off.topics, _MOST_NAMES)}.",
         proof,
         f"Correct {setting} of the base's driver by that factor; odom → base and the map drift apart meanwhile.",
     )
