@@ -40,6 +40,9 @@ _GIVEN_UP_S = 6.0
 """Time-out for a whole part: the check itself measures for three seconds."""
 _PART_READ_S = 5.5
 """Time-out for the nodes of a part: answers up to then are judged, and the other nodes are named."""
+_NEVER_SPUN = "_rclcpp_node"
+"""The end of the names of nodes inside Nav2's servers that never answer: their executor runs only while the server
+waits for another one."""
 _MOST_NAMED = 5
 """The most nodes without an answer named in one note."""
 _NOT_SEEN: Mapping[Need, str] = {
@@ -147,6 +150,7 @@ async def _navigation(robot: Robot, graph: GraphSnapshot) -> Sequence[NavFinding
 def _nodes(graph: GraphSnapshot, *, once: bool = False) -> list[str]:
     """Return the robot's nodes; `once`: without names shared by several nodes, as any of these may answer."""
     nodes = [node for node in graph.nodes or () if is_of_robot(node) and node != names.UNKNOWN_NODE]
+    nodes = [node for node in nodes if not node.endswith(_NEVER_SPUN)]
     return [node for node in dict.fromkeys(nodes) if not once or nodes.count(node) == 1]
 
 
