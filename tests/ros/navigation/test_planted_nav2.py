@@ -25,7 +25,7 @@ CAUSES = {
     "11 no odometry transform": "no node publishes the transform from odom to the base",
     "14 frame name": "base_footprint, which no transform has; there is base_link",
     "15 topic in a namespace": "/local_costmap/scan, which has no publisher; the LaserScan is on /scan",
-    "17 parameters not applied": "never applied to /local_costmap/local_costmap",
+    "17 parameters not applied": "/local_costmap/local_costmap has only default values",
     "18 old plugin name": "/planner_server is unconfigured since it failed to come up; the 6 others only wait",
     "19 never comes": "waits for /route_server, which does not run",
     "20 bond lost": r"down since \d+ s: /bt_navigator missed its heartbeat, and lives; .* took 6 others down",

@@ -26,6 +26,7 @@ _VERDICTS: dict[str, Verdict] = {
     "stops some goals": "SOME GOALS FAIL",
     "makes it worse": "IMPAIRED",
 }
+_ONLY_MOTION_SHOWS = "Only a motion shows how the lidar is turned and how odometry counts (ros2_nav_probe), and rates."
 _MOST = 8
 """Number of findings that are reported in full; a user with more begins with the first of them."""
 
@@ -54,6 +55,8 @@ class NavChecked:
         for number, one in enumerate(self.findings, 1):
             lines.append(f"{number}. {one.rank}: {one.cause} Proof: {one.proof} Remedy: {one.remedy}")
         lines.append(" ".join([f"{self.servers}.", *(f"{line}." for line in self.seen)]))
+        if not self.findings:
+            lines.append(_ONLY_MOTION_SHOWS)
         if self.unread and self.verdict != "NOT KNOWN":
             lines.append(f"{missing[:1].upper()}{missing[1:]}.")
         if self.not_checked:
@@ -131,7 +134,7 @@ def _seen(evidence: NavEvidence) -> list[str]:
     if chain.nodes:
         lines.append(f"Commands: {' → '.join(named(node) for node in chain.nodes[:6])}")
     if (deviation := deviation_m(evidence)) is not None:
-        lines.append(f"Localisation's own deviation: {deviation:.2f} m")
+        lines.append(f"Standard deviation of the position by localisation: {deviation:.2f} m")
     if evidence.parameters is not None:
         lines.append(f"Parameters of {counted(len(evidence.parameters), 'node')} read")
     return lines

@@ -29,6 +29,8 @@ _IDLE_S = 4.0
 once."""
 _LONGER_M, _LONGER_SHARE, _LONGER_S = 0.8, 0.15, 15.0
 """A path that becomes this much longer at once leads around an obstacle; this is reported for `_LONGER_S`."""
+_PLANNED_S = 3.0
+"""Until then a longer path is the first one, after an estimate."""
 _PROGRESS_M, _NEARER_M = 0.5, 0.1
 """Nav2's own progress checker asks for 0.5 m; the remaining length of the path shows smaller progress."""
 _RATE_S, _RATE_KEPT_S = 3.0, 5.0
@@ -159,7 +161,11 @@ class DriveWatch:
         if left_m <= 0.0:
             return
         longer = left_m - self._remaining
-        if math.isfinite(longer) and longer > max(_LONGER_M, _LONGER_SHARE * self._remaining):
+        if (
+            math.isfinite(longer)
+            and now - self.began_at > _PLANNED_S
+            and longer > max(_LONGER_M, _LONGER_SHARE * self._remaining)
+        ):
             self._longer = (longer, now)
         self._remaining = left_m
         if left_m < self._nearest - _NEARER_M:

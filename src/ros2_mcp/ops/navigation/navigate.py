@@ -396,7 +396,7 @@ class Navigation(Job):
             if not result.get("error_code") and (other := await self._replaced_by()):
                 self._note(note=f"Another goal, from this or another client, replaced it. {other}")
                 return
-            self._doing = "it failed: looking for the cause"
+            self._doing = "The goal failed; its cause is not found yet."
             failure = Failure(False, int(result.get("error_code", 0)), str(result.get("error_msg", "")))
             self.explanation = await explain(self._robot, self.action, target, failure, took_s)
             self._is_missed = True
@@ -473,6 +473,8 @@ class Navigation(Job):
             note = f"{self.pausing.hold.sentence} ros2_nav_pause(resume=true) resumes it; ros2_stop ends it."
         elif outcome == "under way":
             note = f'The robot is still under way: wait with {self.tool}(job_id="{self.id}"); ros2_stop ends it.'
+            if self.legs[self.now].outcome == "failed":
+                note = f'Ask for it with {self.tool}(job_id="{self.id}").'
             note = f"{self._doing} {note}".lstrip()
         elif outcome == "canceled" and self.stop_reason:
             note = ended_by(self.stop_reason)

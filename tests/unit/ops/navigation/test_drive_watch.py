@@ -134,7 +134,10 @@ def test_recoveries_are_named_while_they_run_and_counted() -> None:
 
 def test_a_way_that_became_longer_at_once_is_told_for_a_while() -> None:
     watch = DriveWatch(began_at=0.0)
-    now = driving(2, watch, speed=0.3)
+    watch.remaining(1.0, 1.0)
+    watch.remaining(4.0, 1.5)  # the first path, after an estimate
+    now = driving(4, watch, speed=0.3)
+    assert "longer" not in watch.sees(now)
     watch.remaining(4.0, now)
     watch.remaining(6.5, now + 1)
     assert "2.5 m longer" in watch.sees(now + 2)

@@ -15,6 +15,7 @@ from ros2_mcp.ops.navigation.evidence import Grids, Heard, States
 from ros2_mcp.ops.space.tellers import Publishers, Tellers
 from support.made_navigation import (
     ACTIVE,
+    CHAIN,
     GRID,
     ODOMETRY,
     ODOMS,
@@ -22,16 +23,20 @@ from support.made_navigation import (
     READ,
     SCAN,
     SERVERS,
+    TWIST,
     WELL,
+    both,
     found,
     frames,
     grid,
     heard,
+    made,
     odometry,
     parts_of,
     room,
     scan,
     topic,
+    twist,
 )
 
 from .test_verdict import whole
@@ -242,3 +247,41 @@ def test_a_source_that_comes_more_seldom_than_the_monitor_waits_is_told() -> Non
 
     assert causes(1.9) == []
     assert causes(3.4) == ["/collision_monitor stops the robot again and again: its source scan comes too seldom."]
+
+
+def test_a_base_with_two_parents_is_not_also_one_without_odometry() -> None:
+    two = frames(("map", "odom", 0.05), ("odom", "base_link", 0.05), ("base_footprint", "base_link", 0.05))
+    rows = parts_of(two, ODOMS)
+    subjects = [one.cause for one in found(*READ, **rows)]
+    assert len(subjects) == 1 and "has two parents" in subjects[0]
+
+
+def test_a_scan_in_an_unknown_frame_is_told_the_frame_of_the_sensor_and_never_that_of_the_base() -> None:
+    lidar = frames(("map", "odom", 0.05), ("odom", "base_link", 0.05), static=[("base_link", "laser")])
+    named = heard("/scan", SCAN, ["/lidar"], [scan([2.0] * 60, "base_scan")] * 5, frame_id="base_scan")
+    (finding,) = found(*READ, **parts_of(lidar, {**named, **ODOMS}))
+    assert finding.remedy == "Set the driver's frame_id to laser."
+
+
+def test_zeros_of_another_node_explain_that_the_robot_stands_and_no_base_is_blamed() -> None:
+    drives = heard("/cmd_vel_smoothed", TWIST, ["/velocity_smoother"], [twist(0.3)] * 20)
+    both_send = heard("/cmd_vel", TWIST, ["/collision_monitor", "/joystick"], [*[twist(0.3)] * 10, *[twist()] * 30])
+    rows_of = [
+        (at, message, 1 if number < 10 else 2) for number, (at, message, _) in enumerate(both_send["/cmd_vel"].messages)
+    ]
+    zeros = {"/cmd_vel": replace(both_send["/cmd_vel"], messages=rows_of)}
+    stands = heard("/odom", ODOMETRY, ["/base"], [odometry()] * 20)
+    rival = both("/cmd_vel", topic(*CHAIN[2]), topic("/cmd_vel", TWIST, ["/joystick"], []))
+    rows: dict[str, Any] = {"parameters": {}, "diagnostics": ()}
+    causes = [one.cause for one in found(*made(*CHAIN[:2]), rival, heard={**drives, **zeros, **stands}, **rows)]
+    assert causes == ["/joystick sends zeros on /cmd_vel over Nav2's commands."]
+
+
+def test_a_node_on_another_time_explains_that_its_scan_is_old() -> None:
+    old = heard("/scan", SCAN, ["/lidar"], [scan([2.0] * 60)] * 9, frame_id="laser", ages_s=[1.7e9] * 9)
+    monitor = {"observation_sources": ["scan"], "scan.topic": "/scan", "use_sim_time": False}
+    link = topic("/scan", SCAN, ["/lidar"], ["/collision_monitor"])
+    clock = topic("/clock", "rosgraph_msgs/msg/Clock", ["/player"], ["/lidar"])
+    nodes = {"lidar": {"use_sim_time": True}, "amcl": {"use_sim_time": False}, "collision_monitor": monitor}
+    causes = [one.cause for one in found(link, clock, **parts_of(WELL, {**old, **ODOMS}, **nodes))]
+    assert causes == ["/lidar runs on simulated time, the others do not."]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import TYPE_CHECKING
 
 from ros2_mcp.model.text import listed, named
@@ -24,7 +24,7 @@ _MOST_TOLERANCE_S = 2.5
 _LEAST, _LEAST_MESSAGES = 3, 8
 """Least number of transforms, and of messages of a topic: on a loaded machine a few may all be late."""
 _MOST_NAMES = 6
-_SYNC = "Synchronise the clocks of the robot's computers (chrony or NTP); if they agree, its driver stamps late."
+_SYNC = "Synchronise the clocks of the robot's computers (chrony or NTP); if they agree, its driver's stamps are"
 
 
 def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
@@ -47,7 +47,7 @@ def _simulated(evidence: NavEvidence) -> Iterator[NavFinding]:
             "which stands still: /clock has no publisher.",
             proof=f"use_sim_time is true at {listed(simulated, _MOST_NAMES)}, and false at {len(by_wall)} others.",
             remedy="Set use_sim_time to false on a real robot, or start what publishes /clock.",
-            covers=("map → odom", "odom → base"),
+            covers=("map → odom", "odom → base", *_published_by(evidence, simulated)),
         )
     elif simulated and by_wall:
         fewer, more = sorted((by_wall, simulated), key=len)
@@ -59,8 +59,13 @@ def _simulated(evidence: NavEvidence) -> Iterator[NavFinding]:
             proof=f"use_sim_time is {str(fewer is simulated).lower()} there, and {str(more is simulated).lower()} at "
             f"{len(more)} nodes.",
             remedy="Give all nodes the same use_sim_time, and start them again.",
-            covers=("map → odom", "odom → base"),
+            covers=("map → odom", "odom → base", *_published_by(evidence, fewer)),
         )
+
+
+def _published_by(evidence: NavEvidence, nodes: Collection[str]) -> list[str]:
+    """Return the topics on which one of these nodes publishes: their stamps are of another time."""
+    return [name for name, topic in evidence.graph.topics.items() if any(one.node in nodes for one in topic.publishers)]
 
 
 def _offsets(evidence: NavEvidence) -> Iterator[NavFinding]:
@@ -97,7 +102,7 @@ def _offsets(evidence: NavEvidence) -> Iterator[NavFinding]:
             cause=f"The stamps of {listed(list(group), _MOST_NAMES)} are {abs(middle):.2f} s {way} the others, always: "
             "the clocks differ.",
             proof=f"Receipt minus stamp is {middle:+.2f} s, the least of {len(group)} series{beside}.",
-            remedy=_SYNC,
+            remedy=f"{_SYNC} {'late' if middle > 0 else 'ahead'}.",
             covers=[*group, *after, *_follows(group)],
         )
 

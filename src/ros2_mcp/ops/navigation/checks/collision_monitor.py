@@ -71,10 +71,11 @@ def _sources(
         limit = values.get(f"{source}.source_timeout", values.get("source_timeout", _SOURCE_TIMEOUT_S))
         limit_s = float(limit) if isinstance(limit, (int, float)) else _SOURCE_TIMEOUT_S
         heard = (evidence.heard or {}).get(topic)
+        is_old = bool(limit_s and heard and heard.ages_s and min(heard.ages_s) > limit_s)
         if not evidence.topic(topic).publishers:
             cause = f"{named(node)} holds the robot: its source {named(source)} has no publisher."
             proof = f"Nobody publishes {named(topic)}; source_timeout is {limit_s:g} s."
-        elif limit_s and heard and heard.ages_s and min(heard.ages_s) > limit_s:
+        elif heard and is_old:
             cause = f"{named(node)} holds the robot: its source {named(source)} is older than it allows."
             proof = f"{named(topic)} is {min(heard.ages_s):.2f} s old when it comes; source_timeout is {limit_s:g} s."
         elif limit_s and heard and heard.count and heard.longest_gap_s > limit_s:
@@ -86,7 +87,7 @@ def _sources(
             continue
         yield NavFinding(
             rank="stops everything",
-            subject=node,
+            subject=topic if is_old else node,  # old only because clocks differ, where that is found
             cause=cause,
             proof=proof,
             remedy=f"Start what publishes {named(topic)}, correct {source}.topic, or take the source out.",
@@ -190,7 +191,7 @@ def _ages(evidence: NavEvidence, topics: Sequence[str]) -> Iterator[str]:
 
 
 def _holding(evidence: NavEvidence, node: str, name: str, action: str, points: Sequence[Near]) -> NavFinding:
-    proof = [f"collision_monitor_state: {action}, {named(name)}." if not points else ""]
+    proof, blind = [f"collision_monitor_state: {action}, {named(name)}." if not points else ""], ""
     if points:
         proof = [f"{len(points)} points of the scan are in {named(name)}, the nearest at {points[0]}."]
     for costmap in evidence.of_role("local_costmap"):
@@ -198,12 +199,14 @@ def _holding(evidence: NavEvidence, node: str, name: str, action: str, points: S
             is_blind = parameter.endswith("obstacle_min_range") and isinstance(value, (int, float)) and value > 0
             if is_blind and (not points or points[0].away_m < float(value)):
                 proof.append(f"The costmap ignores all below {float(value):g} m ({parameter}), and plans through it.")
+                blind = f" Lower {parameter}, so that Nav2 plans around it."
     return NavFinding(
         rank="stops everything",
         subject=node,
         cause=f"{named(node)} holds the robot: its polygon {named(name)} ({action}) is not free.",
         proof=" ".join(filter(None, proof)),
-        remedy="Remove what stands there; if that is the robot itself, make the polygon smaller or filter the scan.",
+        remedy="Remove what stands there; if that is the robot itself, make the polygon smaller or filter the scan."
+        f"{blind}",
     )
 
 

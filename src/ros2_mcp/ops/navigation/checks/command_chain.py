@@ -23,6 +23,7 @@ from ros2_mcp.robot import TopicEndpoints
 _STAMPED = "enable_stamped_cmd_vel"
 _BESIDE = ("docking_server", "behavior_server")
 """Nodes that publish velocities only while they are used; their topics may have no subscriber."""
+_SETS_STAMPED = ("controller_server", "velocity_smoother", "collision_monitor", *_BESIDE)
 _MOST_NAMES = 4
 
 
@@ -100,7 +101,9 @@ def _end(evidence: NavEvidence, topic: TopicEndpoints, publisher: Endpoint, chai
             f"listens for {heard}: they never meet.",
             proof=f"One topic with two types, each end alone. {_stamped(evidence)}".rstrip(),
             remedy=f"Set {_STAMPED} alike at all nodes of Nav2, to {str(heard == 'TwistStamped').lower()} for this "
-            "receiver, or change the receiver.",
+            "receiver, or change the receiver."
+            if is_of_role(publisher.node, *_SETS_STAMPED)
+            else f"Let {named(publisher.node)} send {heard}, or change the receiver.",
         )
         return
     if others:
@@ -116,17 +119,19 @@ def _end(evidence: NavEvidence, topic: TopicEndpoints, publisher: Endpoint, chai
     waiting = _waiting(evidence, chain)
     cause = f"{named(publisher.node)} publishes {where}, which no node subscribes to"
     if waiting:
-        cause += (
-            f"; {listed(nodes_of(waiting[0].subscribers), _MOST_NAMES)} listens on {named(waiting[0].topic)}, where"
-        )
-        cause += " Nav2 does not send" if waiting[0].publishers else " no node publishes"
+        node = nodes_of(waiting[0].subscribers)[0]
+        free = [one.topic for one in waiting if not one.publishers and node in nodes_of(one.subscribers)]
+        cause += f"; {named(node)} listens on {listed(free or [waiting[0].topic], _MOST_NAMES)}, where"
+        cause += " no node publishes" if free else " Nav2 does not send"
     to = named(waiting[0].topic) if waiting else "the topic of the base"
+    sends = {one.node for other in evidence.topics(*VELOCITIES) for one in other.publishers}
+    is_mux = bool(waiting) and any(one.node in sends for one in waiting[0].subscribers)
     yield NavFinding(
         rank="stops everything",
         subject=topic.topic,
         cause=f"{cause}.",
         proof=f"The chain by endpoints: {way}, then {where}, which has 0 subscribers.",
-        remedy=f"Remap {where} to {to}, or give the multiplexer {where} as an input.",
+        remedy=f"Remap {where} to {to}{', or make it an input of the multiplexer' if is_mux else ''}.",
     )
 
 
@@ -146,13 +151,14 @@ def _waiting(evidence: NavEvidence, chain: Chain) -> Sequence[TopicEndpoints]:
         key=lambda topic: (
             bool(topic.publishers),
             not any(one.node in chain.nodes or one.node in bases for one in topic.subscribers),
+            "nav" not in topic.topic,
             topic.topic,
         ),
     )
 
 
 def _stamped(evidence: NavEvidence) -> str:
-    values = evidence.values(_STAMPED, "controller_server", "velocity_smoother", "collision_monitor", *_BESIDE)
+    values = evidence.values(_STAMPED, *_SETS_STAMPED)
     if len(set(values.values())) < 2:
         return ""
     return f"{_STAMPED} is {', '.join(f'{str(value).lower()} at {named(node)}' for node, value in values.items())}."

@@ -53,7 +53,7 @@ def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
             yield NavFinding(
                 rank="stops some goals",
                 subject=node,
-                cause=f"The parameter file was never applied to {named(node)}: it has only default values.",
+                cause=f"{named(node)} has only default values: its parameter file was probably never applied.",
                 proof=f"{named_so}{counted(len(known), 'value')} checked, all equal to Nav2's defaults: "
                 f"{listed([f'{name} = {values[name]}' for name in known], 3)}.",
                 remedy=f"Give the file's section the name of the node ({last}), or the node the name {role}.",

@@ -26,6 +26,7 @@ _ROLES = (
     *("docking_server", "slam_toolbox"),
 )
 _TELLS_TF = ("enable_odom_tf", "publish_odom_tf", "publish_tf", "odom_tf", "broadcast_tf")
+_SENSORS = re.compile(r"laser|lidar|scan|velodyne|livox|hokuyo", re.IGNORECASE)
 _MOST_NAMES = 4
 
 
@@ -92,8 +93,8 @@ def _two_owners(frames: Frames, edge: Edge) -> NavFinding:
             remedy = "Its publisher has gone: start the nodes again that heard it, as they keep it."
     elif edge.two_parents:
         cause = f"{named(edge.child)} has two parents: {listed(parents, 3)}."
-        told = [f"{named(parent)}{frames.tellers.by_whom(edge, parent)}" for parent in parents]
-        remedy = f"End one of both: {' or '.join(told)}."
+        told = [f"{named(parent)} → {named(edge.child)}" for parent in parents]
+        remedy = f"A frame has one parent: stop publishing {' or '.join(told)}."
     else:
         cause = f"The transform {_name(edge)} is told by two nodes."
         remedy = f"Switch it off at one of both ({who}): two localisers, or simulator and EKF."
@@ -129,6 +130,8 @@ def _left(evidence: NavEvidence, frames: Frames) -> Iterator[NavFinding]:
 def _odometry(evidence: NavEvidence, frames: Frames) -> Iterator[NavFinding]:
     """Find odometry that is published without its transform."""
     tree = frames.tree
+    if any(_is_base(child) and edge.two_parents for child, edge in tree.edges.items()):
+        return  # the other parent hides the transform from odom
     if any(
         _is_base(child) and edge.newest and edge.newest.parent != child and not _is_fixed(edge)
         for child, edge in tree.edges.items()
@@ -234,7 +237,7 @@ def _names(evidence: NavEvidence, frames: Frames) -> Iterator[NavFinding]:
     for one in evidence.of(SCAN, "sensor_msgs/msg/PointCloud2"):
         is_read = any(is_of_role(end.node, *_ROLES) for end in evidence.topic(one.topic).subscribers)
         if one.frame_id and one.frame_id not in known and is_read and one.frame_id not in wanted:
-            near = _near(one.frame_id, known)
+            near = _near_sensor(one.frame_id, known)
             yield NavFinding(
                 rank="stops everything",
                 subject=one.topic,
@@ -261,6 +264,14 @@ def _near(frame: str, known: set[str]) -> str:
         other for other in sorted(known) if len(word) > 2 and other.rpartition("/")[2].split("_")[0] == word
     ]
     return like[0] if like else ""
+
+
+def _near_sensor(frame: str, known: set[str]) -> str:
+    """The known frame that is probably meant by a sensor's unknown frame; "" if there is no such frame, or several. No
+    sensor is in the frame of the base itself."""
+    others = {other for other in known if not _is_base(other)}
+    sensors = [other for other in sorted(others) if _SENSORS.search(other) and not other.endswith("_optical")]
+    return _near(frame, others) or (sensors[0] if len(sensors) == 1 else "")
 
 
 CHECK = NavCheck(("frames", "heard", "parameters"), _find, FRAMES)

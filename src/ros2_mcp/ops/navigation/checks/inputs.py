@@ -79,7 +79,9 @@ def _silent(evidence: NavEvidence, topic: TopicEndpoints, who: str) -> NavFindin
     if inputs:
         cause = f"{inputs[0]} is silent, so that {named(by[0])} tells nothing on {named(topic.topic)}."
         first = nodes_of(evidence.topic(inputs[0]).publishers)
-        remedy = f"Find out why {listed(first, 2)} publishes nothing there." if first else "Start what publishes it."
+        gone = ", ".join(sorted(evidence.graph.left.topics.get(inputs[0], ())))
+        lost = f"Start {gone} again: it published {inputs[0]}, and has gone." if gone else "Start what publishes it."
+        remedy = f"Find out why {listed(first, 2)} publishes nothing there." if first else lost
         proof = f"Nothing came on either in {heard.duration_s:.1f} s; {named(by[0])} is there, and {who} waits."
     else:
         cause = f"{named(topic.topic)} is silent: {listed(by, _MOST_NAMES)} publishes it, and nothing comes."

@@ -39,11 +39,11 @@ def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
     chain = chain_of(evidence)
     if not chain.nodes:
         return
-    faults = list(_faults(evidence, chain))
-    yield from _rivals(evidence, chain)
+    faults, rivals = list(_faults(evidence, chain)), list(_rivals(evidence, chain))
+    yield from (finding for finding, _ in rivals)
     yield from _limits(evidence, chain)
     yield from faults
-    if not faults:
+    if not faults and not any(are_zeros for _, are_zeros in rivals):
         yield from _stands(evidence, chain)
 
 
@@ -52,9 +52,9 @@ def _is_nav2(node: str, chain: Chain) -> bool:
     return node in chain.nodes or is_of_role(node, *roles)
 
 
-def _rivals(evidence: NavEvidence, chain: Chain) -> Iterator[NavFinding]:
-    """Find nodes outside Nav2 that publish velocities to a node of the chain. A publisher that sends nothing does not
-    count."""
+def _rivals(evidence: NavEvidence, chain: Chain) -> Iterator[tuple[NavFinding, bool]]:
+    """Find nodes outside Nav2 that publish velocities to a node of the chain, each with whether they are mostly zeros.
+    A publisher that sends nothing does not count."""
     for heard in evidence.of(*VELOCITIES):
         topic = evidence.topic(heard.topic)
         if not any(one.node in chain.nodes for one in topic.subscribers) or heard.count < _LEAST:
@@ -66,20 +66,22 @@ def _rivals(evidence: NavEvidence, chain: Chain) -> Iterator[NavFinding]:
         if not foreign or (ours and len(writers) < 2 and (evidence.goal_runs or _comes_before(evidence, ours, heard))):
             continue
         zeros = sum(is_zero(message) for _, message, _ in heard.messages)
-        what = "zeros" if zeros > heard.count / 2 else "velocities"
+        are_zeros = zeros > heard.count / 2
+        what = "zeros" if are_zeros else "velocities"
         rates = [sum(one == writer for _, _, one in heard.messages) for writer in writers] or [heard.count]
         rate_hz = max(rates) / heard.duration_s if heard.duration_s else 0.0
         beside = (
             " over Nav2's commands" if ours else f", to which {listed(_takers(topic, chain), 2)} listens beside Nav2's"
         )
-        yield NavFinding(
+        finding = NavFinding(
             rank="stops everything",
             subject=heard.topic,
             cause=f"{listed(foreign, _MOST_NAMES)} sends {what} on {named(heard.topic)}{beside}.",
-            proof=f"{heard.count} commands in {heard.duration_s:.1f} s ({rate_hz:.0f} Hz), {zeros} of them zero"
-            f"{', while no goal runs' if not evidence.goal_runs else ''}.",
+            proof=f"{heard.count} commands in {heard.duration_s:.1f} s, {zeros} of them zero; the most frequent "
+            f"publisher sends {rate_hz:.0f} Hz{', while no goal runs' if not evidence.goal_runs else ''}.",
             remedy="Stop it, or put both behind a multiplexer with priorities (twist_mux).",
         )
+        yield finding, are_zeros
 
 
 def _takers(topic: Any, chain: Chain) -> list[str]:
@@ -161,7 +163,7 @@ def _stands(evidence: NavEvidence, chain: Chain) -> Iterator[NavFinding]:
         and order[one.topic] > order[last.topic]
         and (not one.count or all(is_zero(m) for _, m, _ in one.messages))
     ]
-    ahead, _, turning = speed_of(last.messages[-1][1])
+    ahead, _, turning = speed_of([message for _, message, _ in last.messages if not is_zero(message)][-1])
     between = f"; {listed(takers, 2)} passes on nothing but zeros on {listed(dead, 1)}" if dead else ""
     ends_at = takers if dead else [node for node in takers if node in chain.base] or takers
     yield NavFinding(

@@ -128,7 +128,7 @@ def _turn(probe: Probe) -> Iterator[NavFinding]:
         )
     else:
         turned = {topic: one.turned_rad for topic, one in probe.odometry.items()}
-        yield from _scale(turned, truth, proof, "turns", "wheel_separation (or its multiplier)")
+        yield from _scale(turned, truth, proof, is_turn=True)
 
 
 def _mounted(probe: Probe, odometry: _Seen, gyro: _Seen | None, laser: _Seen | None) -> Iterator[NavFinding]:
@@ -200,7 +200,7 @@ def _driven(
         )
     elif not misled:
         ahead = {topic: one.ahead_m for topic, one in probe.odometry.items()}
-        yield from _scale(ahead, math.copysign(away_m, probe.commanded), proof, "drives", "wheel_radius")
+        yield from _scale(ahead, math.copysign(away_m, probe.commanded), proof, is_turn=False)
 
 
 # ── both ───────────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -225,17 +225,21 @@ def _stood(probe: Probe, odometry: _Seen, truth: float, least: float) -> NavFind
     return _finding("stops everything", odometry, cause, in_words(probe), remedy)
 
 
-def _scale(values: Mapping[str, float], truth: float, proof: str, verb: str, setting: str) -> Iterator[NavFinding]:
+def _scale(values: Mapping[str, float], truth: float, proof: str, *, is_turn: bool) -> Iterator[NavFinding]:
     """Find odometries, by topic, that count more or less than was moved."""
     off = _mean({topic: value for topic, value in values.items() if not _LOW <= value / truth <= _HIGH})
     if off is None:
         return
+    share = off.value / truth
+    # A larger wheel radius counts more metres; a larger distance between the wheels counts smaller angles.
+    setting = f"wheel_separation by {share:.2f}" if is_turn else f"wheel_radius by {1 / share:.2f}"
     yield _finding(
         "stops some goals",
         off,
-        f"Odometry counts {off.value / truth:.2f} of what the robot {verb}: {listed(off.topics, _MOST_NAMES)}.",
+        f"Odometry counts {share:.2f} of what the robot {'turns' if is_turn else 'drives'}: "
+        f"{listed(off.topics, _MOST_NAMES)}.",
         proof,
-        f"Correct {setting} of the base's driver by that factor; odom → base and the map drift apart meanwhile.",
+        f"Multiply {setting} in the driver of the base; until then odom → base and the map drift apart.",
     )
 
 

@@ -193,29 +193,31 @@ def _not_brought_up(evidence: NavEvidence, supervisor: str, nodes: Sequence[str]
     )
     waits = f"; the {len(after)} others only wait" if after and is_all else waits
     proof = [f"{said(own[0])}."] if own else [f"It is {states[first]}, the first in the order of {named(supervisor)}."]
-    proof += [f"The plugin {old[0]} has the form of an older distribution, with / instead of ::."] if old else []
+    proof += [
+        f"The plugin {value} ({name}) has the form of an older distribution, with / instead of ::."
+        for name, value in old[:1]
+    ]
     return NavFinding(
         rank="stops everything",
         subject=first,
         cause=f"{named(first)} is {states[first]}{' since it failed to come up' if own or old else ''}{waits}.",
         proof=" ".join(proof),
-        remedy="Correct what its log says, and bring the stack up again."
-        if own or old
+        remedy=f"Set {old[0][0]} to {old[0][1].replace('/', '::')}, and bring the stack up again."
+        if old
+        else "Correct what its log says, and bring the stack up again."
+        if own
         else f"Activate it with ros2_lifecycle_change; or bring all up with {named(supervisor)}/manage_nodes.",
         covers=[node for node in _covered(nodes) if node != first],
     )
 
 
-def _old_plugins(evidence: NavEvidence, node: str) -> list[str]:
-    """Return plugins of a node whose names contain a slash instead of "::": newer distributions refuse a slash."""
+def _old_plugins(evidence: NavEvidence, node: str) -> list[tuple[str, str]]:
+    """Return the parameters of a node, with their values, that name a plugin with a slash instead of "::": newer
+    distributions refuse a slash."""
     values = {
         name: value for name, value in (evidence.parameters or {}).get(node, {}).items() if isinstance(value, str)
     }
-    return [
-        f"{value} ({name})"
-        for name, value in values.items()
-        if name.endswith("plugin") and _OLD_PLUGIN.fullmatch(value)
-    ]
+    return [(name, value) for name, value in values.items() if name.endswith("plugin") and _OLD_PLUGIN.fullmatch(value)]
 
 
 def _lines(evidence: NavEvidence, node: str) -> list[LogLine]:
