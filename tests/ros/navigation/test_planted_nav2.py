@@ -143,7 +143,7 @@ def test_a_small_move_tells_what_only_a_motion_shows(
 @pytest.mark.parametrize(
     ("fault", "told"),
     [
-        ("4 monitor holds", r"polygon PolygonStop, with something at 0\.3\d m, bearing"),
+        ("4 monitor holds", r"polygon PolygonStop, with something at 0\.[23]\d m, bearing"),
         # A busy machine makes rates of its own.
         pytest.param("22 rate missed", r"misses its rate: [23]\.\d of 10 Hz on /cmd_vel_nav", marks=pytest.mark.full),
     ],
@@ -151,10 +151,15 @@ def test_a_small_move_tells_what_only_a_motion_shows(
 def test_what_holds_a_robot_on_its_way_is_told_while_it_is_under_way(
     agent: Agent, robot: Planted, fault: str, told: str
 ) -> None:
+    def is_told() -> bool:
+        """On a busy machine a look may come too late: the goal has failed by then."""
+        agent.call("ros2_stop")
+        going = agent.call("ros2_navigate", to=[{"x": 2.0, "y": 0.3}], timeout_s=4.5)
+        return going["outcome"] == "under way" and bool(re.search(told, str(going["health"])))
+
     robot.tell("plant", fault)
     try:
-        going = agent.call("ros2_navigate", to=[{"x": 2.0, "y": 0.3}], timeout_s=6)
-        assert going["outcome"] == "under way" and re.search(told, str(going["health"])), going
+        until(is_told, 60.0)
     finally:
         agent.call("ros2_stop")
         robot.tell("heal", fault)

@@ -61,8 +61,8 @@ def test_the_polygon_that_holds_the_robot_is_told_while_it_drives(nav_agent, nav
 
 
 def test_a_recovery_and_a_longer_way_are_told_by_name(nav_agent, nav2, navigator) -> None:
-    navigator.put(recovers=True, longer_m=3.0)
-    seen = until_seen(nav_agent, "Nav2 recovers: spin", "became 3.0 m longer")
+    navigator.put(recovers=True, longer_m=4.0)
+    seen = until_seen(nav_agent, "Nav2 recovers: spin", "became 4.0 m longer")
     assert seen["legs"][0]["recovered_by"] == "spin"
 
 

@@ -437,7 +437,7 @@ class Navigation(Job):
         """Take the feedback of Nav2."""
         self._heard_at = monotonic()
         remaining, recoveries = feedback.get("distance_remaining"), feedback.get("number_of_recoveries")
-        if isinstance(remaining, float) and math.isfinite(remaining):
+        if isinstance(remaining, (int, float)) and math.isfinite(remaining):
             self.watch.remaining(remaining, monotonic())
             self._note(remaining_m=round(remaining, 2))
         if isinstance(recoveries, int):
