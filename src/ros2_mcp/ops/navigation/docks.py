@@ -102,8 +102,8 @@ def _battery(topic: str, message: Mapping[str, Any]) -> Battery:
     status = int(message["power_supply_status"])
     said = _SUPPLY.get(status, "UNKNOWN")
     share, current = message["percentage"], message["current"]
-    numbers = [f"{share:.0%}"] if isinstance(share, float) and 0 <= share <= 1 else []
-    numbers += [f"{current:+.1f} A"] if isinstance(current, float) and abs(current) < 1e4 else []
+    numbers = [f"{share:.0%}"] if isinstance(share, (int, float)) and 0 <= share <= 1 else []
+    numbers += [f"{current:+.1f} A"] if isinstance(current, (int, float)) and abs(current) < 1e4 else []
     known = {1: True, 4: True, 2: False, 3: False}.get(status)
     beside = f" ({', '.join(numbers)})" if numbers else ""
     return Battery(topic, known, f"{named(topic)} says {said}{beside}")
