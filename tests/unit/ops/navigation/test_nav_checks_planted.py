@@ -22,6 +22,7 @@ from support.made_navigation import (
     POSE,
     READ,
     SCAN,
+    SCANS,
     SERVERS,
     TWIST,
     WELL,
@@ -30,6 +31,7 @@ from support.made_navigation import (
     frames,
     grid,
     heard,
+    line,
     made,
     odometry,
     parts_of,
@@ -285,3 +287,20 @@ def test_a_node_on_another_time_explains_that_its_scan_is_old() -> None:
     nodes = {"lidar": {"use_sim_time": True}, "amcl": {"use_sim_time": False}, "collision_monitor": monitor}
     causes = [one.cause for one in found(link, clock, **parts_of(WELL, {**old, **ODOMS}, **nodes))]
     assert causes == ["/lidar runs on simulated time, the others do not."]
+
+
+def test_a_planner_that_fails_again_and_again_is_told_though_the_costmap_looks_free() -> None:
+    def causes(*ages_s: float) -> list[str]:
+        text = 'GridBased plugin failed to plan from (0.79, 0.77) to (6.40, 1.20): "Failed to create plan"'
+        lines = [line("/planner_server", text, "WARN", age_s=age_s) for age_s in ages_s]
+        return [one.cause for one in found(nodes=SERVERS, log=lines)]
+
+    assert causes(50, 30) == causes(300, 200, 10) == []
+    assert causes(50, 30, 10) == ["/planner_server finds no path to (6.40, 1.20), again and again."]
+
+
+def test_what_nav2_publishes_with_the_stamp_of_a_silent_scan_is_no_clock() -> None:
+    points = "sensor_msgs/msg/PointCloud2"
+    old = heard("/local_costmap/clearing_endpoints", points, ["/local_costmap/local_costmap"], ages_s=[3.9] * 20)
+    causes = [one.cause for one in found(*READ, **parts_of(WELL, {**SCANS, **ODOMS, **old}))]
+    assert causes == []

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from ros2_mcp.model.text import listed, named
 from ros2_mcp.ops.navigation.checks.check import CLOCKS, NavCheck
-from ros2_mcp.ops.navigation.evidence import ODOMETRY, SCAN, NavEvidence, NavFinding, is_tool
+from ros2_mcp.ops.navigation.evidence import ODOMETRY, ROLES, SCAN, NavEvidence, NavFinding, is_of_role, is_tool
 
 if TYPE_CHECKING:
     from ros2_mcp.world.frame_edges import Edge
@@ -161,8 +161,8 @@ def _follows(group: Mapping[str, float]) -> list[str]:
 
 def _of_topics(evidence: NavEvidence) -> Iterator[tuple[str, float]]:
     for topic, heard in (evidence.heard or {}).items():
-        if len(heard.ages_s) < _LEAST_MESSAGES:
-            continue
+        if len(heard.ages_s) < _LEAST_MESSAGES or all(is_of_role(node, *ROLES) for node in heard.nodes):
+            continue  # what Nav2 itself publishes has the stamps of what it received
         least, most = min(heard.ages_s), max(heard.ages_s)
         # A loaded machine delays some of the messages; a clock offset shifts all of them.
         if most - least < _STEADY_S or least < -_AHEAD_S or least > _BEHIND_S:
