@@ -247,8 +247,13 @@ def test_a_source_that_comes_more_seldom_than_the_monitor_waits_is_told() -> Non
         rows = parts_of(WELL, {**slow, **ODOMS}, collision_monitor=monitor)
         return [one.cause for one in found(*READ, nodes=["/collision_monitor"], **rows)]
 
+    told = ["/collision_monitor stops the robot again and again: its source scan comes too seldom."]
     assert causes(1.9) == []
-    assert causes(3.4) == ["/collision_monitor stops the robot again and again: its source scan comes too seldom."]
+    assert causes(3.4) == told
+    remapped = topic("/filtered", SCAN, ["/filter"], ["/collision_monitor"])
+    slow = heard("/filtered", SCAN, ["/filter"], [scan([2.0] * 60)] * 2, frame_id="laser", longest_gap_s=3.4)
+    rows = parts_of(WELL, {**SCANS, **slow, **ODOMS}, collision_monitor=monitor)
+    assert [one.cause for one in found(*READ, remapped, nodes=["/collision_monitor"], **rows)] == told
 
 
 def test_a_base_with_two_parents_is_not_also_one_without_odometry() -> None:

@@ -12,6 +12,7 @@ from ros2_mcp.model.text import named
 from ros2_mcp.ops.navigation.checks.check import CHAIN, NavCheck
 from ros2_mcp.ops.navigation.evidence import (
     SCAN,
+    SENSORS,
     Frames,
     NavEvidence,
     NavFinding,
@@ -50,7 +51,7 @@ class Near:
 def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
     for node in evidence.of_role("collision_monitor"):
         values = (evidence.parameters or {}).get(node, {})
-        topics = sources_of(node, values)
+        topics = _as_remapped(evidence, node, sources_of(node, values))
         missing = list(_sources(evidence, node, values, topics))
         yield from missing or _held(evidence, node, values, list(topics.values()))
 
@@ -59,6 +60,16 @@ def sources_of(node: str, values: Mapping[str, Any]) -> dict[str, str]:
     """Return the sources of a collision monitor with their topics, by its parameters."""
     sources = _texts(values.get("observation_sources"))
     return {source: resolved(node, str(values.get(f"{source}.topic", "") or f"/{source}")) for source in sources}
+
+
+def _as_remapped(evidence: NavEvidence, node: str, topics: Mapping[str, str]) -> dict[str, str]:
+    """Return the sources with the topics that the node really subscribes to: a launch file may remap them."""
+    heard = [topic.topic for topic in evidence.topics(*SENSORS) if any(one.node == node for one in topic.subscribers)]
+    others = [topic for topic in heard if topic not in topics.values()]
+    absent = [source for source, topic in topics.items() if topic not in heard]
+    if len(absent) != 1 or len(others) != 1:
+        return dict(topics)
+    return {**topics, absent[0]: others[0]}
 
 
 def _sources(
