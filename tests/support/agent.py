@@ -24,7 +24,7 @@ DISCOVERY_S = 60.0
 """Two participants that have just started may need several seconds to know all of each other; this only ends a hang."""
 
 
-def until(check: Callable[[], Any], seconds: float = 30.0) -> Any:
+def until(check: Callable[[], Any], seconds: float = 45.0) -> Any:
     """What the check gives, as soon as that is true."""
     deadline = time.monotonic() + seconds
     while not (found := check()):
