@@ -58,13 +58,17 @@ def _lines(to: Mapping[str, Any] | None, missing: Collection[str]) -> list[str]:
     ]
     if remedies:
         lines.append(f"2. Carry out its remedy ({'; '.join(remedies)}). Repeat step 1 until it is not found any more.")
-    lines.append("What needs a person (motors, emergency stop, cables, files): say exactly what to do, and end there.")
+    lines.append(
+        "What no tool can do (a pressed emergency stop, cables, files): say exactly what to do, and end there. Motors "
+        "that a service switches on: only if the user lets you."
+    )
     if is_whole and "ros2_nav_probe" not in missing:
         lines.append(
             "3. If nothing is found, ask the user whether the robot may move 0.2 m and 30°; then call ros2_nav_probe."
         )
     if "ros2_navigate" not in missing:
-        lines.append("4. To make it go, if the user wants that: ros2_navigate. It says what holds the robot up.")
+        dock = ", or ros2_nav_dock to a dock" if "ros2_nav_dock" not in missing else ""
+        lines.append(f"4. To make it go, if the user wants that: ros2_navigate{dock}. It says what holds the robot up.")
     if not is_whole:
         lines.append("The option --tools default,navigation of this server gives a check that looks at more: say so.")
     lines.append(

@@ -98,6 +98,8 @@ def test_nothing_is_found_while_it_is_well_beside_decoys_and_the_answer_is_short
     told: Any = agent.whole("ros2_nav_check", {}).content[0]
     assert len(told.text.encode()) <= 1500
     assert "Nav2: 9 of 9 active" in str(agent.call("ros2_robot")["stacks"])
+    note = agent.call("ros2_nav_check", to={"place": "charger"})["note"]
+    assert note.startswith("The goal was not checked") and 'ros2_nav_dock(dock="charger")' in note
 
 
 def test_a_goal_goes_through_the_whole_chain(agent: Agent) -> None:

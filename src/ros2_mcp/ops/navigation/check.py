@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Literal
+from dataclasses import dataclass, field, replace
+from typing import Literal, cast
 
-from ros2_mcp.model.errors import BadInput
+from ros2_mcp.model.errors import BadInput, NotFound
 from ros2_mcp.model.nav2 import COSTMAPS
-from ros2_mcp.model.text import counted, named
+from ros2_mcp.model.text import counted, listed, named, quoted
 from ros2_mcp.ops.navigation.checks import NEEDS, nav_findings_in, not_checked
 from ros2_mcp.ops.navigation.checks.command_chain import chain_of
-from ros2_mcp.ops.navigation.checks.fit import deviation_m
 from ros2_mcp.ops.navigation.evidence import ODOMETRY, SCAN, NavEvidence, NavFinding
 from ros2_mcp.ops.navigation.known_places import places_of
 from ros2_mcp.ops.navigation.readers import read_evidence
@@ -26,7 +25,10 @@ _VERDICTS: dict[str, Verdict] = {
     "stops some goals": "SOME GOALS FAIL",
     "makes it worse": "IMPAIRED",
 }
-_ONLY_MOTION_SHOWS = "Only a motion shows how the lidar is turned and how odometry counts (ros2_nav_probe), and rates."
+_ONLY_MOTION_SHOWS = (
+    "Not seen while it stands: how the lidar is mounted, and how odometry counts (ros2_nav_probe moves a little)."
+)
+_DOCKING = "docking_server"
 _MOST = 8
 """Number of findings that are reported in full; a user with more begins with the first of them."""
 
@@ -37,7 +39,7 @@ class NavChecked:
 
     `FINE` means that nothing was found and all the evidence was read; `NOT KNOWN` that some of it could not be read:
     `unread` says what, and why. `seen` has the figures behind the verdict, `not_checked` the checks that could not be
-    run.
+    run, `note` why a goal was not checked.
     """
 
     verdict: Verdict = field(metadata=SAID)
@@ -46,12 +48,13 @@ class NavChecked:
     seen: Sequence[str] = field(metadata=SAID)
     unread: Sequence[str] = field(metadata={**IF_ANY, **SAID})
     not_checked: Sequence[str] = field(metadata={**IF_ANY, **SAID})
+    note: str = field(default="", metadata={**IF_ANY, **SAID})
 
     def summary(self) -> list[str]:
         """Return the verdict, one line per finding, and the measured figures."""
         what = "nothing found that keeps the robot from navigating" if not self.findings else "why, the worst first"
         missing = f"not read: {'; '.join(self.unread)}"
-        lines = [f"{self.verdict}: {missing if self.verdict == 'NOT KNOWN' else what}."]
+        lines = [f"{self.verdict}: {missing if self.verdict == 'NOT KNOWN' else what}. {self.note}".rstrip()]
         for number, one in enumerate(self.findings, 1):
             lines.append(f"{number}. {one.rank}: {one.cause} Proof: {one.proof} Remedy: {one.remedy}")
         lines.append(" ".join([f"{self.servers}.", *(f"{line}." for line in self.seen)]))
@@ -69,15 +72,18 @@ async def check_navigation(robot: Robot, to: object = None, action: str = "") ->
 
     Raises:
         BadInput: for a malformed place, or several places.
-        NotFound: for an unknown place, or without Nav2.
+        NotFound: without Nav2.
         LinkError: if there is no bridge.
     """
-    target = None
+    target, unknown = None, ""
     if to is not None:
-        targets = targets_of(to, places_of(robot))
-        if len(targets) != 1:
+        try:
+            targets = targets_of(to, places_of(robot))
+        except NotFound as error:  # why the robot does not go need not depend on the goal
+            targets, unknown = (), error.message
+        if len(targets) > 1:
             raise BadInput("ros2_nav_check checks one goal, not several.", "Give one.")
-        target = targets[0]
+        target = next(iter(targets), None)
     robot.log.start()
     evidence, missed = await read_evidence(robot, NEEDS, target, action)
     if not evidence.is_nav2:
@@ -85,7 +91,22 @@ async def check_navigation(robot: Robot, to: object = None, action: str = "") ->
             "There is no Nav2: no bt_navigator, planner_server, controller_server or lifecycle manager is seen.",
             "Start Nav2; ros2_node_list shows what runs.",
         )
-    return judged(evidence, missed)
+    checked = judged(evidence, missed)
+    if not unknown:
+        return checked
+    return replace(checked, note=f"The goal was not checked: {unknown}{_dock_meant(evidence, to)}")
+
+
+def _dock_meant(evidence: NavEvidence, to: object) -> str:
+    """Say that the given name is that of a dock; "" if it is not."""
+    name = str(cast("Mapping[str, object]", to).get("place") if isinstance(to, Mapping) else to).strip()
+    is_dock = any(name in _docks(evidence, node) for node in evidence.of_role(_DOCKING))
+    return f' {quoted(name)} is a dock: ros2_nav_dock(dock="{name}").' if is_dock else ""
+
+
+def _docks(evidence: NavEvidence, node: str) -> list[str]:
+    found = evidence.value(node, "docks")
+    return [str(name) for name in cast("Sequence[object]", found)] if isinstance(found, (list, tuple)) else []
 
 
 def judged(evidence: NavEvidence, missed: Mapping[str, str] | None = None) -> NavChecked:
@@ -133,8 +154,9 @@ def _seen(evidence: NavEvidence) -> list[str]:
     chain = chain_of(evidence)
     if chain.nodes:
         lines.append(f"Commands: {' → '.join(named(node) for node in chain.nodes[:6])}")
-    if (deviation := deviation_m(evidence)) is not None:
-        lines.append(f"Standard deviation of the position by localisation: {deviation:.2f} m")
+    docks = [name for node in evidence.of_role(_DOCKING) for name in _docks(evidence, node)]
+    if docks:
+        lines.append(f"Docks: {listed(docks, _MOST)}")
     if evidence.parameters is not None:
         lines.append(f"Parameters of {counted(len(evidence.parameters), 'node')} read")
     return lines

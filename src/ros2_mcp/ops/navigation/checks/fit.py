@@ -29,12 +29,13 @@ def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
     deviation = deviation_m(evidence)
     scans = [one for one in evidence.of(SCAN) if one.messages]
     share: float | None = None
-    count = 0
+    count, where = 0, ""
     if grid is not None and scans and (base := frames.tree.base):
         located = frames.tree.newest(grid.frame_id, base)
         hits = hits_in(frames, base, scans[0].messages[-1][1])
         if located is not None and len(hits) >= _LEAST_HITS:
             x, y, _ = located.pose.translation
+            where = f", ({x:.2f}, {y:.2f})"
             fit, yaw = MapFit(grid), located.pose.yaw_rad
             share, count = fit.share(hits, x, y, yaw)
             if share < _LOST:
@@ -47,9 +48,10 @@ def _find(evidence: NavEvidence) -> Iterator[NavFinding]:
         yield NavFinding(
             rank="stops everything",
             subject="localisation",
-            cause="Localisation is lost: the scan does not fit the map where the robot is believed to be.",
+            cause=f"Localisation is lost: the scan does not fit the map at the pose it is believed to have{where}.",
             proof=f"{share:.0%} of {count} beams end within {NEAR_M} m of something on the map.{told}",
-            remedy="Give it an initial pose (/initialpose) where the robot really is; or load the map of this place.",
+            remedy="ros2_nav_localize(search=true) finds its pose by the scan and publishes it on /initialpose; or "
+            "load the map of this place.",
         )
     elif share is None and deviation is not None and deviation > _WIDE_M:
         yield NavFinding(

@@ -79,7 +79,8 @@ def _waits(evidence: NavEvidence, amcl: str, *, was_told: bool) -> Iterator[NavF
         if waits
         else f"{named(amcl)} does not localise the robot now; it may have been reset, and wait for /initialpose.",
         proof=" ".join(proof),
-        remedy="Publish the robot's pose on /initialpose (ros2_topic_publish), or set set_initial_pose to true.",
+        remedy="ros2_nav_localize(search=true) finds its pose by the scan and publishes it on /initialpose; for the "
+        "next start, set set_initial_pose to true.",
         covers=(_EDGE,),
     )
 

@@ -32,6 +32,8 @@ _MOVES_M_S, _TURNS_RAD_S = 0.02, 0.05
 _LEAST_COMMANDED = 0.6
 """Least share of the commands that ask for motion."""
 _FAULT = re.compile(r"motor|disabled|e-?stop|emergency|brake|idle|fault|protective|undervoltage|blocked", re.IGNORECASE)
+_RELEASES = re.compile(r"motor|enable|e_?stop|emergency|brake|release|reset_fault|clear_fault", re.IGNORECASE)
+_SWITCHES = {"std_srvs/srv/SetBool", "std_srvs/srv/Trigger", "std_srvs/srv/Empty"}
 _MOST_NAMES = 4
 
 
@@ -135,8 +137,18 @@ def _faults(evidence: NavEvidence, chain: Chain) -> Iterator[NavFinding]:
             subject=row.name,
             cause=f"{quoted(row.name)} reports {row.level}: {quoted(row.message)}.",
             proof="On /diagnostics, now.",
-            remedy="Release it (motors, emergency stop, mode); ros2_health_check shows its values.",
+            remedy=f"Release it (motors, emergency stop, mode){_may_release(evidence)}.",
         )
+
+
+def _may_release(evidence: NavEvidence) -> str:
+    """Name services that look as if they switch motors on, or release an emergency stop; "" if there are none."""
+    found = [
+        name
+        for name, types in (evidence.graph.services or {}).items()
+        if _RELEASES.search(name.rpartition("/")[2]) and not _SWITCHES.isdisjoint(types)
+    ]
+    return f"; {listed(sorted(found), 3)} may do it" if found else ""
 
 
 def _stands(evidence: NavEvidence, chain: Chain) -> Iterator[NavFinding]:

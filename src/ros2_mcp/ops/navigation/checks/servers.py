@@ -183,7 +183,8 @@ def _not_brought_up(evidence: NavEvidence, supervisor: str, nodes: Sequence[str]
             subject=supervisor,
             cause=f"The whole stack is {how}: none of its {len(nodes)} servers is active.",
             proof=f"{listed(list(nodes), _MOST_NAMES)}: {', '.join(sorted(same))}.{said_so}",
-            remedy=f"Call {named(supervisor)}/manage_nodes with command {'2 (RESUME)' if paused else '0 (STARTUP)'}.",
+            remedy=f'ros2_nav_recover(stack="{"resume" if paused else "up"}"), or {named(supervisor)}/manage_nodes '
+            f"with command {'2 (RESUME)' if paused else '0 (STARTUP)'}.",
             covers=_covered(nodes),
         )
     waits = (

@@ -125,14 +125,14 @@ def _progress(evidence: NavEvidence) -> Iterator[NavFinding]:
     for node in evidence.of_role("controller_server"):
         values: Mapping[str, Any] = (evidence.parameters or {}).get(node, {})
         fastest = [
-            float(value)
+            (float(value), f"{name} of {named(node)}")
             for name, value in values.items()
             if name.rpartition(".")[2] in _FASTEST and isinstance(value, (int, float)) and value > 0
         ]
         for smoother in evidence.of_role("velocity_smoother"):
             limits = evidence.value(smoother, "max_velocity")
             if isinstance(limits, (list, tuple)) and limits and float(limits[0]) > 0:  # type: ignore[arg-type]
-                fastest.append(float(limits[0]))  # type: ignore[arg-type]
+                fastest.append((float(limits[0]), f"max_velocity of {named(smoother)}"))  # type: ignore[arg-type]
         for name, radius in values.items():
             checker, _, last = name.rpartition(".")
             if last != "required_movement_radius" or not isinstance(radius, (int, float)):
@@ -141,14 +141,16 @@ def _progress(evidence: NavEvidence) -> Iterator[NavFinding]:
             if not isinstance(allowed, (int, float)) or not allowed or not fastest:
                 continue
             asked = float(radius) / float(allowed)
-            if asked >= min(fastest):
+            speed, where = min(fastest)
+            if asked >= speed:
                 yield NavFinding(
                     rank="stops some goals",
                     subject=node,
                     cause="The progress checker asks for more than the robot may drive: goals end with no progress.",
                     proof=f"{float(radius):g} m in {float(allowed):g} s is asked ({asked:.2f} m/s), "
-                    f"{min(fastest):g} m/s is allowed.",
-                    remedy=f"Lower {name}, or raise {checker}.movement_time_allowance.",
+                    f"{speed:g} m/s is allowed ({where}).",
+                    remedy=f"Raise {checker}.movement_time_allowance of {named(node)} to "
+                    f"{3 * float(radius) / speed:.0f} s; or raise that speed, or lower {name.rpartition('.')[2]}.",
                 )
             elif time_s := _turning_s(values, f"{checker}.plugin", float(allowed)):
                 yield NavFinding(
