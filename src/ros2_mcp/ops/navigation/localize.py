@@ -214,11 +214,12 @@ def _request(target: Target, topic: str) -> PublishRequest:
     covariance = [0.0] * 36
     covariance[0] = covariance[7] = _SPREAD_M**2
     covariance[35] = _SPREAD_RAD**2
-    stamped = target.pose()
-    pose = {"pose": stamped["pose"], "covariance": covariance}
-    return PublishRequest(
-        topic_name=topic, message_type=POSE_ESTIMATE, data={"header": stamped["header"], "pose": pose}
-    )
+    header, pose = target.pose()["header"], target.pose()["pose"]
+    # Whole, so that no note tells of fields left at their defaults. Without a stamp it is the latest transform's.
+    header = {"stamp": {"sec": 0, "nanosec": 0}, **header}
+    at = {"position": {"z": 0.0, **pose["position"]}, "orientation": {"x": 0.0, "y": 0.0, **pose["orientation"]}}
+    data = {"header": header, "pose": {"pose": at, "covariance": covariance}}
+    return PublishRequest(topic_name=topic, message_type=POSE_ESTIMATE, data=data)
 
 
 async def _taken(robot: Robot, target: Target) -> tuple[Whereabouts, bool | None]:
