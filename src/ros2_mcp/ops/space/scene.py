@@ -418,10 +418,9 @@ class Gathered:
 
         from ros2_mcp.pictures.scene import Zone
 
-        for document in robot.policy.documents:
-            keep_out = document.keep_out
-            pose = self._now_in(keep_out.frame_id) if keep_out else None
-            for name, polygon in keep_out.zones.items() if keep_out and pose else ():
+        zones = [one.keep_out for one in robot.policy.documents if one.keep_out]
+        for keep_out, pose in [(one, pose) for one in zones if (pose := self._now_in(one.frame_id))]:
+            for name, polygon in keep_out.zones.items():
                 self.zones.append(Zone(name, np.array([pose.applied((x, y, 0.0))[:2] for x, y in polygon])))
                 self.layers.append(SceneLayer("keep-out zone", name))
 
