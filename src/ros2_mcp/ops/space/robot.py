@@ -55,7 +55,7 @@ from ros2_mcp.ops.space.sensors import (
     state_topics,
     view_in_words,
 )
-from ros2_mcp.ops.space.stacks import nav2_active, stacks_of, with_active
+from ros2_mcp.ops.space.stacks import idle_servers, nav2_active, stacks_of, with_active
 from ros2_mcp.ops.space.standing_time import standing_time
 from ros2_mcp.ops.space.states import states_of
 from ros2_mcp.robot import Robot
@@ -453,7 +453,7 @@ def _everything(source: Source, seen: _Seen) -> RobotInBrief:
         place=place,
         frames=_frames_in_words(seen, base),
         stacks=with_active(stacks, seen.nav2),
-        unhealthy=[*trouble, *_old_positions(seen), *_unhealthy(source, seen)],
+        unhealthy=[*trouble, *_old_positions(seen), *_unhealthy(source, seen), *idle_servers(seen.nav2)],
         command_inputs=_lines(inputs),
         other_actions=_lines(other_actions(seen.graph, inputs)),
         topics_without_publisher=_lines(waited),

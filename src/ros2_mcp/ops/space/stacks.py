@@ -63,7 +63,16 @@ def with_active(stacks: Sequence[str], active: str) -> list[str]:
     """Return the names of the stacks; Nav2 with its number of active servers, AMCL among them, and with the tool that
     explains why some are not active.
     """
-    count, _, whole = active.removesuffix(" active").partition(" of ")
-    why = "" if count == whole else " (ros2_health_check or ros2_nav_check says why)"
+    why = " (ros2_health_check or ros2_nav_check says why)" if _are_some_idle(active) else ""
     told = [stack for stack in stacks if stack != "amcl"] if "Nav2" in stacks and active else stacks
     return [f"Nav2: {active}{why}" if stack == "Nav2" and active else stack for stack in told]
+
+
+def idle_servers(active: str) -> list[str]:
+    """Return a sentence on Nav2's servers if some are not active."""
+    return [f"Of Nav2's servers, {active}."] if _are_some_idle(active) else []
+
+
+def _are_some_idle(active: str) -> bool:
+    count, _, whole = active.removesuffix(" active").partition(" of ")
+    return count != whole and bool(active)

@@ -17,6 +17,7 @@ from ros2_mcp.ops.space.body import MountInWords, mounted
 from ros2_mcp.ops.space.brief import MOST_BYTES, Part, RobotInBrief
 from ros2_mcp.ops.space.controllers import Controller, controllers_of, idle_movers
 from ros2_mcp.ops.space.robot import in_brief
+from ros2_mcp.ops.space.stacks import idle_servers, with_active
 from ros2_mcp.robot import Robot
 from ros2_mcp.world.transforms import FrameTree
 from ros2_mcp.world.urdf import parse
@@ -466,3 +467,9 @@ async def test_what_is_only_named_is_left_out_before_what_is_described(window: M
     assert "/scan LaserScan" in found.sensors[0] and len(found.state_topics) == 31
     assert found.command_services[-1] == f'{found.omitted} more: part="command_services" shows all.'
     assert bytes_of(found) <= MOST_BYTES
+
+
+def test_servers_of_nav2_that_are_not_active_are_unhealthy_and_others_are_not_mentioned() -> None:
+    assert idle_servers("3 of 8 active") == ["Of Nav2's servers, 3 of 8 active."]
+    assert idle_servers("8 of 8 active") == idle_servers("") == []
+    assert with_active(["Nav2"], "8 of 8 active") == ["Nav2: 8 of 8 active"]
