@@ -8,7 +8,7 @@ from typing import Literal, cast
 
 from ros2_mcp.model.errors import BadInput, NotFound
 from ros2_mcp.model.nav2 import COSTMAPS
-from ros2_mcp.model.text import counted, listed, named, quoted
+from ros2_mcp.model.text import counted, named, quoted
 from ros2_mcp.ops.navigation.checks import NEEDS, nav_findings_in, not_checked
 from ros2_mcp.ops.navigation.checks.command_chain import chain_of
 from ros2_mcp.ops.navigation.evidence import ODOMETRY, SCAN, NavEvidence, NavFinding
@@ -109,6 +109,15 @@ def _docks(evidence: NavEvidence, node: str) -> list[str]:
     return [str(name) for name in cast("Sequence[object]", found)] if isinstance(found, (list, tuple)) else []
 
 
+def _at(pose: object) -> str:
+    """Say where a dock is; "" if its pose is not among the parameters."""
+    match pose:
+        case [float() | int() as x, float() | int() as y, *_]:
+            return f" at ({x:.2f}, {y:.2f})"
+        case _:
+            return ""
+
+
 def judged(evidence: NavEvidence, missed: Mapping[str, str] | None = None) -> NavChecked:
     """Return the verdict on the evidence. `missed` has the parts that could not be read, each with the reason."""
     findings = nav_findings_in(evidence)
@@ -154,9 +163,13 @@ def _seen(evidence: NavEvidence) -> list[str]:
     chain = chain_of(evidence)
     if chain.nodes:
         lines.append(f"Commands: {' → '.join(named(node) for node in chain.nodes[:6])}")
-    docks = [name for node in evidence.of_role(_DOCKING) for name in _docks(evidence, node)]
+    docks = [
+        f"{named(name)}{_at(evidence.value(node, f'{name}.pose'))}"
+        for node in evidence.of_role(_DOCKING)
+        for name in _docks(evidence, node)
+    ]
     if docks:
-        lines.append(f"Docks: {listed(docks, _MOST)}")
+        lines.append(f"Docks: {', '.join(docks[:_MOST])}{' and more' if len(docks) > _MOST else ''}")
     if evidence.parameters is not None:
         lines.append(f"Parameters of {counted(len(evidence.parameters), 'node')} read")
     return lines

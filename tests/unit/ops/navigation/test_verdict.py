@@ -73,3 +73,12 @@ def test_a_cause_that_was_found_stays_the_headline_and_what_was_not_read_is_told
     checked = judged(whole(frames=None, states={**ACTIVE, "/planner_server": "inactive"}))
     assert checked.verdict == "STOPPED"
     assert any(line.startswith("Not read: the transforms") for line in checked.summary())
+
+
+def test_docks_are_listed_with_their_places() -> None:
+    docking = {"docks": ["charger", "parking"], "charger.pose": [-1.7, 0.0, 3.14], "use_sim_time": False}
+    well = whole()
+    nodes = [*NODES, "/docking_server"]
+    graph = replace(well.graph, nodes=nodes)
+    checked = judged(replace(well, graph=graph, parameters={**(well.parameters or {}), "/docking_server": docking}))
+    assert "Docks: charger at (-1.70, 0.00), parking" in checked.seen
