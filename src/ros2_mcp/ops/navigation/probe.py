@@ -33,7 +33,7 @@ from ros2_mcp_common.geometry import yaw_rad
 What = Literal["both", "drive", "turn"]
 DISTANCE_M, SPEED_MPS = 0.2, 0.1
 ANGLE_DEG, SPEED_DEGPS = 30.0, 25.0
-_DRIVE_S, _TURN_S = 4.0, 2.5
+_DRIVE_S, _TURN_S = 3.0, 2.5
 """Time limits: with odometry that is wrong a drive by it has no other end. At these speeds the robot comes at most
 twice as far as asked."""
 _ROOM_M = 0.5
