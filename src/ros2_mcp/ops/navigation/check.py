@@ -111,11 +111,9 @@ def _docks(evidence: NavEvidence, node: str) -> list[str]:
 
 def _at(pose: object) -> str:
     """Say where a dock is; "" if its pose is not among the parameters."""
-    match pose:
-        case [float() | int() as x, float() | int() as y, *_]:
-            return f" at ({x:.2f}, {y:.2f})"
-        case _:
-            return ""
+    numbers = cast("Sequence[object]", pose)[:2] if isinstance(pose, (list, tuple)) else ()
+    at = [f"{one:.2f}" for one in numbers if isinstance(one, (int, float))]
+    return f" at ({', '.join(at)})" if len(at) == 2 else ""
 
 
 def judged(evidence: NavEvidence, missed: Mapping[str, str] | None = None) -> NavChecked:

@@ -138,6 +138,11 @@ class DriveWatch:
         return not self._monitor_published and bool(self._commanded_in_vain(now))
 
     @property
+    def is_moving(self) -> bool:
+        """Whether odometry reports motion."""
+        return self._speed is not None and (abs(self._speed[0]) >= STANDS_MPS or abs(self._speed[1]) >= STANDS_RADPS)
+
+    @property
     def held_by(self) -> str:
         """The polygon by which the collision monitor acts now; "" if it does not."""
         action, polygon, _ = self._monitor

@@ -43,11 +43,12 @@ _WOULD_TOUCH = {703, 714, 723}
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """The end of a goal: whether it was rejected, and the code and text of its result."""
+    """The end of a goal: whether it was rejected, the code and text of its result, and what was seen while it drove."""
 
     is_rejected: bool
     code: int = 0
     text: str = ""
+    seen: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -300,7 +301,7 @@ def _motion(found: _Findings, situation: Situation, failure: Failure) -> None:
     says_why = failure.code == _NO_VALID_CONTROL and failure.text
     if not (found.causes or said or others or situation.silent or says_why or base.limits or base.sends or is_near):
         near = [f"{local}."] if local and local.away_m is not None else []
-        why = "the robot was commanded to drive but made no progress; no component reports why."
+        why = failure.seen or "the robot was commanded to drive but made no progress; no component reports why."
         found.add(" ".join([why, *near, *base.others]))
 
 

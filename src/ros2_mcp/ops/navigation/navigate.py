@@ -53,7 +53,9 @@ _LOOK_S = 0.5
 _SILENT_S = 1.5
 """Nav2's navigator sends feedback with each step of its tree, ten to a hundred times a second. After this silence the
 server checks whether the navigator still runs."""
-_FAR_M = 0.5
+_ROLLS_S, _ROLLS_LOOK_S = 1.5, 0.05
+"""The longest that a base rolls after its last command, and how often that is looked at."""
+_FAR_M = 0.35
 """Nav2's own tolerance is 0.25 m; a robot this far from the goal has not reached it, whatever Nav2 reports."""
 
 
@@ -339,14 +341,15 @@ class Navigation(Job):
     async def _end_stuck(self, target: Target) -> None:
         """Cancel a goal on which the robot makes no progress, and explain why."""
         took_s, now = monotonic() - self._leg_at, monotonic()
-        seen = self.watch.sees(now) or "Nothing was seen that keeps it from it."
+        unmoved = self.watch.sees(now)
+        seen = unmoved or "Nothing was seen that keeps it from it."
         told = f"Ended by stop_when_stuck_s: it has not come on for {self.watch.stuck_s(now):.0f} s. {seen}"
         self._doing = told
         if problem := await self._ask_to_cancel():
             await self._settle(target, f"{told} It could not be cancelled: {problem}")
             return
         self._note(remaining_m=None)
-        failure = Failure(False, NO_PROGRESS)
+        failure = Failure(False, NO_PROGRESS, seen=unmoved)
         explanation = await explain(self._robot, self.action, target, failure, took_s)
         self.explanation = replace(explanation, server="", error_code=0, error="")  # the code is ours, not Nav2's
         self._is_missed = True
@@ -402,7 +405,10 @@ class Navigation(Job):
             self._is_missed = True
 
     async def _measure(self, target: Target) -> None:
-        """Record the robot's distance and heading error to the goal."""
+        """Record the distance and heading error to the goal once the robot stands: Nav2 ends a goal while it rolls."""
+        until = monotonic() + _ROLLS_S
+        while self.watch.is_moving and monotonic() < until:
+            await asyncio.sleep(_ROLLS_LOOK_S)
         where = await whereabouts(self._robot, MAP_FRAME)
         goal = await in_frame(self._robot, target.frame, target.x_m, target.y_m, MAP_FRAME)
         if target.frame == where.base or not goal or where.x_m is None or where.y_m is None or where.trouble:

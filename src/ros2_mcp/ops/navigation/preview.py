@@ -15,7 +15,7 @@ from ros2_mcp.model.aside import aside
 from ros2_mcp.model.costs import Narrowest, cost_in_words
 from ros2_mcp.model.errors import BadInput, NotFound, RobotError
 from ros2_mcp.model.names import did_you_mean
-from ros2_mcp.model.nav2 import COMPUTE_PATH
+from ros2_mcp.model.nav2 import CODES, COMPUTE_PATH
 from ros2_mcp.model.text import counted, listed, named, quoted
 from ros2_mcp.ops.navigation.action_names import action_of
 from ros2_mcp.ops.navigation.below import idle_server
@@ -41,6 +41,10 @@ _MOST_POINTS = 24
 """Number of points of the path in an answer: enough to follow it in a picture."""
 _PLUGINS = "planner_plugins"
 """The planner server's parameter with the names of its planners."""
+_SAY_NOTHING = frozenset(
+    code for code, error in CODES.items() if error.name in ("UNKNOWN", "INVALID_PLANNER", "TF_ERROR", "TIMEOUT")
+)
+"""Errors of a planner that say nothing about whether there is a path."""
 _ANSWER_S = 1.0
 _TURN_RAD = math.radians(30)
 
@@ -53,7 +57,8 @@ class Preview(WithPictures):
     distance from its centre line, `gap_m` the width of the narrowest gap, each with its position; null if nothing is
     within 3 m, or without a costmap. `grid_topic` is the costmap that was used.
 
-    `is_feasible` is false if there is no path; `explanation` then says why. It is null if no planner was asked.
+    `is_feasible` is false if there is no path; `explanation` then says why. It is null if no planner was
+    asked, or if it could not look.
     """
 
     is_feasible: bool | None
@@ -86,10 +91,10 @@ class Preview(WithPictures):
                 f"{counted(self.turns, 'turn')}{dearest}."
                 f"{narrowest} Nothing moved. {self.note}".rstrip()
             ]
-        if self.is_feasible is None:
-            return [f"NOT KNOWN whether there is a path: {self.note}"]
         why = self.explanation
         told = f" Cause: {why.cause} What would help: {' '.join(why.helps)}" if why else ""
+        if self.is_feasible is None:
+            return [f"NOT KNOWN whether there is a path: {self.note}{told}"]
         return [f"There is no path. {self.note}{told}".rstrip()]
 
 
@@ -136,7 +141,7 @@ async def preview(
     refused = entered_by(robot.policy, path) if points else ""
     spot = await aside(grid.cells.size, grid.narrowest, points) if grid else None
     shown = await _picture(robot, frame, points, spot) if points else None
-    is_feasible = bool(points) and not code
+    is_feasible = None if code in _SAY_NOTHING else bool(points) and not code
     explanation = None
     if not is_feasible:
         explanation = await explain(robot, action, target, Failure(False, code, text), monotonic() - began_at)

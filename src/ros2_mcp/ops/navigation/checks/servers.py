@@ -20,6 +20,7 @@ _UP = re.compile(r"Managed nodes (are active|have been paused)|Pausing managed n
 obsolete."""
 _IGNORED = re.compile(r"Message Filter dropping|missed its desired rate|desired rate of", re.IGNORECASE)
 """Lines that explain nothing: lines of the first seconds, and a warning that is often false."""
+_HOSTS = {"global_costmap": "planner_server", "local_costmap": "controller_server"}
 _OLD_PLUGIN = re.compile(r"\w+/\w+")
 _MOST_NAMES = 8
 _SLOW_S = 900.0
@@ -120,6 +121,8 @@ def _down(
     first = lost[0] if lost else [*absent, *hung][0]
     fate = (
         "died"
+        if first in absent and (lost or idle)
+        else "has left the graph: it died, or is not seen any more"
         if first in absent
         else "died, or hangs: it answers nothing"
         if first in hung
@@ -137,7 +140,8 @@ def _down(
     remedy = f"Start {named(first)} again (its log says why it ended), {up}."
     if first not in absent and first not in hung:
         remedy = (
-            "Find out what starves it (load of the computer), or raise bond_timeout; then bring the stack up again."
+            "Bring the stack up again; if nobody restarted it, find out what starves it (load of the computer), or "
+            "raise bond_timeout."
         )
     elif first in hung:
         remedy = f"Start {named(first)} again, and end it first if it still runs; {up}."
@@ -269,7 +273,7 @@ def _unmanaged(evidence: NavEvidence, nodes: Sequence[str]) -> Iterator[NavFindi
         is_gone = node in gone
         if (is_gone and len(gone) > 1) or (not is_gone and state in (None, "active")):
             continue
-        if state == "" and len(silent) > 1:
+        if (state == "" and len(silent) > 1) or _falls_with_its_host(evidence, node):
             continue
         lines = [line for line in _lines(evidence, node) if line.level in ("ERROR", "FATAL")]
         hangs = f"{named(node)} hangs: it does not answer."
@@ -281,6 +285,19 @@ def _unmanaged(evidence: NavEvidence, nodes: Sequence[str]) -> Iterator[NavFindi
             remedy="Start it again." if is_gone or state == "" else "Activate it: ros2_lifecycle_change.",
             covers=_covered([node])[1:],
         )
+
+
+def _falls_with_its_host(evidence: NavEvidence, node: str) -> bool:
+    """Whether a costmap's server is not active: the costmap is a part of its process."""
+    hosts = [host for part, role in _HOSTS.items() if is_of_role(node, part) for host in evidence.of_role(role)]
+    gone = [
+        one
+        for part, role in _HOSTS.items()
+        if is_of_role(node, part)
+        for one in evidence.graph.left.nodes
+        if is_of_role(one, role)
+    ]
+    return bool(gone) or any((evidence.states or {}).get(host, "active") != "active" for host in hosts)
 
 
 def _missing(evidence: NavEvidence) -> Iterator[NavFinding]:
