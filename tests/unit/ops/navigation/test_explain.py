@@ -35,14 +35,14 @@ def costmap():
     return CostGrid(SimpleNamespace(header=SimpleNamespace(frame_id="map"), info=info, data=cells.ravel()))
 
 
-def explained(code=0, goal=(1.05, 1.05), *, rejected=False, text="", frame="map", why_not="", **found):
+def explained(code=0, goal=(1.05, 1.05), *, rejected=False, text="", frame="map", why_not="", seen="", **found):
     grid = costmap() if found.pop("has_grid", True) else None
     where = found.pop("where", HERE)
     situation = Situation(where=where, grid=grid, grid_topic="/global_costmap/costmap", **found)
     known = grid is not None and frame == "map"
     reach = grid.reach((where.x_m, where.y_m), goal) if grid and known and where.is_known else None
     target = Target("", frame, *goal, 0.0)
-    return judged(situation, target, Failure(rejected, code, text), goal if known else None, reach, why_not)
+    return judged(situation, target, Failure(rejected, code, text, seen), goal if known else None, reach, why_not)
 
 
 def line(node, text, level="ERROR"):
@@ -78,6 +78,7 @@ def line(node, text, level="ERROR"):
         ({"code": 102}, "a transform was missing or late", "Try again"),
         ({"code": 207}, "Planning took too long", "nearer goal"),
         ({"code": 105}, "made no progress; no component reports why", "motors"),
+        ({"code": 105, "seen": "COMMANDED AND NOT MOVING for 9 s."}, "COMMANDED AND NOT MOVING for 9 s.", "motors"),
         ({"code": 4711, "has_grid": False}, "No cause was found", "ros2_log_read"),
     ],
 )

@@ -11,12 +11,16 @@ import numpy as np
 
 from ros2_mcp.ops.navigation.check import judged
 from ros2_mcp.ops.navigation.checks import nav_findings_in
-from ros2_mcp.ops.navigation.evidence import Grids, Heard, States
+from ros2_mcp.ops.navigation.evidence import Grids, Heard, NavEvidence, States
+from ros2_mcp.ops.sources.source import GraphSnapshot
 from ros2_mcp.ops.space.tellers import Publishers, Tellers
+from ros2_mcp.robot.seen import Left
 from support.made_navigation import (
     ACTIVE,
     CHAIN,
     GRID,
+    MANAGER,
+    NOW_NS,
     ODOMETRY,
     ODOMS,
     POSE,
@@ -309,3 +313,14 @@ def test_what_nav2_publishes_with_the_stamp_of_a_silent_scan_is_no_clock() -> No
     old = heard("/local_costmap/clearing_endpoints", points, ["/local_costmap/local_costmap"], ages_s=[3.9] * 20)
     causes = [one.cause for one in found(*READ, **parts_of(WELL, {**SCANS, **ODOMS, **old}))]
     assert causes == []
+
+
+def test_a_server_that_is_only_unseen_is_not_called_dead_and_its_costmap_is_no_finding_of_its_own() -> None:
+    active = dict.fromkeys((*SERVERS[1:], "/global_costmap/global_costmap"), "active")
+    left = Left(nodes=["/controller_server", "/local_costmap/local_costmap"])
+    names = {MANAGER: {"node_names": [name.strip("/") for name in SERVERS]}}
+    graph = GraphSnapshot({}, [*SERVERS[1:], MANAGER, "/global_costmap/global_costmap"], {}, left=left)
+    findings = nav_findings_in(NavEvidence(graph=graph, now_ns=NOW_NS, states=active, parameters=names, log=()))
+    assert [one.cause for one in findings] == [
+        "/controller_server has left the graph: it died, or is not seen any more."
+    ]
