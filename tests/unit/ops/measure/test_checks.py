@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -234,6 +235,19 @@ def test_what_is_silent_because_of_a_remapping_is_told_with_it_and_once() -> Non
     (finding,) = joined(found_in(graph, rows=[row], flows={"/clean": Flow(0, None, 0.0)}))
     assert (finding.subject, "/front/scan:=/scan/front" in finding.recommendation) == ("/scan/front", True)
     assert "/front/scan, which has no subscriber" in finding.problem and "/clean has no messages" in finding.problem
+
+
+def test_a_topic_that_another_node_publishes_too_is_not_silent_because_of_one_node_that_waits() -> None:
+    scan = "sensor_msgs/msg/LaserScan"
+    waits = topics(("/scan", scan, "", "/filter"), ("/clean", scan, "/filter", ""))
+    both = TopicEndpoints("/clean", [Endpoint(node, scan, "", node, QoS()) for node in ("/filter", "/other")], ())
+    row = TopicRow("/clean", scan, 1, 0, "SILENT", None, None, expected=False)
+
+    def problems(graph: GraphSnapshot) -> str:
+        return " ".join(one.problem for one in found_in(graph, rows=[row], flows={"/clean": Flow(0, None, 0.0)}))
+
+    assert "; so /clean has no messages" in problems(waits)
+    assert "so /clean" not in problems(replace(waits, topics={**waits.topics, "/clean": both}))
 
 
 @pytest.mark.parametrize(

@@ -42,11 +42,20 @@ def _waits(evidence: Evidence) -> Mapping[str, str]:
         """Return the first topic of the chain; silent inputs precede inputs without a publisher, because the latter may
         be optional.
         """
-        inputs = [each for one in topics[name].publishers for each in heard.get(one.node, ()) if each not in seen]
-        for each in (one for one in inputs if one in silent):
+        nodes = dict.fromkeys(one.node for one in topics[name].publishers)
+        inputs = {node: [each for each in heard.get(node, ()) if each not in seen] for node in nodes}
+        waits = {
+            node: [each for each in of_node if each in silent or is_absent(each)] for node, of_node in inputs.items()
+        }
+        if not waits or not all(waits.values()):  # another node would publish it all the same
+            return name
+        missing = [each for of_node in waits.values() for each in of_node]
+        for each in (one for one in missing if one in silent):
             return first(each, seen | {each})
-        absent = [each for each in inputs if not topics[each].publishers and _is_needed(evidence, each)]
-        return absent[0] if absent else name
+        return missing[0]
+
+    def is_absent(name: str) -> bool:
+        return not topics[name].publishers and _is_needed(evidence, name)
 
     found = {name: first(name, frozenset((name,))) for name in silent if name in topics}
     return {name: cause for name, cause in found.items() if cause != name}
