@@ -133,3 +133,10 @@ def test_a_raw_goal_outlives_the_bridge(nav_agent, nav2, navigator) -> None:
     os.kill(nav_agent.call("ros2_status")["bridge_pid"], signal.SIGKILL)
     done = sent.result(60)
     assert done["status"] == "SUCCEEDED" and "bridge was lost" in done["note"], done
+
+
+def test_a_robot_that_goes_on_after_its_navigator_gave_up_is_stopped_and_said(nav_agent, nav2, navigator) -> None:
+    navigator.put(gives_up=True)
+    done = nav_agent.call("ros2_navigate", to=FARTHER, timeout_sec=50)
+    assert done["outcome"] == "failed" and "still moved after its navigator had given up" in done["note"], done
+    assert "follow_path" in nav2.cancels() and abs(nav2.speed()) < 0.02

@@ -30,7 +30,7 @@ class Navigator:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         self._node = node = Node("bt_navigator")
         group = ReentrantCallbackGroup()
-        self._refuses, self._longer_m, self._recovers = False, 0.0, False
+        self._refuses, self._longer_m, self._recovers, self._gives_up = False, 0.0, False, False
         self._misses: list[float] = []
         self._goals: list[float] = []
         self._follow = ActionClient(node, FollowPath, "follow_path", callback_group=group)
@@ -53,12 +53,19 @@ class Navigator:
         assert self._follow.wait_for_server(30.0) and self._spin.wait_for_server(30.0)
 
     def put(
-        self, refuses: bool = False, longer_m: float = 0.0, recovers: bool = False, misses: tuple[float, ...] = ()
+        self,
+        refuses: bool = False,
+        longer_m: float = 0.0,
+        recovers: bool = False,
+        misses: tuple[float, ...] = (),
+        gives_up: bool = False,
     ) -> None:
         """Whether it refuses to cancel, how much longer its way becomes every other second, and then stays where it
         is; whether it spins after a second, which it tells each second; the goals (by their x) to which it finds no
-        path. What is told again is for those who subscribe late.
+        path. What is told again is for those who subscribe late. Whether it gives up after two seconds, while the
+        controller goes on.
         """
+        self._gives_up = gives_up
         self._refuses, self._longer_m, self._recovers, self._misses = refuses, longer_m, recovers, list(misses)
 
     def goals(self) -> list[float]:
@@ -93,6 +100,9 @@ class Navigator:
                 self._wait(child.cancel_goal_async())
                 self._wait(ended)
                 handle.canceled()
+                return NavigateToPose.Result()
+            if count == 20 and self._gives_up:
+                handle.abort()
                 return NavigateToPose.Result()
             if count % 10 == 0 and self._recovers:
                 self._tell("Spin", "IDLE", "RUNNING")

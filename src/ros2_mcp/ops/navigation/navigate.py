@@ -55,6 +55,8 @@ _SILENT_S = 1.5
 server checks whether the navigator still runs."""
 _ROLLS_S, _ROLLS_LOOK_S = 1.5, 0.05
 """The longest that a base rolls after its last command, and how often that is looked at."""
+_GOES_ON_S = 15.0
+"""The longest that a robot is waited for that moves on after its navigator has given up."""
 _FAR_M = 0.35
 """Nav2's own tolerance is 0.25 m; a robot this far from the goal has not reached it, whatever Nav2 reports."""
 
@@ -399,6 +401,12 @@ class Navigation(Job):
             if not result.get("error_code") and (other := await self._replaced_by()):
                 self._note(note=f"Another goal, from this or another client, replaced it. {other}")
                 return
+            if self.watch.is_moving:  # the navigator has given up, and a server below it goes on
+                self._doing = "The goal failed, and the robot still moves: waiting until it stands."
+                below = await settle(self._robot, self._session, self.action, lambda _: None, most_s=_GOES_ON_S)
+                self.ending = f"The robot still moved after its navigator had given up. {below.sentence}"
+                self.doubt = "" if below.stands else self.ending
+                await self._measure(target)
             self._doing = "The goal failed; its cause is not found yet."
             failure = Failure(False, int(result.get("error_code", 0)), str(result.get("error_msg", "")))
             self.explanation = await explain(self._robot, self.action, target, failure, took_s)
