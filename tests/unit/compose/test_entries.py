@@ -91,7 +91,7 @@ def test_the_only_robot_of_a_file_needs_no_name(write: Write) -> None:
         ("robots:\n  lab:\n    at: local\n    domain_id: 1.5", 4, "domain_id must be a whole number"),
         ("robots:\n  lab:\n    at: local?domain_id=1\n    domain_id: 1", 4, "the address names a domain_id, too"),
         ("robots:\n  lab:\n    at: local\n    read_only: yes", 4, "read_only must be true or false"),
-        ("robots:\n  lab:\n    at: local\n    env:\n      A-B: c", 5, "«A-B» is not a name of a variable"),
+        ("robots:\n  lab:\n    at: local\n    env:\n      A-B: c", 5, "«A-B» is not the name of a variable"),
         ("robots:\n  ../up:\n    at: local", 3, "«../up» is not a valid robot name"),
         ("robots:\n  lab:\n    at: local\n  lab:\n    at: local", 4, "'lab' is there twice"),
         ("robots:\n  lab: {at: [", 2, "not valid YAML"),
