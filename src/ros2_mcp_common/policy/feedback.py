@@ -31,6 +31,8 @@ from ros2_mcp_common.policy.transform_chain import TransformChain
 # The time from a message of the robot to a zero at its driver: a check every 0.02 s, and both transmissions, with a
 # margin.
 REACTION_S = 0.15
+# The most headings between going straight on and the sharpest turn that are judged at each look.
+MOST_HEADINGS = 12
 # How long the watchdog waits for the first message after its start: a publisher that missed our announcement is
 # discovered with the next one, 3 s later (decision 13).
 FIRST_S = 4.0
@@ -434,8 +436,10 @@ class Watchdog:
         return self._nearest
 
     def _ways_to_stop(self, keep_out: KeepOut, velocity: tuple[float, float, float], now: float) -> Sequence[Way]:
-        """Return how a robot with this velocity may move until it stands, if it is stopped now: it may also go straight
-        on while it no longer turns, or turn on the spot.
+        """Return how a robot with this velocity may move until it stands, if it is stopped now.
+
+        It may turn less than it could, so the corner of a zone may lie between two headings: they are so near to each
+        other that what is between them comes nearer by half of the watched distance at most.
         """
         rule, place, silences = self.pose_rule, self._place, filter(None, (self._no_speed, self._no_place))
         assert rule and place
@@ -445,8 +449,11 @@ class Watchdog:
         turned_rad = _way_to_stop(abs(turning), wait_s, rule.brake_radps2, self._still("angular"))
         turn_rad = math.copysign(min(turned_rad, 2 * math.pi), turning)
         heading = place.yaw + math.atan2(left, forward)
-        lengths = {(length_m, turn_rad), (length_m, 0.0), (0.0, turn_rad)}
-        return [arc(place, heading, length, turn, keep_out.swing_m) for length, turn in lengths]
+        swept_m = abs(turn_rad) * (keep_out.swing_m + length_m)
+        parts = max(1, min(MOST_HEADINGS, math.ceil(swept_m / keep_out.watched_m)))
+        turns = [turn_rad * part / parts for part in range(parts + 1)] if turn_rad else [0.0]
+        ways = [arc(place, heading, length_m, turn, keep_out.swing_m) for turn in turns]
+        return [*ways, arc(place, heading, 0.0, turn_rad, keep_out.swing_m)] if length_m and turn_rad else ways
 
     def _still(self, part: str) -> float:
         return self.speed_rule.still.get(part, 0.0) if self.speed_rule else 0.0

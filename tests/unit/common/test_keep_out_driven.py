@@ -27,3 +27,8 @@ def test_no_goal_path_or_motion_brings_the_outline_into_a_zone() -> None:
 def test_the_observer_sees_entries_where_nothing_judges() -> None:
     entries = sum(bool(drive(random.Random(seed), is_judged=False).entries) for seed in range(60))
     assert entries > 10
+
+
+def test_a_corner_between_going_straight_on_and_turning_is_seen_in_time() -> None:
+    done = drive(random.Random(59479))  # its outline came 1 cm into the zone when only the two extremes were judged
+    assert done.ended and not done.entries and not done.latched
