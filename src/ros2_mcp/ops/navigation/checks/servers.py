@@ -289,15 +289,11 @@ def _unmanaged(evidence: NavEvidence, nodes: Sequence[str]) -> Iterator[NavFindi
 
 def _falls_with_its_host(evidence: NavEvidence, node: str) -> bool:
     """Whether a costmap's server is not active: the costmap is a part of its process."""
-    hosts = [host for part, role in _HOSTS.items() if is_of_role(node, part) for host in evidence.of_role(role)]
-    gone = [
-        one
-        for part, role in _HOSTS.items()
-        if is_of_role(node, part)
-        for one in evidence.graph.left.nodes
-        if is_of_role(one, role)
-    ]
-    return bool(gone) or any((evidence.states or {}).get(host, "active") != "active" for host in hosts)
+    role = next((role for part, role in _HOSTS.items() if is_of_role(node, part)), "")
+    if not role:
+        return False
+    has_left = any(is_of_role(one, role) for one in evidence.graph.left.nodes)
+    return has_left or not all(map(evidence.is_active, evidence.of_role(role)))
 
 
 def _missing(evidence: NavEvidence) -> Iterator[NavFinding]:
